@@ -32,51 +32,34 @@ def _refuse_other_filters() -> None:
 _refuse_other_filters()
 
 
-def _register(
-    name: str, entry_point: str, max_episode_steps: int, vector_entry_point: str | None = None, **arguments: object
-) -> None:
-    if name not in _gym.registry:
-        _gym.register(
-            name,
-            entry_point=entry_point,
-            max_episode_steps=max_episode_steps,
-            vector_entry_point=vector_entry_point,
-            kwargs=arguments,
-        )
+def _register(name: str, room: str, made: str, max_episode_steps: int, **arguments: object) -> None:
+    """An id: one environment, and its vector by the name in small letters."""
+    if name in _gym.registry:
+        return
+    vectors = "stereo_slam_env.wrappers.vectors" if room.startswith("envs.") else f"stereo_slam_env.{room}"
+    task = name.split("/")[1].split("-")[0]
+    small = "".join(f"_{letter.lower()}" if letter.isupper() else letter for letter in task).strip("_")
+    _gym.register(
+        name,
+        entry_point=f"stereo_slam_env.{room}:{made}",
+        max_episode_steps=max_episode_steps,
+        vector_entry_point=f"{vectors}:{small}_vector",
+        kwargs=arguments,
+    )
 
 
-_register(
-    "StereoSlam/Drive-v0",
-    "stereo_slam_env.envs.drive:StereoDriveEnv",
-    1200,
-    "stereo_slam_env.vector.stereo_vector_env:DriveVectorEnv",
-)
-_register(
-    "StereoSlam/Gaze-v0",
-    "stereo_slam_env.envs.gaze:StereoGazeEnv",
-    3000,
-    "stereo_slam_env.vector.stereo_vector_env:GazeVectorEnv",
-)
-_register(
-    "StereoSlam/DriveGaze-v0",
-    "stereo_slam_env.envs.drive_gaze:StereoDriveGazeEnv",
-    1200,
-    "stereo_slam_env.vector.stereo_vector_env:DriveGazeVectorEnv",
-)
-_register(
-    "StereoSlam/ActiveGaze-v0",
-    "stereo_slam_env.training.task:active_gaze",
-    600,
-    "stereo_slam_env.training.task:active_gaze_vector",
-)
+_register("StereoSlam/Drive-v0", "envs.drive", "StereoDriveEnv", 1200)
+_register("StereoSlam/Gaze-v0", "envs.gaze", "StereoGazeEnv", 3000)
+_register("StereoSlam/DriveGaze-v0", "envs.drive_gaze", "StereoDriveGazeEnv", 1200)
+_register("StereoSlam/ActiveGaze-v0", "training.task", "active_gaze", 600)
 for _task, _made, _most in (
-    ("Explore", "explore:explore", 1200),
-    ("Revisit", "revisit:revisit", 100),
-    ("ClosedLoop", "closed_loop:closed_loop", 1200),
+    ("Explore", "explore", 1200),
+    ("Revisit", "revisit", 100),
+    ("ClosedLoop", "closed_loop", 1200),
 ):
-    _register(f"StereoSlam/{_task}-v0", f"stereo_slam_env.tasks.{_made}", _most)
+    _register(f"StereoSlam/{_task}-v0", f"tasks.{_made}", _made, _most)
     for _level in ("easy", "hard"):
-        _register(f"StereoSlam/{_task}-{_level}-v0", f"stereo_slam_env.tasks.{_made}", _most, level=_level)
+        _register(f"StereoSlam/{_task}-{_level}-v0", f"tasks.{_made}", _made, _most, level=_level)
 
 _load, __dir__, __all__ = _lazy_loader.attach_stub(__name__, __file__)
 

@@ -107,18 +107,12 @@ def make_recording(scenario: str | Scenario, seed: int | None = 0) -> Recording:
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """One filter on one recording.
-
-    Attributes
-    ----------
-    figures : FilterSummary
-        All figures; None where something is not known, such as an error without truth.
-    series : FilterRun
-        Estimates, errors, covariances and counts, frame by frame.
-    """
+    """One filter on one recording."""
 
     figures: FilterSummary
+    """All figures; None where something is not known, such as an error without truth."""
     series: FilterRun
+    """Estimates, errors, covariances and counts, frame by frame."""
 
     def __str__(self) -> str:
         return _table([self.figures])
@@ -126,27 +120,18 @@ class Evaluation:
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """Filters on identical recordings.
-
-    Attributes
-    ----------
-    title : str
-        What they ran on.
-    runs : tuple of FilterRun
-        One for each filter and recording.
-    figures : mapping of str to RunFigures
-        Figures of every run, by label of the filter.
-    summaries : tuple of FilterSummary
-        Figures over all runs, one for each filter.
-    settings : mapping
-        The exact inputs, JSON-able.
-    """
+    """Filters on identical recordings."""
 
     title: str
+    """What they ran on."""
     runs: tuple[FilterRun, ...]
+    """One for each filter and recording."""
     figures: Figures
+    """Figures of every run, by label of the filter."""
     summaries: tuple[FilterSummary, ...]
+    """Figures over all runs, one for each filter."""
     settings: Mapping[str, Any]
+    """The exact inputs, JSON-able."""
 
     @cached_property
     def verdict(self) -> Verdict:

@@ -35,34 +35,24 @@ Observe = Callable[[int, StereoFilter], StereoObservation]
 
 @dataclass(frozen=True, eq=False)
 class Moment:
-    """A filter after the update of one frame. Its beliefs are read on first access: before the filter goes on.
-
-    Attributes
-    ----------
-    number : int
-        Of the frame, from 0.
-    frame : Frame
-        Time, measurements that were used, odometry, and truth where there is one.
-    slam : StereoFilter
-        The filter.
-    report : UpdateReport
-        What the update did.
-    reference : Reference
-        What the truth is.
-    predict_seconds, update_seconds : float
-        Time that the two calls took, s.
-    start : Pose, optional
-        True pose of the first frame, from which the reference is counted.
-    """
+    """A filter after the update of one frame. Its beliefs are read on first access: before the filter goes on."""
 
     number: int
+    """Of the frame, from 0."""
     frame: Frame
+    """Time, measurements that were used, odometry, and truth where there is one."""
     slam: StereoFilter
+    """The filter."""
     report: UpdateReport
+    """What the update did."""
     reference: Reference
+    """What the truth is."""
     predict_seconds: float
+    """Time that `predict` took, s."""
     update_seconds: float
+    """Time that `update` took, s."""
     start: Pose | None = None
+    """True pose of the first frame, from which the reference is counted."""
 
     @property
     def time(self) -> float:

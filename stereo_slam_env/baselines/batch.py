@@ -73,6 +73,8 @@ class BatchSmoother(CameraFilter):
         gtsam is not installed, or an option has an impossible value.
     """
 
+    open_options = frozenset({"motion", "gate", "consensus", "tail_dof"})
+
     def __init__(
         self,
         camera: StereoCamera,

@@ -73,6 +73,8 @@ class CameraFilter(StereoFilter):
         An argument is of the wrong type.
     """
 
+    open_options = frozenset({"motion"})
+
     def __init__(self, camera: StereoCamera, noise: StereoNoise, *, motion: Named | MotionModel | None = None) -> None:
         check_rig(camera, noise)
         self.camera = camera

@@ -65,6 +65,8 @@ class FilterpyEKF(CameraFilter):
     J. Civera, A. J. Davison, J. M. M. Montiel, "Inverse Depth Parametrization for Monocular SLAM", T-RO 24(5), 2008.
     """
 
+    open_options = frozenset({"motion", "gate"})
+
     def __init__(
         self,
         camera: StereoCamera,

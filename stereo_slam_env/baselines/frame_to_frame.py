@@ -65,6 +65,8 @@ class FrameToFrame(CameraFilter):
         An option has an impossible value.
     """
 
+    open_options = frozenset({"motion", "gate"})
+
     def __init__(
         self,
         camera: StereoCamera,

@@ -11,15 +11,16 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from filters.catalogue.common_options import make_with_common_options
 from filters.catalogue.registry import filter_factory, plugin_of
 from filters.contract.foreign_text import first_line
 from filters.contract.noise import StereoNoise
 from filters.geometry.camera import StereoCamera
-from stereo_slam_env.benchmark.running.backends import Backend, BackendName
-from stereo_slam_env.benchmark.running.tasks import Task, make, run_trial
+from stereo_slam_env.benchmark.running.backends import Backend, BackendName, RunAll
+from stereo_slam_env.benchmark.running.isolation import Tell
+from stereo_slam_env.benchmark.running.tasks import TIMED, Task, batches, make_all, run_all_trials
 from stereo_slam_env.benchmark.scenarios.scenario import (
     FilterChoice,
     PolicyChoice,
@@ -67,7 +68,7 @@ class BenchmarkResult:
 
     @property
     def runs(self) -> tuple[FilterRun, ...]:
-        """The runs of all cells."""
+        """The runs of all cells whose time series are kept, see `Scenario.kept_seeds`."""
         return tuple(run for cell in self.cells for run in cell.runs)
 
     @property
@@ -180,7 +181,8 @@ def _terminated_like_interrupted() -> Iterator[None]:
     """Let SIGTERM do what Ctrl-C does, where nobody else handles it: everything is ended and what is finished kept."""
     ours = threading.current_thread() is threading.main_thread() and signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
     if ours:
-        signal.signal(signal.SIGTERM, signal.default_int_handler)
+        interrupts = signal.getsignal(signal.SIGINT)
+        signal.signal(signal.SIGTERM, interrupts if callable(interrupts) else signal.default_int_handler)
     try:
         yield
     finally:
@@ -234,49 +236,100 @@ def check_filters(scenario: Scenario) -> None:
             _log.info("filter %s cannot be made: %s", choice.label, first_line(error))
 
 
+SEEDS_AT_A_TIME = 100
+"""After so many seeds, recordings that are not kept are removed."""
+_FEW = 2
+"""Recordings for which nothing is loaded beforehand."""
+
+
 def _run_missing(cells: Sequence[RunDirectory], backend: Backend, progress: Progress) -> None:
     """Make what is missing and keep each result as soon as it is there."""
-    missing = [(number, seed, choice) for number, run in enumerate(cells) for seed, choice in run.missing()]
-    to_record: dict[Path, tuple[int, int | None]] = {}  # once for all cells that share a recording
-    for number, seed, choice in missing:
-        if not _drives(choice) and not cells[number].recording_is_made(seed):
-            to_record.setdefault(cells[number].recording_path(seed), (number, seed))
+    missing = [Missing(number, seed, choice) for number, run in enumerate(cells) for seed, choice in run.missing()]
     wanted = sum(len(run.seeds) * (len(run.scenario.competitors) + run.scenario.has_bound) for run in cells)
-    total = wanted + len(to_record)
-    done = wanted - len(missing)
-
-    def tell(part: float = 0.0) -> None:
-        progress(done + part, total)
-
-    def within(frames: int, of: int) -> None:
-        tell(frames / of)
-
-    def trials() -> Iterator[Task]:
-        for number, seed, choice in missing:
-            run = cells[number]
-            recording = None if _drives(choice) else run.recording_content(seed)
-            yield Task(number, run.scenario, seed, choice, recording, run.provenance(seed, choice))
-
-    tell()
+    work = _Work(cells, backend, progress, wanted - len(missing), wanted)
+    to_record = work.to_record(missing)
+    work.wanted += len(to_record)
+    work.tell()
     if not missing:
         return
-    with backend.started(isolated=True) as run_all:
-        told = within if backend.in_this_process else None
-        recordings = [Task(number, cells[number].scenario, seed) for number, seed in to_record.values()]
+    seeds = list(dict.fromkeys(each.seed for each in missing))
+    preloaded = {module: None for task in to_record[_FEW:] for module in task.scenario.source.preloaded}
+    with backend.started(isolated=True, preloaded=[*preloaded]) as run_all:
+        for first in range(0, len(seeds), SEEDS_AT_A_TIME):
+            some = seeds[first : first + SEEDS_AT_A_TIME]
+            work.do([each for each in missing if each.seed in some], run_all)
+            passing = [seed for seed in some if not any(run.keeps(seed) for run in cells)]
+            for run in cells:
+                run.remove_recordings(passing)
+
+
+class Missing(NamedTuple):
+    """A trial to be run; without a filter, the bound."""
+
+    cell: int
+    seed: int | None
+    choice: FilterChoice | None
+
+
+@dataclass
+class _Work:
+    """What is done, and what has been."""
+
+    cells: Sequence[RunDirectory]
+    backend: Backend
+    progress: Progress
+    done: int
+    wanted: int
+
+    def tell(self, part: float = 0.0) -> None:
+        self.progress(self.done + part, self.wanted)
+
+    def within(self, frames: int, of: int) -> None:
+        self.tell(frames / of)
+
+    def do(self, missing: Sequence[Missing], run_all: RunAll[Any, Any]) -> None:
+        """Make recordings, then bounds, then trials, whose figures hang on both."""
+        told = self.within if self.backend.in_this_process else None
+        self._record(missing, run_all, told)
+        for some in ([m for m in missing if m.choice is None], [m for m in missing if m.choice is not None]):
+            for batch in run_all(partial(run_all_trials, progress=told), batches(map(self._task, some))):
+                for finished in batch:
+                    run, own = self.cells[finished.cell], finished.made
+                    if own is not None:
+                        run.save_recording(finished.seed, own.content, own.description, finished.choice)
+                    run.save_trial(finished.seed, finished.choice, finished.content)
+                    self.done += 1
+                    self.tell()
+
+    def _record(self, missing: Sequence[Missing], run_all: RunAll[Any, Any], told: Tell | None) -> None:
+        to_record = self.to_record(missing)
         # The only one is made here: a real drive has often been read by this process already (see `sources`).
-        alone = len(recordings) == 1
-        maker = partial(make, here=alone or backend.in_this_process, progress=within if alone else told)
-        for made in (map if alone else run_all)(maker, recordings):
-            cells[made.cell].save_recording(made.seed, made.content, made.description)
-            done += 1
-            tell()
-        for finished in run_all(partial(run_trial, progress=told), trials()):
-            own = finished.made
-            if own is not None:
-                cells[finished.cell].save_recording(finished.seed, own.content, own.description, finished.choice)
-            cells[finished.cell].save_trial(finished.seed, finished.choice, finished.content)
-            done += 1
-            tell()
+        alone = len(to_record) == 1
+        maker = partial(make_all, here=alone or self.backend.in_this_process, progress=self.within if alone else told)
+        for batch in (map if alone else run_all)(maker, batches(to_record)):
+            for made in batch:
+                self.cells[made.cell].save_recording(made.seed, made.content, made.description)
+                self.done += 1
+                self.tell()
+
+    def to_record(self, missing: Sequence[Missing]) -> list[Task]:
+        """Recordings that are not there, once for all cells that share one."""
+        found: dict[Path, Task] = {}
+        for number, seed, choice in missing:
+            run = self.cells[number]
+            if not _drives(choice) and not run.recording_is_made(seed):
+                found.setdefault(run.recording_path(seed), Task(number, run.scenario, seed))
+        return list(found.values())
+
+    def _task(self, missing: Missing) -> Task:
+        number, seed, choice = missing
+        run = self.cells[number]
+        about = run.provenance(seed, choice)
+        if _drives(choice):
+            return Task(number, run.scenario, seed, choice, None, about, whole=run.keeps(seed))
+        bound = None if choice is None else run.bound(seed)
+        content, timed = run.recording_content(seed), seed in run.seeds[:TIMED]
+        return Task(number, run.scenario, seed, choice, content, about, bound, run.keeps(seed), timed)
 
 
 def _drives(choice: FilterChoice | None) -> bool:

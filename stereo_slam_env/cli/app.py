@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import _thread
 import shlex
+import signal
 import sys
-from collections.abc import Sequence
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from types import FrameType
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -17,6 +22,9 @@ from stereo_slam_env.cli import studies as cli_studies
 from stereo_slam_env.cli import train as cli_train
 from stereo_slam_env.cli import view as cli_view
 from stereo_slam_env.cli.parts import Interrupted, JsonOption, console, group, refuse, show_json, show_lines, show_place
+
+if TYPE_CHECKING:
+    from sys import UnraisableHookArgs
 
 INTERRUPTED = 130
 
@@ -43,8 +51,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; returns the exit code. Wrong use gets one line on stderr and exit code 2."""
     arguments = list(sys.argv[1:] if argv is None else argv)
     try:
-        code = app(args=arguments, prog_name="stereo-slam", standalone_mode=False)
-    except typer.Abort:
+        with _no_interruption_is_lost():
+            code = app(args=arguments, prog_name="stereo-slam", standalone_mode=False)
+    except (typer.Abort, KeyboardInterrupt):  # the latter from outside of what Typer guards
         return INTERRUPTED
     except Interrupted as stopped:
         resume = [*arguments, *([] if "--out" in shlex.join(arguments) else ["--out", str(stopped.directory)])]
@@ -64,6 +73,38 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise
         return refuse(explain())
     return code if isinstance(code, int) else 0
+
+
+@contextmanager
+def _no_interruption_is_lost() -> Iterator[None]:
+    """Interrupt again where Python drops what is raised: in destructors, and in functions that machine code calls.
+
+    What was half made when the interruption came may complain as it is destroyed: that is not printed.
+    """
+    before, interrupted = signal.getsignal(signal.SIGINT), False
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        nonlocal interrupted
+        interrupted = True
+        raise KeyboardInterrupt
+
+    def unraisable(dropped: UnraisableHookArgs) -> None:
+        if issubclass(dropped.exc_type, KeyboardInterrupt):
+            threading.Timer(0.05, _thread.interrupt_main).start()
+        elif not interrupted:
+            sys.__unraisablehook__(dropped)
+
+    if before is not signal.default_int_handler or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    hook, sys.unraisablehook = sys.unraisablehook, unraisable
+    signal.signal(signal.SIGINT, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+        if not interrupted:
+            sys.unraisablehook = hook
 
 
 @app.callback(invoke_without_command=True)
@@ -89,6 +130,9 @@ def report(
     out: Annotated[
         Path | None, typer.Option("--out", help="Where the page of a comparison goes.", show_default="second run")
     ] = None,
+    trajectories: Annotated[
+        bool, typer.Option("--trajectories", help="Write the trajectories of all recordings that are kept, too.")
+    ] = False,
 ) -> None:
     """Write tables and report of a finished run again; with a second run, say what changed significantly."""
     from stereo_slam_env.benchmark.storage.store import read_study, root_of
@@ -102,6 +146,8 @@ def report(
     study = read_study(directory)
     with claimed_folder(root_of(study.out)):
         results = study.write_results()
+        if trajectories:
+            study.write_trajectories()
         page = write_report_of(study, results)
     show_cells(console(), results)
     show_place(page)

@@ -12,11 +12,14 @@ from stereo_slam_env.cli.parts import JsonOption, console, show_json
 
 
 def evaluate(
-    estimate: Annotated[
-        Path,
-        typer.Argument(help="Trajectory: TUM, KITTI, or TUM with covariances (29 columns, SQUARE).", metavar="EST"),
+    files: Annotated[
+        list[Path],
+        typer.Argument(
+            help="Trajectories, the reference last: TUM, KITTI, EuRoC, OpenVINS, cnspy, SQUARE, ROS, or BAG:/topic. "
+            "Several estimates are runs of one estimator.",
+            metavar="EST... REF",
+        ),
     ],
-    reference: Annotated[Path, typer.Argument(help="What it is held against, of the same formats.", metavar="REF")],
     against: Annotated[
         Path | None,
         typer.Option("--against", help="A second estimate: which of the two is better?", metavar="EST2"),
@@ -25,13 +28,41 @@ def evaluate(
         str | None,
         typer.Option(
             "--align",
-            help="'none'; 'start': first pose on first pose; 'rigid': all positions on all, without scale.",
-            show_default="as the file says, or none",
+            help="'none'; 'start': first pose on first pose; 'gravity-yaw': position and heading; 'rigid'; 'sim3': and "
+            "scale.",
+            show_default="the gauge of the file",
         ),
     ] = None,
+    align_seconds: Annotated[
+        float | None,
+        typer.Option("--align-seconds", help="Align by the first so many seconds; 0: by one pose.", show_default="all"),
+    ] = None,
+    up: Annotated[str, typer.Option("--up", help="Axis of gravity in the reference's world: x, y or z.")] = "z",
+    body: Annotated[
+        Path | None,
+        typer.Option(
+            "--body",
+            help="Pose of the reference's body in the estimate's: JSON with R (9 numbers) and t (m).",
+            metavar="T.json",
+            show_default="the same body",
+        ),
+    ] = None,
+    body_estimated: Annotated[
+        bool, typer.Option("--body-estimated", help="Take the pose of the body that fits best.")
+    ] = False,
+    offset: Annotated[
+        str, typer.Option("--time-offset", help="Seconds to add to the estimate's times, or 'auto'.", metavar="S")
+    ] = "0",
+    interpolate: Annotated[
+        bool, typer.Option("--interpolate", help="Take the reference between its poses, not the nearest one.")
+    ] = False,
     max_gap: Annotated[
         float, typer.Option("--max-gap", help="Largest time between a pose and its reference, s.")
     ] = 0.01,
+    pair: Annotated[
+        bool,
+        typer.Option("--pair", help="REF is no truth but a second estimate: do their claims contradict each other?"),
+    ] = False,
     out: Annotated[
         Path | None,
         typer.Option("--out", help="Write a report with pictures, too, and all figures as JSON.", show_default="none"),
@@ -40,24 +71,57 @@ def evaluate(
 ) -> None:
     """Judge any trajectory: its errors, and whether the covariance that it claims can be believed."""
     from stereo_slam_env.benchmark.recordings.source import checked
-    from stereo_slam_env.evaluation.trajectory_score import Alignment, evaluate_trajectory
+    from stereo_slam_env.evaluation.body_frames import read_body
+    from stereo_slam_env.evaluation.gauges import AlignmentKind
+    from stereo_slam_env.evaluation.trajectory_runs import score_runs
+    from stereo_slam_env.evaluation.trajectory_score import SCHEMA, evaluate_trajectory
     from stereo_slam_env.files.folders import require_writable
     from stereo_slam_env.files.json_files import write_json
     from stereo_slam_env.recording.trajectory_files import load_trajectory
-    from stereo_slam_env.report.trajectory_table import show_trajectory_scores
+    from stereo_slam_env.report.trajectory_table import show_runs_score, show_trajectory_scores
 
+    *estimates, reference = files
+    if not estimates:
+        raise ValueError(f"evaluate needs an estimate and a reference, got {reference} alone")
     if out is not None:
         if out.suffix == ".json":
             raise ValueError(f"--out must be a folder, got {out}: for the figures alone, --json prints them")
         require_writable(out)
-    how = None if align is None else checked("--align", align, Alignment)
+    if len(estimates) > 1 and against is not None:
+        raise ValueError("--against compares one estimate with another: give one estimate, not runs")
+    if body is not None and body_estimated:
+        raise ValueError("--body gives what --body-estimated looks for: leave one of them out")
+    how = None if align is None else checked("--align", align, AlignmentKind)
+    T_bc = None if body is None else read_body(body)
     truth = load_trajectory(reference)
-    estimates = [estimate] if against is None else [estimate, against]
-    scores = [evaluate_trajectory(path, truth, align=how, max_gap=max_gap) for path in estimates]
-    verdict = scores[0].against(scores[1]) if len(scores) > 1 else None
-    figures = {"scores": [score.as_dict() for score in scores], "against": verdict and asdict(verdict)}
+    estimates += [] if against is None else [against]
+    scores = [
+        evaluate_trajectory(
+            path,
+            truth,
+            align=how,
+            align_seconds=align_seconds,
+            up=up,
+            body="estimated" if body_estimated else T_bc,
+            time_offset="auto" if offset == "auto" else _seconds(offset),
+            interpolate=interpolate,
+            max_gap=max_gap,
+            pair=pair,
+        )
+        for path in estimates
+    ]
+    verdict = scores[0].against(scores[1]) if against is not None else None
+    runs = score_runs(scores) if len(files) > 2 else None
+    figures = {
+        "schema": SCHEMA,
+        "scores": [score.as_dict() for score in scores],
+        "against": verdict and asdict(verdict),
+        "runs": runs and runs.as_dict(),
+    }
     if as_json:
         show_json(figures)
+    elif runs is not None:
+        show_runs_score(console(), runs)
     else:
         show_trajectory_scores(console(), scores)
         if verdict is not None:
@@ -67,5 +131,12 @@ def evaluate(
         write_json(out / "score.json", figures)
         from stereo_slam_env.report.trajectory_report import write_trajectory_report
 
-        page = write_trajectory_report(out, scores, verdict)
+        page = write_trajectory_report(out, scores, verdict, runs)
         typer.echo(f"report: {page.resolve()}", err=as_json)
+
+
+def _seconds(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError as error:
+        raise ValueError(f"--time-offset must be a number of seconds or 'auto', got {text!r}") from error

@@ -20,7 +20,7 @@ from filters import Pose, StereoCamera, StereoNoise
 from filters.extras import install_command
 from filters.validation import FloatArray, IntArray
 from stereo_slam_env.datasets.known_recordings import known_by, reference_for
-from stereo_slam_env.datasets.tracks import ASSUMED_SIGMA_PX, Tracks, frames_of
+from stereo_slam_env.datasets.tracks import ASSUMED_SIGMA_PX, Tracks, frames_of, stated_or_assumed
 from stereo_slam_env.files.readers import read_poses, read_table, require_rotations, split_poses
 from stereo_slam_env.recording.recording import Recording, Reference
 
@@ -34,21 +34,31 @@ EXAMPLE_INTERVAL = 0.1037  # s between frames; the wheel holds no times
 EXAMPLE_REFERENCE = Reference(
     "odometry", "The stereo odometry that comes with the tracks and was fitted to the same pixels."
 )
-IMAGE_SIZE = (1241, 376)  # rectified images of the drives of 2011_10_03
+FACTS = {"image_size": (1241, 376), "sigma_px": ASSUMED_SIGMA_PX}
+"""Of the public recording: rectified images of the drives of 2011_10_03."""
 
 
-def read(path: Path, *, sigma_px: float = ASSUMED_SIGMA_PX, max_per_frame: int | None = 100) -> Recording:
+def read(
+    path: Path,
+    *,
+    sigma_px: float | None = None,
+    max_per_frame: int | None = 100,
+    image_size: tuple[int, int] | None = None,
+) -> Recording:
     """Read the folder.
 
     Parameters
     ----------
     path : Path
         Folder with the files named in `FILES`.
-    sigma_px : float
-        Standard deviation of a pixel coordinate to assume, px.
+    sigma_px : float, optional
+        Standard deviation of a pixel coordinate to assume, px. None: `ASSUMED`, of a stranger's with a line in the log.
     max_per_frame : int, optional
         Thin the tracks to so many landmarks at a time, long tracks first; None keeps all (387 to 852 a frame, too
         many for a filter whose cost grows with their square or cube).
+    image_size : (int, int), optional
+        Width and height of the images, px. None: of the public recording; of a stranger's the smallest that hold all
+        measurements, with a line in the log.
 
     Returns
     -------
@@ -81,7 +91,10 @@ def read(path: Path, *, sigma_px: float = ASSUMED_SIGMA_PX, max_per_frame: int |
     files = path / "stereo_factors.txt", path / "calibration.txt"
     source = {"reader": NAME, "path": str(path)}
     name = path.resolve().name if recording is None else NAME
-    return _recording(name, files, frame_ids, times[frame_ids], truth, sigma_px, max_per_frame, source, truth_from)
+    facts, given = None if recording is None else FACTS, {"sigma_px": sigma_px, "image_size": image_size}
+    return _recording(
+        name, path, files, frame_ids, times[frame_ids], truth, facts, given, max_per_frame, source, truth_from
+    )
 
 
 def read_example(*, sigma_px: float = ASSUMED_SIGMA_PX, max_per_frame: int | None = 100) -> Recording:
@@ -102,7 +115,10 @@ def read_example(*, sigma_px: float = ASSUMED_SIGMA_PX, max_per_frame: int | Non
     files = stereo_factors, calibration
     source = {"reader": "gtsam:kitti00", "frame_interval_s": EXAMPLE_INTERVAL}
     reference = EXAMPLE_REFERENCE
-    return _recording("gtsam_kitti00", files, frame_ids, times, truth, sigma_px, max_per_frame, source, reference)
+    given = {"sigma_px": sigma_px, "image_size": None}
+    return _recording(
+        "gtsam_kitti00", poses, files, frame_ids, times, truth, FACTS, given, max_per_frame, source, reference
+    )
 
 
 def _in_wheel(file_name: str) -> Path:
@@ -129,11 +145,13 @@ def _read_odometry(path: Path) -> tuple[IntArray, FloatArray]:
 
 def _recording(
     name: str,
+    path: Path,
     files: tuple[Path, Path],
     frame_ids: IntArray,
     timestamps: FloatArray,
     truth: list[Pose | None],
-    sigma_px: float,
+    facts: Mapping[str, Any] | None,
+    given: Mapping[str, Any],
     max_per_frame: int | None,
     source: Mapping[str, Any],
     truth_from: Reference,
@@ -152,10 +170,11 @@ def _recording(
         table[:, 1].astype(np.int64),
         np.column_stack([u_left, v, u_left - u_right]),
     )
+    sigmas, size = stated_or_assumed(path, tracks, facts, **given)
     usable = tracks.with_positive_disparity()
     thinned = usable.thinned(max_per_frame)
     settings = {
-        "sigma_px": float(sigma_px),
+        "sigma_px": float(sigmas["sigma_px"]),
         "max_per_frame": max_per_frame,
         "dropped_non_positive_disparity": len(tracks) - len(usable),
         "observations_used": len(thinned),
@@ -163,9 +182,9 @@ def _recording(
     }
     return Recording(
         name,
-        StereoCamera(fx, fy, cx, cy, baseline, *IMAGE_SIZE),
+        StereoCamera(fx, fy, cx, cy, baseline, *size),
         frames_of(thinned, timestamps, truth),
-        StereoNoise.independent_pixels(sigma_px),
+        StereoNoise.independent_pixels(sigmas["sigma_px"]),
         source={**source, **settings},
         truth_from=truth_from,
     )

@@ -11,7 +11,13 @@ from pathlib import Path
 
 from filters import Pose, StereoCamera, StereoNoise
 from stereo_slam_env.datasets.known_recordings import known_by, reference_for
-from stereo_slam_env.datasets.tracks import ASSUMED_SIGMA_PX, camera_velocities, frames_of, tracks_of_pixels
+from stereo_slam_env.datasets.tracks import (
+    ASSUMED_SIGMA_PX,
+    camera_velocities,
+    frames_of,
+    stated_or_assumed,
+    tracks_of_pixels,
+)
 from stereo_slam_env.files.readers import Shape, read_archive, read_poses
 from stereo_slam_env.recording.recording import Recording
 
@@ -27,15 +33,17 @@ SHAPES: Mapping[str, Shape] = {
     "cam_T_imu": (4, 4),
 }
 STATED = "poses.txt of the recording."
-IMAGE_SIZE = (1226, 370)  # rectified images of the drives of 2011_09_30; the archive does not hold it
+FACTS = {"image_size": (1226, 370), "sigma_px": ASSUMED_SIGMA_PX, "sigma_linear": 0.5, "sigma_angular": 0.05}
+"""Of the public recording: rectified images of the drives of 2011_09_30; the archive does not hold any of it."""
 
 
 def read(
     path: Path,
     *,
-    sigma_px: float = ASSUMED_SIGMA_PX,
-    sigma_linear: float = 0.5,
-    sigma_angular: float = 0.05,
+    sigma_px: float | None = None,
+    sigma_linear: float | None = None,
+    sigma_angular: float | None = None,
+    image_size: tuple[int, int] | None = None,
     max_per_frame: int | None = None,
 ) -> Recording:
     """Read the folder.
@@ -44,10 +52,13 @@ def read(
     ----------
     path : Path
         Folder with the files named in `FILES`.
-    sigma_px : float
-        Standard deviation of a pixel coordinate to assume, px.
-    sigma_linear, sigma_angular : float
-        White noise of the velocities in the IMU frame, m/s and rad/s per axis.
+    sigma_px : float, optional
+        Standard deviation of a pixel coordinate to assume, px. None: `ASSUMED`, of a stranger's with a line in the log.
+    sigma_linear, sigma_angular : float, optional
+        White noise of the velocities in the IMU frame, m/s and rad/s per axis. None: likewise.
+    image_size : (int, int), optional
+        Width and height of the images, px. None: of the public recording; of a stranger's the smallest that hold all
+        measurements, with a line in the log.
     max_per_frame : int, optional
         Thin the tracks to so many landmarks at a time, long tracks first; None keeps all (25 to 120 a frame).
 
@@ -68,32 +79,41 @@ def read(
     truth = [Pose(r, q) for r, q in zip(positions[:count], orientations[:count], strict=True)]
     K, T = arrays["K"], arrays["cam_T_imu"]
     fx, fy, cx, cy, baseline = (float(x) for x in (K[0, 0], K[1, 1], K[0, 2], K[1, 2], arrays["b"][0]))
+    tracks, known = tracks_of_pixels(arrays["features"].transpose(0, 2, 1)), known_by(positions)
+    sigmas, size = stated_or_assumed(
+        path,
+        tracks,
+        FACTS if known else None,
+        sigma_px=sigma_px,
+        sigma_linear=sigma_linear,
+        sigma_angular=sigma_angular,
+        image_size=image_size,
+    )
     odometry = camera_velocities(
         arrays["linear_velocity"].T,
         arrays["rotational_velocity"].T,
         T[:3, :3],
         T[:3, 3],  # of this data set the camera position in the IMU frame, not a translation cam <- imu
-        sigma_linear=sigma_linear,
-        sigma_angular=sigma_angular,
+        sigma_linear=sigmas["sigma_linear"],
+        sigma_angular=sigmas["sigma_angular"],
     )
-    tracks = tracks_of_pixels(arrays["features"].transpose(0, 2, 1))
     usable = tracks.with_positive_disparity()
     source = {
         "reader": NAME,
         "path": str(path),
-        "sigma_px": float(sigma_px),
-        "sigma_linear_m_s": float(sigma_linear),
-        "sigma_angular_rad_s": float(sigma_angular),
+        "sigma_px": float(sigmas["sigma_px"]),
+        "sigma_linear_m_s": float(sigmas["sigma_linear"]),
+        "sigma_angular_rad_s": float(sigmas["sigma_angular"]),
         "max_per_frame": max_per_frame,
         "dropped_non_positive_disparity": len(tracks) - len(usable),
         "frames_without_truth": count - len(truth),
     }
     unknown = [None] * (count - len(truth))
     return Recording(
-        NAME if known_by(positions) else path.resolve().name,
-        StereoCamera(fx, fy, cx, cy, baseline, *IMAGE_SIZE),
+        NAME if known else path.resolve().name,
+        StereoCamera(fx, fy, cx, cy, baseline, *size),
         frames_of(usable.thinned(max_per_frame), timestamps, [*truth, *unknown], odometry),
-        StereoNoise.independent_pixels(sigma_px),
+        StereoNoise.independent_pixels(sigmas["sigma_px"]),
         source=source,
         truth_from=reference_for(positions, STATED),
     )

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import logging
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -13,9 +16,21 @@ from filters.geometry import rotations
 from filters.validation import BoolArray, FloatArray, IntArray, positive, whole_number
 from stereo_slam_env.recording.recording import Frame
 
-# Standard deviation to assume for the pixels of real tracks. Their core is sharper (0.2 to 0.6 px), but they drift:
-# 14 % of those of KITTI 07 end more than 10 px off, and a filter that believes them diverges.
 ASSUMED_SIGMA_PX = 2.0
+"""Standard deviation to assume for the pixels of real tracks. Their core is sharper (0.2 to 0.6 px), but they drift:
+14 % of those of KITTI 07 end more than 10 px off, and a filter that believes them diverges."""
+ASSUMED_SIGMA_LINEAR, ASSUMED_SIGMA_ANGULAR = 0.5, 0.05
+"""Standard deviations to assume for velocities of which nothing is said, m/s and rad/s per axis."""
+ASSUMED: Mapping[str, float] = {
+    "sigma_px": ASSUMED_SIGMA_PX,
+    "sigma_u": ASSUMED_SIGMA_PX,
+    "sigma_v": ASSUMED_SIGMA_PX,
+    "sigma_d": ASSUMED_SIGMA_PX * 2**0.5,
+    "sigma_linear": ASSUMED_SIGMA_LINEAR,
+    "sigma_angular": ASSUMED_SIGMA_ANGULAR,
+}
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +76,35 @@ class Tracks:
             best = waiting[np.lexsort((waiting, -last[waiting]))]
             joined[best[: max(places, 0)]] = frame
         return self.select(self.frame >= joined[landmark])
+
+
+def stated_or_assumed(
+    path: Path, tracks: Tracks, facts: Mapping[str, Any] | None, **given: Any
+) -> tuple[dict[str, Any], tuple[int, int]]:
+    """Options that a layout does not hold, and the size of the images (width, height), px.
+
+    What is not given (None) is taken from the `facts` of a known recording. Of a stranger's (None) it is assumed, and
+    one line in the log says so: the noise is that of `ASSUMED`, the images are the smallest that hold all measurements.
+
+    Raises
+    ------
+    ValueError
+        `image_size` is not a pair of whole numbers >= 1.
+    """
+    size = given["image_size"]
+    if size is not None and not (isinstance(size, Sequence) and len(size) == 2):
+        raise ValueError(f"image_size must be (width, height) in px, got {size!r}")
+    if size is not None:
+        given["image_size"] = tuple(whole_number("image_size", length, 1) for length in size)
+    unknown = [name for name, value in given.items() if value is None]
+    if facts is None and unknown:
+        rows = tracks.uvd[:, 1] if tracks.v_right is None else np.maximum(tracks.uvd[:, 1], tracks.v_right)
+        smallest = [int(np.ceil(x.max(initial=0.0))) + 1 for x in (tracks.uvd[:, 0], rows)]
+        facts = {**ASSUMED, "image_size": tuple(smallest)}
+        told = ", ".join(f"{name}={facts[name]}" for name in unknown)
+        _log.warning("%s does not hold all that a filter must know: assumed %s; give what you know of it", path, told)
+    chosen = {**given, **{name: facts[name] for name in unknown}} if facts is not None else given
+    return chosen, chosen.pop("image_size")
 
 
 def tracks_of_pixels(pixels: FloatArray) -> Tracks:

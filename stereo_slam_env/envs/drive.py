@@ -113,6 +113,7 @@ class StereoDriveEnv(StereoEnv):
     | `perturbation` | `1.0` | scale of the random sway of a scripted drive; 0: none |
     | `supersample` | `1` | draw images this many times finer and average |
     | `progress_weight` | `0.1` | of the reward, for each metre |
+    | `physics` | `"exact"` | rays and contacts: `"exact"`, in closed form; `"bullet"`, by PyBullet |
     | `observe_ids` | `True` | whether `ids` are in the observation: filters need them |
     | `tracking_weight` | `0.05` | of the reward, for each metre with all `max_landmarks` tracked |
     | `collision_weight` | `10.0` | of the reward |
@@ -126,9 +127,11 @@ class StereoDriveEnv(StereoEnv):
     Noise of landmarks: `"pixels"`: u, v of both views have independent Gaussian errors; `"heavy-tailed"`: the same with
     rare gross errors, as in rendered images; `"quantised"`: rounded to whole pixels; `"uvd"`: u, v, d are independent.
 
+    `reset(options={"scene": "keep"})` drives through the same scene once more.
+
     Randomness comes from separate streams for scene, motion, landmarks, odometry, start and cameras: the same seed
-    gives the same scene and drive whatever the sensor. `copy.deepcopy` and pickle make a fresh environment, not a
-    snapshot.
+    gives the same scene and drive whatever the sensor. `copy.deepcopy` and pickle make a fresh environment;
+    `stereo_slam_env.wrappers.snapshot` copies its state.
 
     ## Version History
 
@@ -136,4 +139,3 @@ class StereoDriveEnv(StereoEnv):
     """
 
     Options = DriveOptions
-    drives, gazes = True, False

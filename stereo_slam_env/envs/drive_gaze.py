@@ -80,4 +80,3 @@ class StereoDriveGazeEnv(StereoEnv):
     """
 
     Options = DriveGazeOptions
-    drives, gazes = True, True

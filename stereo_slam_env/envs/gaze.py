@@ -92,4 +92,3 @@ class StereoGazeEnv(StereoEnv):
     """
 
     Options = GazeOptions
-    drives, gazes = False, True

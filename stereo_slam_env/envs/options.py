@@ -15,7 +15,9 @@ from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.rendering.backends import RendererName, image_quality
 from stereo_slam_env.sensing.pixel_noise import NoiseName
 from stereo_slam_env.sensing.rigs import Rig, camera_of
-from stereo_slam_env.sensing.sensors import TrackingPolicy
+from stereo_slam_env.sensing.tracking import TrackingPolicy
+from stereo_slam_env.simulator.simulator import Physics
+from stereo_slam_env.simulator.state import ODOMETRY_SIGMAS
 from stereo_slam_env.world.routes import named_route
 from stereo_slam_env.world.surroundings import named_surroundings
 from stereo_slam_env.world.vehicle import Head
@@ -54,10 +56,11 @@ class StereoOptions:
     max_landmarks: int = 90
     refill_below: int | None = None
     revisit: bool = False
-    odometry_sigma_linear: float = 0.1
-    odometry_sigma_angular: float = 0.01
+    odometry_sigma_linear: float = ODOMETRY_SIGMAS[0]
+    odometry_sigma_angular: float = ODOMETRY_SIGMAS[1]
     perturbation: float = 1.0
     supersample: int = 1
+    physics: Physics = "exact"
     observe_ids: bool = True
     tracking_weight: float = 0.05
 

@@ -10,15 +10,20 @@ from typing import Any
 
 import numpy as np
 
+from filters.contract.noise import StereoNoise
+from filters.contract.start import Start
 from filters.geometry.camera import StereoCamera
+from stereo_slam_env.envs.core_rows import CoreRows
 from stereo_slam_env.envs.drive import StereoDriveEnv
-from stereo_slam_env.envs.options import DriveOptions
+from stereo_slam_env.envs.options import DriveOptions, StereoOptions
 from stereo_slam_env.envs.stereo_env import StereoEnv
 from stereo_slam_env.files.package_versions import version_of
 from stereo_slam_env.frontend.settings import TrackerSettings
-from stereo_slam_env.recording.recording import SIMULATION, Frame, Recording, Reference, StereoPair
+from stereo_slam_env.recording.recording import SIMULATION, Frame, LandmarkTruth, Recording, Reference, StereoPair
 from stereo_slam_env.rendering.backends import renderer_identity
 from stereo_slam_env.rendering.images import grey
+
+DRIVE = "StereoSlam/Drive-v0"
 
 
 def record(
@@ -28,23 +33,59 @@ def record(
     progress: Callable[[int, int | None], None] | None = None,
 ) -> Recording:
     """Drive a scripted route with the arguments of `StereoDriveEnv`, see `stereo_slam_env.record`."""
+    return records(env_kwargs, [seed], frames, progress)[0]
+
+
+def records(
+    env_kwargs: Mapping[str, Any] | None,
+    seeds: Sequence[int],
+    frames: int | None = None,
+    progress: Callable[[int, int | None], None] | None = None,
+) -> list[Recording]:
+    """The drives of some seeds, in rows of one simulator: each has the bits of `record`."""
     kwargs = {"policy": "route", **(env_kwargs or {})}
     if kwargs["policy"] != "route":
         raise ValueError(f"policy must be 'route' to record without an agent, got {kwargs['policy']!r}")
     if frames is not None and frames < 1:
         raise ValueError(f"frames must be at least 1, got {frames!r}")
-    with closing(StereoDriveEnv(**kwargs)) as env:
-        wanted = env.route.frames if frames is None else frames
-        collected = []
-        if wanted <= env.route.frames:  # known before the drive, which may take minutes
-            for _ in islice(_drive(env, seed), wanted):
-                collected.append(env.frame)
-                if progress is not None and len(collected) > 1:
-                    progress(len(collected), frames)
-        if frames is not None and len(collected) < frames:
-            most = len(collected) or env.route.frames
-            raise ValueError(f"frames must be at most {most} on route {env.options.route!r}, got {frames}")
-        return recording_of(env, collected, seed)
+    options = DriveOptions.checked(kwargs)
+    with closing(CoreRows(options, len(seeds))) as rows:
+        wanted = rows.route.frames if frames is None else frames
+        # Whether they are too many is known before the drive, which may take minutes.
+        collected = _drives(rows, seeds, wanted, frames, progress) if wanted <= rows.route.frames else [[]]
+        shortest = min(map(len, collected))
+        if frames is not None and shortest < frames:
+            most = shortest or rows.route.frames
+            raise ValueError(f"frames must be at most {most} on route {options.route!r}, got {frames}")
+        made = []
+        for b, (taken, seed) in enumerate(zip(collected, seeds, strict=True)):
+            about = {**described(options, seed), "frames": len(taken)}
+            ends = rows.camera, rows.noise, rows.start(b), rows.landmark_truth(b)
+            made.append(_recording(options, seed, taken, *ends, about))
+        return made
+
+
+def _drives(
+    rows: CoreRows,
+    seeds: Sequence[int],
+    wanted: int,
+    frames: int | None,
+    progress: Callable[[int, int | None], None] | None,
+) -> list[list[Frame]]:
+    """The frames of every row, to the end of its drive or to so many."""
+    going, nothing = np.ones(rows.count, dtype=np.bool_), np.zeros((rows.count, 2))
+    rows.begin(going, seeds, {})
+    collected = [[rows.frame(b)] for b in range(rows.count)]
+    for number in range(2, wanted + 1):
+        _, over, _ = rows.advance(nothing, going)
+        for b in np.flatnonzero(going).tolist():
+            collected[b].append(rows.frame(b))
+        going &= ~over
+        if progress is not None:
+            progress(number, frames)
+        if not going.any():
+            break
+    return collected
 
 
 def _drive(env: StereoDriveEnv, seed: int) -> Iterator[Mapping[str, Any]]:
@@ -63,28 +104,35 @@ def recording_of(
 
     `frames` are its `frame` after `reset` and after each step, `about` further JSON-able entries of `source`.
     """
-    seen_by = env.options.renderer if env.options.sensor == "images" else env.options.noise
-    return Recording(
-        name=f"{Path(env.options.route).stem}-{seen_by}-{seed}",
-        camera=env.camera,
-        frames=tuple(frames),
-        noise=env.noise,
-        start=env.start,
-        landmarks=env.landmark_truth(),
-        source={**described(env, seed), "frames": len(frames), **(about or {})},
-        truth_from=SIMULATION,
-    )
+    source = described(env.options, seed, env.spec.id if env.spec else DRIVE)
+    about = {**source, "frames": len(frames), **(about or {})}
+    return _recording(env.options, seed, frames, env.camera, env.noise, env.start, env.landmark_truth(), about)
 
 
-def described(env: StereoEnv, seed: int) -> dict[str, Any]:
+def _recording(
+    options: StereoOptions,
+    seed: int,
+    frames: Sequence[Frame],
+    camera: StereoCamera,
+    noise: StereoNoise,
+    start: Start,
+    landmarks: LandmarkTruth,
+    source: Mapping[str, Any],
+) -> Recording:
+    seen_by = options.renderer if options.sensor == "images" else options.noise
+    name = f"{Path(options.route).stem}-{seen_by}-{seed}"
+    return Recording(name, camera, tuple(frames), noise, start, landmarks, source, truth_from=SIMULATION)
+
+
+def described(options: StereoOptions, seed: int, environment: str = DRIVE) -> dict[str, Any]:
     """Everything needed to make the same episode again; JSON-able.
 
     The renderer is part of it: images of different renderers are different measurements.
     """
-    drawn = {"renderer": renderer_identity(env.options.renderer)} if env.options.draws else {}
+    drawn = {"renderer": renderer_identity(options.renderer)} if options.draws else {}
     return {
-        "environment": "StereoSlam/Drive-v0" if env.spec is None else env.spec.id,
-        "arguments": env.options.as_dict(),
+        "environment": environment,
+        "arguments": options.as_dict(),
         "seed": seed,
         **drawn,
         "versions": {name: version_of(name) for name in ("stereo-slam-env", "numpy", "pybullet", "gymnasium")},
@@ -126,7 +174,7 @@ class RenderedDrive:
         self.front_end: TrackerSettings = DriveOptions.checked(env_kwargs or {}).front_end
         """Settings of the front end for these images."""
         self._kwargs["render_images"] = True
-        self.source: Mapping[str, Any] = {**described(StereoDriveEnv(**self._kwargs), seed), "frames": self._count}
+        self.source: Mapping[str, Any] = {**described(DriveOptions.checked(self._kwargs), seed), "frames": self._count}
 
     def __len__(self) -> int:
         return self._count

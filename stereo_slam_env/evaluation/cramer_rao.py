@@ -30,10 +30,11 @@ from filters.landmarks.model import LandmarkModel
 from filters.measurements.rectified_pair import Stacked
 from filters.motions.constant_velocity import ConstantVelocity
 from filters.motions.model import POSE_SIZE, CameraState, MotionModel
-from filters.validation import FloatArray, IntArray
+from filters.validation import BoolArray, FloatArray, IntArray, unchecked
 from stereo_slam_env.recording.recording import Frame, LandmarkTruth, Recording
 
 RESAMPLES = 10_000
+_MOST_DRAWN = 2_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,9 +50,12 @@ def efficiency_interval(bounds: FloatArray, errors: FloatArray, confidence: floa
     By percentiles, seeded: a ratio of means of squares, which are far from Gaussian, has no useful standard error. With
     ten runs it is a rough one. `bounds` and `errors` (N,) are of each run, in one unit.
     """
-    drawn = np.random.default_rng(0).integers(len(bounds), size=(RESAMPLES, len(bounds)))
-    ratios = np.sqrt(np.square(bounds)[drawn].sum(axis=1) / np.square(errors)[drawn].sum(axis=1))
-    low, high = 100.0 * np.quantile(ratios, [0.5 - 0.5 * confidence, 0.5 + 0.5 * confidence])
+    generator, count = np.random.default_rng(0), len(bounds)
+    ratios = []
+    for part in np.array_split(np.arange(RESAMPLES), -(-RESAMPLES * count // _MOST_DRAWN)):  # for little memory
+        drawn = generator.integers(count, size=(len(part), count))
+        ratios.append(np.sqrt(np.square(bounds)[drawn].sum(axis=1) / np.square(errors)[drawn].sum(axis=1)))
+    low, high = 100.0 * np.quantile(np.concatenate(ratios), [0.5 - 0.5 * confidence, 0.5 + 0.5 * confidence])
     return float(low), float(high)
 
 
@@ -127,6 +131,7 @@ class ReferenceBelief:
             camera, noise, motion=motion, landmark=parametrisation, error="so3", gate=None, drop_unseen=False
         )
         self._slam.reset(replace(start, position=truth.position, orientation=truth.orientation))
+        self._noises: dict[bool, FloatArray] = {}
 
     @property
     def ids(self) -> IntArray:
@@ -151,25 +156,22 @@ class ReferenceBelief:
         if not math.isnan(self._time):
             self.predict(frame.truth, frame.timestamp - self._time, frame.odometry if self._use_odometry else None)
         self._time, seen = frame.timestamp, frame.observation
-        known = np.isin(seen.ids, landmarks.ids)
+        known = _are_in(seen.ids, landmarks.ids)
         if not known.all():
             seen = seen.select(known)
         self.see(seen, landmarks.positions[np.searchsorted(landmarks.ids, seen.ids)])
 
     def predict(self, truth: Pose, dt: float, odometry: BodyVelocity | None = None) -> None:
         """Move to the true pose: Eq. 6 with the impulses that really were, so that it leads from pose to pose."""
-        state = self._slam.state
-        before = state.camera
+        before = self._slam.pose
         linear = (truth.position - before.position) / dt
-        angular = rotations.log(before.R_wc.T @ rotations.matrix(truth.orientation)) / dt
-        state.camera = CameraState(before.position, before.orientation, linear, angular)
-        self._slam.state = state
+        angular = rotations.log(rotations.matrix(before.orientation).T @ rotations.matrix(truth.orientation)) / dt
+        self._slam.move_to(CameraState(before.position, before.orientation, linear, angular))
         self._slam.predict(dt)
-        state = self._slam.state
-        state.camera = CameraState(truth.position, truth.orientation, linear, angular)
-        self._slam.state = state
+        camera = CameraState(truth.position, truth.orientation, linear, angular)
+        self._slam.move_to(camera)
         if odometry is not None:
-            measured = self._motion.odometry_measurement(state.camera, dt, odometry)
+            measured = self._motion.odometry_measurement(camera, dt, odometry)
             if measured is not None:  # nothing is to be learnt from it here but how much there is to learn
                 H = {"pose": measured.H[:, :POSE_SIZE], "velocity": measured.H[:, POSE_SIZE:]}
                 self._slam.correct(0.0 * measured.innovation, H, measured.R)
@@ -183,13 +185,33 @@ class ReferenceBelief:
         points_c = Pose(pose.position, pose.orientation).to_camera(points_w)
         # A point behind the camera is not what was measured: the id is wrong.
         sound = points_c[:, 2] > 0
-        R = _noise_of_uvd(observation, self._noise, self._right_row)[sound]
-        self._slam.update(StereoObservation(observation.ids[sound], self._rig.project(points_c[sound]), R=R))
+        uvd, R = self._rig.project(points_c[sound]), self._noise_of(observation)[sound]
+        self._slam.update(unchecked(StereoObservation, ids=observation.ids[sound], uvd=uvd, v_right=None, R=R))
+
+    def _noise_of(self, observation: StereoObservation) -> FloatArray:
+        """Covariance of the best (u, v, d) of each sighting, (M, 3, 3); calculated once where it is that of all."""
+        if observation.R is not None or not len(observation):
+            return _noise_of_uvd(observation, self._noise, self._right_row)
+        with_right = observation.v_right is not None
+        if with_right not in self._noises:
+            first = observation.select([0])
+            self._noises[with_right] = _noise_of_uvd(first, self._noise, self._right_row)[0]
+        return self._noises[with_right][None].repeat(len(observation), axis=0)
 
     def keep(self, ids: IntArray) -> None:
         """Marginalise all other landmarks out; those never measured again take nothing with them."""
         there = self.ids
-        self._slam.forget(there[~np.isin(there, ids)])
+        gone = there[~_are_in(there, np.sort(ids))]
+        if len(gone):
+            self._slam.forget(gone)
+
+
+def _are_in(ids: IntArray, known: IntArray) -> BoolArray:
+    """Which ids are among some that are sorted."""
+    if not len(known):
+        return np.zeros(len(ids), dtype=np.bool_)
+    found: BoolArray = known[np.minimum(np.searchsorted(known, ids), len(known) - 1)] == ids
+    return found
 
 
 def _noise_of_uvd(observation: StereoObservation, noise: StereoNoise, right_row: bool) -> FloatArray:

@@ -187,8 +187,15 @@ def _efficiency_percent(trial: Trial) -> float | None:
     return 100.0 * trial.bound_rmse(POSITION) / error if error > 0 else None
 
 
+def has_diverged(figures: Mapping[str, Any], divergence_percent: float) -> int:
+    """1 where the run with these figures failed, or ended farther from the truth than the limit; else 0."""
+    drift = figures["end_drift_percent"]
+    return int(figures["failure"] is not None or (drift is not None and drift > divergence_percent))
+
+
 def _diverged(trial: Trial) -> int:
-    return int(trial.run.failure is not None or trial.end_drift_percent > trial.divergence_percent)
+    found = {"failure": trial.run.failure, "end_drift_percent": trial.end_drift_percent}
+    return has_diverged(found, trial.divergence_percent)
 
 
 # ---- over runs ------------------------------------------------------------------------------------------------------
@@ -377,6 +384,9 @@ _TABLE = (
            *_median("predict_milliseconds"), digits=2, places=_REPORT),
     Figure("ms_update", "time of update", "ms", "cost", "median over frames of update",
            *_median("update_milliseconds"), digits=2, places=_REPORT),
+    Figure("timed", "timed runs", "", "cost",
+           "runs by which time and memory are known: the first ones of a filter, which are run one by one",
+           None, Combination("number", lambda s, _: len(s.known("ms_per_frame"))), digits=0, per_runs=True),
     Figure("memory_mb", "memory", "MB", "cost",
            "growth of the peak resident memory of the process; null where not known",
            lambda t: t.run.memory_mb, LARGEST, digits=1, places=_REPORT),

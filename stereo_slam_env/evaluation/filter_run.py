@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,11 +14,12 @@ from filters.catalogue.common_options import make_with_common_options
 from filters.catalogue.registry import FilterFactory, label_of
 from filters.consistency import nees
 from filters.contract.foreign_text import first_line, type_name
+from filters.contract.update_report import UpdateReport
 from filters.motions.model import POSE_SIZE, POSITION, ROTATION
 from filters.validation import FloatArray, IntArray
-from stereo_slam_env.evaluation.contract import ContractBroken, check_beliefs, check_map
+from stereo_slam_env.evaluation.contract import Beliefs, ContractBroken, check_beliefs, check_maps
 from stereo_slam_env.evaluation.landmark_statistics import LandmarkScorer
-from stereo_slam_env.evaluation.map_scoring import TraceRecorder, score_map, view_map
+from stereo_slam_env.evaluation.map_scoring import FrameMap, TraceRecorder, score_maps, view_maps
 from stereo_slam_env.evaluation.results import COUNTS, EVENTS, FilterRun, peak_memory_mb
 from stereo_slam_env.evaluation.windows import WINDOW_SERIES, WindowScores, nees_floor
 from stereo_slam_env.loop import Moment, Observe, run
@@ -107,17 +108,17 @@ def run_filter(
             for moment in moments:
                 log.add(moment, 0 if scores is None else scores.open)
                 if score_map:
-                    log.add_map(moment)
+                    log.note_map(FrameMap.of(moment))
                 scores = _with_windows(scores, moment, name, recording.name)
                 frame_number = moment.number + 1
                 if progress is not None:
                     progress(frame_number, len(recording))
-            failure = None
+            failure = log.fault()
         except ContractBroken as error:
-            failure = str(error)
+            failure = log.fault() or str(error)
         except Exception as error:  # a stranger's filter may raise anything; the comparison goes on without it
             where = f"frame {frame_number}" if frame_number >= 0 else "start"
-            failure = f"{where}: {type_name(error)}: {first_line(error, empty='no message')}"
+            failure = log.fault() or f"{where}: {type_name(error)}: {first_line(error, empty='no message')}"
         memory = peak_memory_mb() - memory
         if scores is not None and failure is None:
             log.add_windows(scores.series)
@@ -150,10 +151,17 @@ _SERIES: Mapping[str, tuple[int, ...]] = {
 
 
 _NEES = {"pose_nees": slice(0, POSE_SIZE), "position_nees": POSITION, "rotation_nees": ROTATION}
+_VALUES = {
+    **{"position": "positions", "orientation": "orientations"},
+    **{"linear velocity": "linear_velocities", "angular velocity": "angular_velocities"},
+}
+"""Series that must be finite, by what messages call them."""
+AT_ONCE = 50
+"""Frames that are scored together: arrays of so many cost far less than one after the other."""
 
 
 class RunLog:
-    """The arrays of a `FilterRun`, filled frame by frame."""
+    """The arrays of a `FilterRun`: what a filter believes is noted frame by frame and scored some frames at a time."""
 
     def __init__(self, recording: Recording) -> None:
         self._recording = recording
@@ -162,70 +170,135 @@ class RunLog:
         self._series = {name: np.full((count, *shape), np.nan) for name, shape in _SERIES.items()}
         self._nis_dof: IntArray = np.zeros(count, dtype=np.int64)
         self._counts: dict[str, IntArray] = {name: np.zeros(count, dtype=np.int64) for name in COUNTS}
-        self._scored = np.full((count, POSE_SIZE, POSE_SIZE), np.nan)  # covariance that pose errors are held against
+        self._claimed = np.full((count, POSE_SIZE, POSE_SIZE), np.nan)  # for the pose errors
+        self._scored = np.full((count, POSE_SIZE, POSE_SIZE), np.nan)  # covariance that they are held against
         self._traces = TraceRecorder(recording)
         self._scorer = LandmarkScorer(recording.camera)
+        self._judged = np.zeros(count, dtype=np.bool_)  # whether there is a pose error
+        self._checked = self._noted = 0  # frames
+        self._maps: list[FrameMap] = []
+        self._fault: str | None = None
 
     def add(self, moment: Moment, clones: int = 0) -> None:
-        """Note what a filter believes after a frame; raises as `check_beliefs`.
-
-        `clones` of its pose are there for the windows, not for the filter.
-        """
-        check_beliefs(moment)
-        k, pose, velocity, report = moment.number, moment.pose, moment.slam.velocity, moment.report
-        belief = {
-            "positions": pose.position,
-            "orientations": pose.orientation,
-            "pose_covariances": pose.covariance,
-            "linear_velocities": velocity.linear,
-            "angular_velocities": velocity.angular,
-            "velocity_covariances": velocity.covariance,
-        }
-        predicting, updating = 1000.0 * moment.predict_seconds, 1000.0 * moment.update_seconds
-        self._note(
-            k,
-            **belief,
-            nis=report.nis,
-            predict_milliseconds=predicting,
-            update_milliseconds=updating,
-            milliseconds=predicting + updating,
+        """Note what a filter believes after a frame, of whose pose there are `clones` for the windows."""
+        pose, velocity = moment.pose, moment.slam.velocity
+        self.note(
+            moment.number,
+            moment.report,
+            positions=pose.position,
+            orientations=pose.orientation,
+            pose_covariances=pose.covariance,
+            linear_velocities=velocity.linear,
+            angular_velocities=velocity.angular,
+            velocity_covariances=velocity.covariance,
+            predict_milliseconds=1000.0 * moment.predict_seconds,
+            update_milliseconds=1000.0 * moment.update_seconds,
+            milliseconds=1000.0 * (moment.predict_seconds + moment.update_seconds),
             state_size=getattr(moment.slam, "state_size", np.nan) - POSE_SIZE * clones,
         )
-        self._nis_dof[k] = report.nis_dof
+        if moment.pose_error is None:
+            return
+        self.note_error(moment.number, *moment.pose_error)
+        if moment.scored_error is not None:
+            (_, claimed), (_, summed) = moment.pose_error, moment.scored_error
+            self._scored[moment.number] = summed
+            if summed is not claimed:
+                self._series["pose_nees_floor"][moment.number] = nees_floor(claimed, summed - claimed)
+
+    def note(self, k: int, report: UpdateReport, **values: FloatArray | float) -> None:
+        """Note the next frame, of number k: values of series by name, and what the update did."""
+        if k - self._checked == AT_ONCE:
+            self._check()
+        for name, value in values.items():
+            self._series[name][k] = value
+        self._series["nis"][k], self._nis_dof[k] = report.nis, report.nis_dof
         for name in EVENTS:
             self._counts[name][k] = len(getattr(report, name))
         self._counts["failed_factorisations"][k] = report.failed_factorisations
-        if moment.pose_error is None:
-            return
-        error, covariance = moment.pose_error
-        self._note(k, pose_errors=error)
-        if moment.scored_error is not None:
-            _, summed = moment.scored_error
-            self._scored[k] = summed
-            if summed is not covariance:
-                self._note(k, pose_nees_floor=nees_floor(covariance, summed - covariance))
+        self._noted = k + 1
 
-    def _note(self, k: int, **values: FloatArray | float) -> None:
-        for name, value in values.items():
-            self._series[name][k] = value
+    def note_error(self, k: int, error: FloatArray, covariance: FloatArray, *, scored: bool = False) -> None:
+        """Note the error of the pose in frame k and the covariance claimed for it, by which it may be `scored`."""
+        self._series["pose_errors"][k], self._claimed[k], self._judged[k] = error, covariance, True
+        if scored:
+            self._scored[k] = covariance
+
+    def note_map(self, one: FrameMap) -> None:
+        """Note the map in a frame that is noted."""
+        self._maps.append(one)
+
+    def fault(self) -> str | None:
+        """What kept a belief of the frames so far from being one, if anything did."""
+        if self._fault is None:
+            try:
+                self._check()
+            except ContractBroken as error:
+                self._fault = str(error)
+        return self._fault
+
+    def _check(self) -> None:
+        """Check and score the frames since the last time; those from a broken belief on are forgotten."""
+        first, maps = self._checked, self._maps
+        self._checked, self._maps = self._noted, []
+        try:
+            try:
+                check_beliefs(first, self._beliefs(slice(first, self._noted)))
+            except ContractBroken as error:
+                self._score_maps([one for one in maps if one.number < error.frame])
+                self._forget(error.frame)
+                raise
+            self._score_maps(maps)
+        except ContractBroken as error:
+            self._fault = str(error)
+            raise
+
+    def _beliefs(self, frames: slice) -> Beliefs:
+        series = self._series
+        return Beliefs(
+            {what: series[name][frames] for what, name in _VALUES.items()},
+            series["pose_covariances"][frames],
+            series["velocity_covariances"][frames],
+            series["pose_errors"][frames],
+            self._claimed[frames],
+            self._judged[frames],
+        )
+
+    def _forget(self, first: int) -> None:
+        for values in (*self._series.values(), self._claimed, self._scored):
+            values[first:] = np.nan
+        for counted in (*self._counts.values(), self._nis_dof):
+            counted[first:] = 0
+
+    def _score_maps(self, maps: Sequence[FrameMap]) -> None:
+        """Score the maps and follow the traced landmarks."""
+        if not maps:
+            return
+        camera, frames = self._recording.camera, range(maps[0].number, maps[-1].number + 1)
+        view = view_maps(maps, self._recording.landmarks if self._has_truth else None)
+        score = score_maps(view, camera)
+        try:
+            check_maps(view, score)
+        except ContractBroken as error:
+            self._score_maps([one for one in maps if one.number < error.frame])
+            self._forget(error.frame + 1)
+            raise
+        these = slice(frames.start, frames.stop)
+        self._series["landmark_nees"][these] = score.mean_nees(frames)
+        self._series["landmark_rmse"][these] = score.position_rmse(frames)
+        missed = view.frames[score.in_view & np.isnan(score.nees)] - frames.start
+        self._counts["landmarks_not_scored"][these] = np.bincount(missed, minlength=len(frames))
+        self._counts["map_size"][these] = [len(one.forecast.ids) for one in maps]
+        for one in maps:
+            behind = one.forecast.uvd[:, 2] <= 0
+            if behind.any():
+                seen = np.isin(one.forecast.ids[behind], one.frame.observation.ids)
+                self._counts["negative_depth"][one.number] = seen.sum()
+        self._scorer.add(score, frames)
+        self._traces.add(view, maps)
 
     def add_windows(self, series: Mapping[str, FloatArray]) -> None:
         """Note what windows showed."""
         self._series.update(series)
-
-    def add_map(self, moment: Moment) -> None:
-        """Score the map and follow the traced landmarks; raises as `check_map`."""
-        k, landmarks = moment.number, self._recording.landmarks if self._has_truth else None
-        view = view_map(moment.slam, moment.truth, landmarks)
-        score = score_map(view, self._recording.camera)
-        check_map(k, view, score)
-        self._counts["landmarks_not_scored"][k] = np.count_nonzero(score.in_view & np.isnan(score.nees))
-        self._note(k, landmark_nees=score.mean_nees, landmark_rmse=score.position_rmse)
-        self._scorer.add(score)
-        self._traces.add(k, view, moment.observation)
-        behind = view.ids[view.uvd[:, 2] <= 0]
-        self._counts["negative_depth"][k] = np.isin(behind, moment.observation.ids).sum()
-        self._counts["map_size"][k] = len(view.ids)
 
     def result(
         self,

@@ -70,24 +70,21 @@ SERIES = tuple(f.name for f in dataclasses.fields(LandmarkStatistics))
 
 
 class LandmarkScorer:
-    """Collects the statistics of a run, a frame at a time."""
+    """Collects the statistics of a run, some frames at a time."""
 
     def __init__(self, camera: StereoCamera) -> None:
         self.statistics = LandmarkStatistics()
         self._camera = camera
         self._edges = np.array(RANGE_EDGES[1:-1])
-        self._ids: IntArray = np.zeros(0, dtype=np.int64)
-        self._age: IntArray = np.zeros(0, dtype=np.int64)
-        self._class: IntArray = np.zeros(0, dtype=np.int64)
+        # Landmarks of the last frame, with age and class.
+        self._last: tuple[IntArray, IntArray, IntArray] = (np.zeros(0, dtype=np.int64),) * 3
 
-    def add(self, score: MapScore) -> None:
-        """Note the errors of the map in the next frame."""
-        self._grow_older(score)
-        if not score.in_view.any():
-            return
+    def add(self, score: MapScore, frames: range) -> None:
+        """Note the errors of the maps in the next frames."""
+        ages, classes = self._grow_older(score, frames)
         self._add_by_range(score)
         known = np.isfinite(score.disparity_error) & np.isfinite(score.disparity_variance)
-        self._add_by_age(score, known & (self._class >= 0) & (self._age < AGES))
+        self._add_by_age(score, ages, classes, known & (classes >= 0) & (ages < AGES))
 
     def _add_by_range(self, score: MapScore) -> None:
         sums, bins = self.statistics, np.searchsorted(self._edges, score.distance, side="right")
@@ -101,23 +98,32 @@ class LandmarkScorer:
         _add(sums.squared_error, bins[located], np.einsum("ij,ij->i", error, error))
         _add(sums.depth_error, bins[located], error[:, 2])
 
-    def _add_by_age(self, score: MapScore, scored: BoolArray) -> None:
-        sums, cell = self.statistics, self._class[scored] * AGES + self._age[scored]
+    def _add_by_age(self, score: MapScore, ages: IntArray, classes: IntArray, scored: BoolArray) -> None:
+        sums, cell = self.statistics, classes[scored] * AGES + ages[scored]
         square = (score.true_points[scored, 2] ** 2 / self._camera.disparity_constant) ** 2
         _add(sums.age_count.ravel(), cell)
         _add(sums.depth_variance.ravel(), cell, square * score.disparity_variance[scored])
         _add(sums.squared_depth_error.ravel(), cell, square * score.disparity_error[scored] ** 2)
 
-    def _grow_older(self, score: MapScore) -> None:
-        """Ages of the landmarks of this frame, and the class each has from the depth at which it entered the map."""
-        depth = score.true_points[:, 2]
+    def _grow_older(self, score: MapScore, frames: range) -> tuple[IntArray, IntArray]:
+        """Age of each landmark, (N,), and the class that it has from the depth at which it entered the map."""
+        ids_before, ages_before, classes_before = self._last
+        depth, before = score.true_points[:, 2], len(ids_before)
         entered = np.full(len(score.ids), -1)
         for number, (low, high) in enumerate(DEPTH_CLASSES.values()):
             entered[(depth >= low) & (depth < high)] = number
-        _, before, now = np.intersect1d(self._ids, score.ids, assume_unique=True, return_indices=True)
-        age = np.zeros(len(score.ids), dtype=np.int64)
-        age[now], entered[now] = self._age[before] + 1, self._class[before]
-        self._ids, self._age, self._class = score.ids, age, entered
+        ids = np.concatenate([ids_before, score.ids])
+        at = np.concatenate([np.full(before, frames.start - 1), score.frames])
+        order = np.lexsort((at, ids))
+        begins = np.ones(len(ids), dtype=bool)  # not in the map in the frame before
+        begins[1:] = (np.diff(ids[order]) != 0) | (np.diff(at[order]) != 1)
+        first = np.flatnonzero(begins)[np.cumsum(begins) - 1]
+        ages, classes = np.concatenate([ages_before, np.zeros(len(entered), int)]), np.append(classes_before, entered)
+        ages[order] = ages[order][first] + np.arange(len(ids)) - first
+        classes[order] = classes[order][first]
+        last = at == frames.stop - 1
+        self._last = ids[last], ages[last], classes[last]
+        return ages[before:], classes[before:]
 
 
 def _add(sums: FloatArray, cells: IntArray, values: FloatArray | None = None) -> None:

@@ -26,116 +26,92 @@ def _not_given() -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class FilterRun:
-    """One filter on one recording. K frames; per-frame arrays hold NaN where a quantity is unknown.
-
-    Attributes
-    ----------
-    filter_name, recording_name : str
-        What ran on what.
-    options : mapping
-        Options the filter was made with (JSON-able).
-    seed : int, optional
-        Seed of the recording; None for real data.
-    timestamps : (K,)
-        s.
-    positions, orientations : (K, 3), (K, 4)
-        Estimated r^WC, m, and q^WC, xyzw.
-    pose_covariances : (K, 6, 6)
-        Of the `PoseBelief`.
-    linear_velocities, angular_velocities : (K, 3)
-        Estimated; m/s in W, rad/s in the camera frame.
-    velocity_covariances : (K, 6, 6)
-        Of the `VelocityBelief`.
-    true_positions, true_orientations : (K, 3), (K, 4)
-        NaN where there is no truth.
-    true_linear_velocities, true_angular_velocities : (K, 3)
-        NaN where there is no truth.
-    pose_errors : (K, 6)
-        The filter's own `pose_error`.
-    pose_nees : (K,)
-        e^T P^-1 e of that error (6 degrees of freedom); NaN where the truth is not independent of the images.
-    landmark_nees : (K,)
-        Mean over the landmarks of the frame, in (u, v, d) space (3 degrees of freedom).
-    landmark_rmse : (K,)
-        Root mean square position error of the landmarks of the frame relative to the camera, m.
-    nis : (K,)
-        Normalised innovation squared.
-    nis_dof : (K,) int64
-        Its degrees of freedom.
-    milliseconds : (K,)
-        Predict + update.
-    counts : mapping of str to (K,) int64
-        Those of `COUNTS`: what became of the measurements (`EVENTS`, as in `UpdateReport`), failed factorisations,
-        landmarks seen in the frame and estimated at d <= 0, landmarks in view without a NEES, and the size of the map.
-    traces : tuple of LandmarkTrace
-        Depth histories of a near and a far landmark, the same ids for every filter of a recording.
-    not_given : mapping of str to str
-        Options common to the filters of a comparison that this one was not given, and why.
-    failure : str, optional
-        One line when the filter raised or broke its contract; arrays are NaN from there on.
-    position_nees, rotation_nees : (K,)
-        NEES of the two halves of `pose_errors` with their blocks of the covariance (3 degrees of freedom each).
-    predict_milliseconds, update_milliseconds : (K,)
-        The two parts of `milliseconds`.
-    state_size : (K,)
-        Dimension of the error state; NaN for filters without a `state_size`.
-    pose_nees_floor : (K,)
-        Where errors of the reference are stated: the pose NEES that a consistent filter with this covariance would have
-        if they were taken for its own.
-    window_nees_1s, window_nees_10s : (K,)
-        NEES of the motion over the window that ends at the frame (6 degrees of freedom); NaN elsewhere, and where
-        windows were not scored.
-    window_nees_1s_floor, window_nees_10s_floor : (K,)
-        As `pose_nees_floor`, of these.
-    memory_mb : float
-        By how much the run raised the peak resident memory of its process, MB (2^20 bytes), the recording not
-        included. It is zero in a process that has needed more before, so compare trials that had a process of their
-        own; NaN where the system does not tell (Windows).
-    landmark_statistics : LandmarkStatistics
-        Errors of the map by distance and age.
-    truth_from : Reference
-        What the truth is, where there is one.
-    """
+    """One filter on one recording. K frames; per-frame arrays hold NaN where a quantity is unknown."""
 
     filter_name: str
+    """Label of the filter."""
     recording_name: str
+    """Label of what it ran on."""
     options: Mapping[str, Any]
+    """Options the filter was made with (JSON-able)."""
     seed: int | None
+    """Seed of the recording; None for real data."""
     timestamps: FloatArray
+    """(K,): s."""
     positions: FloatArray
+    """(K, 3): estimated r^WC, m."""
     orientations: FloatArray
+    """(K, 4): estimated q^WC, xyzw."""
     pose_covariances: FloatArray
+    """(K, 6, 6): of the `PoseBelief`."""
     linear_velocities: FloatArray
+    """(K, 3): estimated, m/s in W."""
     angular_velocities: FloatArray
+    """(K, 3): estimated, rad/s in the camera frame."""
     velocity_covariances: FloatArray
+    """(K, 6, 6): of the `VelocityBelief`."""
     true_positions: FloatArray
+    """(K, 3): NaN where there is no truth."""
     true_orientations: FloatArray
+    """(K, 4): NaN where there is no truth."""
     true_linear_velocities: FloatArray
+    """(K, 3): NaN where there is no truth."""
     true_angular_velocities: FloatArray
+    """(K, 3): NaN where there is no truth."""
     pose_errors: FloatArray
+    """(K, 6): the filter's own `pose_error`."""
     pose_nees: FloatArray
+    """(K,): e^T P^-1 e of that error (6 degrees of freedom); NaN where the truth is not independent of the images."""
     landmark_nees: FloatArray
+    """(K,): mean over the landmarks of the frame, in (u, v, d) space (3 degrees of freedom)."""
     landmark_rmse: FloatArray
+    """(K,): root mean square position error of the landmarks of the frame relative to the camera, m."""
     nis: FloatArray
+    """(K,): normalised innovation squared."""
     nis_dof: IntArray
+    """(K,) int64: its degrees of freedom."""
     milliseconds: FloatArray
+    """(K,): predict + update."""
     counts: Mapping[str, IntArray]
+    """Those of `COUNTS`: what became of the measurements (`EVENTS`, as in `UpdateReport`), failed factorisations,
+    landmarks seen in the frame and estimated at d <= 0, landmarks in view without a NEES, and the size of the map."""
     traces: tuple[LandmarkTrace, ...] = ()
+    """Depth histories of a near and a far landmark, the same ids for every filter of a recording."""
     not_given: Mapping[str, str] = field(default_factory=dict)
+    """Options common to the filters of a comparison that this one was not given, and why."""
     failure: str | None = None
+    """One line when the filter raised or broke its contract; arrays are NaN from there on."""
     position_nees: FloatArray = field(default_factory=_not_given)
+    """(K,): NEES of the position half of `pose_errors` with its block of the covariance (3 degrees of freedom)."""
     rotation_nees: FloatArray = field(default_factory=_not_given)
+    """(K,): as `position_nees`, of the rotation."""
     predict_milliseconds: FloatArray = field(default_factory=_not_given)
+    """(K,): part of `milliseconds`."""
     update_milliseconds: FloatArray = field(default_factory=_not_given)
+    """(K,): the other part."""
     state_size: FloatArray = field(default_factory=_not_given)
+    """(K,): dimension of the error state; NaN for filters without a `state_size`."""
     pose_nees_floor: FloatArray = field(default_factory=_not_given)
+    """(K,): where errors of the reference are stated: the pose NEES that a consistent filter with this covariance would
+    have if they were taken for its own."""
     window_nees_1s: FloatArray = field(default_factory=_not_given)
+    """(K,): NEES of the motion over the window that ends at the frame (6 degrees of freedom); NaN elsewhere, and where
+    windows were not scored."""
     window_nees_1s_floor: FloatArray = field(default_factory=_not_given)
+    """(K,): as `pose_nees_floor`, of these."""
     window_nees_10s: FloatArray = field(default_factory=_not_given)
+    """(K,): NEES of the motion over the window that ends at the frame (6 degrees of freedom); NaN elsewhere, and where
+    windows were not scored."""
     window_nees_10s_floor: FloatArray = field(default_factory=_not_given)
+    """(K,): as `pose_nees_floor`, of these."""
     memory_mb: float = float("nan")
+    """By how much the run raised the peak resident memory of its process, MB (2^20 bytes), the recording not included.
+    It is zero in a process that has needed more before, so compare trials that had a process of their own; NaN where
+    the system does not tell (Windows)."""
     landmark_statistics: LandmarkStatistics = field(default_factory=LandmarkStatistics)
+    """Errors of the map by distance and age."""
     truth_from: Reference = GIVEN_TRUTH
+    """What the truth is, where there is one."""
 
     def __post_init__(self) -> None:
         for series in fields(self):
@@ -180,48 +156,34 @@ class FilterSummary:
 
     Every figure of `evaluation.figures` that is combined over runs is an attribute, too: `summary.position_rmse_m`.
     It is None (JSON null) where it does not apply (no truth, one run, ...).
-
-    Attributes
-    ----------
-    filter_name : str
-        Label.
-    options : mapping
-        Options the filter was made with.
-    runs : int
-        Number of recordings.
-    figures : mapping of str to float or None
-        Figures over runs by name, in the order of the table.
-    position_rmse_by_run, efficiency_by_run : tuple of float
-        Those figures of each run; NaN where not known. Of the efficiency empty without any bound.
-    pose_anees_band : pair of float, optional
-        Two-sided 95 % band of the mean pose NEES over this number of runs.
-    consistency : mapping of str to ConsistencyFigure
-        "pose", "position", "rotation", "landmark", "nis"; what is not known is left out.
-    rpe : tuple of SegmentError
-        By segment length, ascending.
-    landmark_by_range : tuple of RangeError
-        Ascending.
-    depth_convergence : tuple of DepthConvergence
-        Near, then far.
-    failures : tuple of str
-        One line for each run that raised.
-    not_given : mapping of str to str
-        Options common to all filters that this one was not given, and why.
     """
 
     filter_name: str
+    """Label."""
     options: Mapping[str, Any]
+    """Options the filter was made with."""
     runs: int
+    """Number of recordings."""
     figures: Mapping[str, float | None]
+    """Figures over runs by name, in the order of the table."""
     position_rmse_by_run: tuple[float, ...] = ()
+    """That figure of each run, m; NaN where not known."""
     efficiency_by_run: tuple[float, ...] = ()
+    """Efficiency of each run; NaN where not known, empty without any bound."""
     pose_anees_band: tuple[float, float] | None = None
+    """Two-sided 95 % band of the mean pose NEES over this number of runs."""
     consistency: Mapping[str, ConsistencyFigure] = field(default_factory=dict)
+    """The "pose", "position", "rotation", "landmark", "nis"; what is not known is left out."""
     rpe: tuple[SegmentError, ...] = ()
+    """By segment length, ascending."""
     landmark_by_range: tuple[RangeError, ...] = ()
+    """Ascending."""
     depth_convergence: tuple[DepthConvergence, ...] = ()
+    """Near, then far."""
     failures: tuple[str, ...] = ()
+    """One line for each run that raised."""
     not_given: Mapping[str, str] = field(default_factory=dict)
+    """Options common to all filters that this one was not given, and why."""
 
     def __getattr__(self, name: str) -> float | None:
         figures: Mapping[str, float | None] = vars(self).get("figures", {})  # none yet while it is unpickled

@@ -1,16 +1,16 @@
-"""Figures of every run of every filter, computed once, and the summary of each filter over its runs."""
+"""Figures of every run of every filter, computed once, where the run is, and their summary over runs."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from filters.validation import BoolArray, FloatArray
 from stereo_slam_env.evaluation.cramer_rao import Bound
-from stereo_slam_env.evaluation.figures import FIGURES, Figure, trial_figures
+from stereo_slam_env.evaluation.figures import FIGURES, Figure, has_diverged, trial_figures
 from stereo_slam_env.evaluation.landmark_statistics import depth_convergence, range_errors
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary, SegmentError
 from stereo_slam_env.evaluation.trajectory_metrics import SegmentErrors
@@ -43,6 +43,24 @@ Figures = Mapping[str, RunFigures]
 """By label of the filter."""
 
 
+@dataclass(frozen=True)
+class RunScore:
+    """Figures of one run, as they are kept with it."""
+
+    figures: Mapping[str, Any]  # see `trial_figures`
+    segments: SegmentErrors
+
+    def judged(self, divergence_percent: float) -> RunScore:
+        """The same with another limit of divergence, which is one of the report and not of the run."""
+        return replace(self, figures={**self.figures, "diverged": has_diverged(self.figures, divergence_percent)})
+
+
+def score_of(run: FilterRun, *, divergence_percent: float, bound: Bound | None = None) -> RunScore:
+    """Figures of a run; arguments and errors as of `figures_of`."""
+    trial = Trial(run, divergence_percent, bound)
+    return RunScore(trial_figures(trial), trial.segments)
+
+
 def key_of(run: FilterRun) -> RunKey:
     """The recording of a run."""
     return run.recording_name, run.seed
@@ -73,19 +91,20 @@ def figures_of(
     ValueError
         A filter ran twice on the same recording, or a bound is of another number of frames than the run.
     """
-    trials: dict[str, dict[RunKey, Trial]] = {}
+    scores: dict[str, dict[RunKey, RunScore]] = {}
     for run in runs:
-        of_filter, key = trials.setdefault(run.filter_name, {}), key_of(run)
+        of_filter, key = scores.setdefault(run.filter_name, {}), key_of(run)
         if key in of_filter:
             raise ValueError(f"runs must have each recording once a filter: {run.filter_name} ran twice on {key}")
-        of_filter[key] = Trial(run, divergence_percent, (bounds or {}).get(key))
-    return {
-        name: RunFigures(
-            {key: trial_figures(trial) for key, trial in of_filter.items()},
-            {key: trial.segments for key, trial in of_filter.items()},
-        )
-        for name, of_filter in trials.items()
-    }
+        of_filter[key] = score_of(run, divergence_percent=divergence_percent, bound=(bounds or {}).get(key))
+    return {name: together(of_filter) for name, of_filter in scores.items()}
+
+
+def together(scores: Mapping[RunKey, RunScore]) -> RunFigures:
+    """Figures of all runs of a filter from those of each."""
+    return RunFigures(
+        {key: score.figures for key, score in scores.items()}, {key: score.segments for key, score in scores.items()}
+    )
 
 
 def summarise_all(runs: Sequence[FilterRun], figures: Figures) -> tuple[FilterSummary, ...]:

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from filters.validation import FloatArray, IntArray, finite_array
 
 KITTI_LENGTHS = tuple(100.0 * i for i in range(1, 9))  # m, of the KITTI odometry benchmark
-SHORT_LENGTHS = (5.0, 10.0, 25.0, 50.0, 100.0)  # m, for drives on which those say little or nothing
+SHORT_LENGTHS = (5.0, 10.0, 25.0, 50.0)  # m, for drives on which those say little or nothing
 SHORT_PATH = 200.0  # m
 SEGMENT_STEP = 10  # rows from the start of one segment to the next
 
@@ -57,6 +57,22 @@ def rigid_motion(estimate: FloatArray, reference: FloatArray) -> tuple[FloatArra
     U, _, Vt = np.linalg.svd((reference - mean_reference).T @ (estimate - mean_estimate))
     R = (U * np.array([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))])) @ Vt
     return R, mean_reference - R @ mean_estimate
+
+
+def similarity(estimate: FloatArray, reference: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+    """Scale, rotation (3, 3) and translation (3,) that bring positions (K, 3) closest to others; source as above."""
+    R, _ = rigid_motion(estimate, reference)
+    a, b = estimate - estimate.mean(axis=0), reference - reference.mean(axis=0)
+    size = float(np.sum(a * a))
+    scale = float(np.sum((a @ R.T) * b)) / size if size > 0.0 else 1.0
+    return scale, R, reference.mean(axis=0) - scale * R @ estimate.mean(axis=0)
+
+
+def ate_scaled(estimate: FloatArray, reference: FloatArray) -> float:
+    """Root mean square distance after the best rigid motion and scale, m."""
+    estimate, reference = _paired(estimate, reference)
+    scale, R, t = similarity(estimate, reference)
+    return root_mean_square(scale * estimate @ R.T + t - reference)
 
 
 def ate_unaligned(estimate: FloatArray, reference: FloatArray) -> float:

@@ -12,118 +12,122 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 import numpy as np
-from scipy.stats import chi2
 
-from filters import Pose, nees
-from filters.consistency import are_definite
-from filters.geometry import rotations
-from filters.geometry.poses import relative_jacobian
-from filters.motions.model import POSE_SIZE, POSITION, ROTATION
-from filters.validation import FloatArray, IntArray, positive
+from filters import Pose
+from filters.validation import BoolArray, FloatArray, finite_number, positive
 from stereo_slam_env.evaluation import trajectory_metrics as metrics
+from stereo_slam_env.evaluation.body_frames import find_body_offset
 from stereo_slam_env.evaluation.bootstrap import MeanInterval, block_length, mean_interval, stationary_rows
-from stereo_slam_env.evaluation.consistency import DOF, mean_band
-from stereo_slam_env.evaluation.windows import WINDOWS, window_ends
-from stereo_slam_env.recording.trajectory import Trajectory, pose_errors, tangent_jacobian, transformed
+from stereo_slam_env.evaluation.claims import ClaimScore, score_claims
+from stereo_slam_env.evaluation.comparability import find_obstacles, gauge_of
+from stereo_slam_env.evaluation.gauge_scores import GaugeScore, claimed_through, score_gauges, scored_rows
+from stereo_slam_env.evaluation.gauges import (
+    UP,
+    AlignmentKind,
+    Correlation,
+    correlation_of,
+    find_alignment,
+    is_zero_at_start,
+)
+from stereo_slam_env.evaluation.synchronisation import FEWEST, MAX_GAP, find_time_offset, paired, shifted
+from stereo_slam_env.evaluation.trajectory_windows import LENGTHS, WindowScore, score_windows
+from stereo_slam_env.recording.trajectory import Trajectory
 from stereo_slam_env.recording.trajectory_files import load_trajectory
 
-COVERED = (0.5, 0.9, 0.95)
-"""Probabilities of the ellipsoids whose coverage is counted."""
-MAX_GAP = 0.01  # s, between an estimate and its reference
-FEWEST = 3  # scored poses
-_PARTS = {"pose": slice(0, POSE_SIZE), "position": POSITION, "rotation": ROTATION}
-_LINE = 1e-3  # a path whose width is a smaller share of its length is a line
-
-Alignment = Literal["none", "start", "rigid"]
-"""As it is; first pose on first pose; all positions on all, by the best rigid motion."""
-
-
-@dataclass(frozen=True)
-class ClaimScore:
-    """A claimed covariance against the errors: of the pose (6 numbers), the position or the rotation (3 each)."""
-
-    dof: int
-    frames: int  # scored: those with a covariance that is one
-    unusable: int  # frames whose covariance is not positive definite: what is claimed of them has no score
-    nees: MeanInterval  # over frames; `dof` is ideal; with the 95 % interval of the block bootstrap
-    median_nees: float
-    band: tuple[float, float]  # two-sided 95 % band of the mean of one run, as of one frame
-    scale_gap: float  # k, median NEES by that of chi-square: the factor by which the covariance is too small
-    coverage: Mapping[float, float]  # share of frames inside the ellipsoid of each probability
-    log_score: MeanInterval  # -log density of the truth, nats: calibration + sharpness
-    calibration: float  # mean of NEES / 2
-    sharpness: float  # mean of (log det + dof log 2 pi) / 2
-
-    @property
-    def verdict(self) -> str:
-        """What one run can tell of the claim, in words."""
-        if self.unusable:
-            return f"none: {self.unusable} of {self.frames + self.unusable} covariances are not positive definite"
-        low, high = self.band
-        if low <= self.nees.mean <= high:
-            return "consistent, as far as one run can tell"
-        return f"too {'tight' if self.nees.mean > high else 'loose'}, by {self.per_axis:.3g} per axis"
-
-    @property
-    def per_axis(self) -> float:
-        """Factor of the standard deviations, > 1, by the mean NEES."""
-        factor = float(np.sqrt(self.nees.mean / self.dof))
-        return max(factor, 1.0 / factor) if factor > 0 else float("inf")
-
-
-@dataclass(frozen=True)
-class WindowScore:
-    """Motion over windows of a length, which do not overlap, as seen from their first pose."""
-
-    seconds: float
-    windows: int
-    translation_rmse_m: float
-    rotation_rmse_deg: float
-    # Mean NEES, 6 is ideal. A file does not say how the errors of two poses are correlated; taken as independent they
-    # make a difference too uncertain, so this is a lower bound. None without covariances, or where one is none.
-    least_nees: float | None
+SCHEMA = 2
+"""Version of what `TrajectoryScore.as_dict` gives."""
 
 
 @dataclass(frozen=True, eq=False)
 class TrajectoryScore:
-    """A trajectory against a reference. Where both start at a given pose, the first one is not scored."""
+    """A trajectory against a reference. Poses that the alignment fixes, as the first one of "start", are not scored."""
 
     estimate: str
+    """Name of the estimate."""
     reference: str
-    alignment: Alignment
-    frames: int  # scored
-    unmatched: int  # poses of the estimate without one of the reference
-    unusable: int  # scored poses whose covariance is not positive definite
+    """Name of the reference."""
+    alignment: AlignmentKind
+    """How the world of the estimate was brought to that of the reference."""
+    aligned_by: int
+    """Poses that determined it."""
+    scale: float
+    """By which the estimate's positions were multiplied."""
+    correlation: Correlation
+    """How errors of two poses were taken to be correlated where the claim was carried through the alignment."""
+    time_offset_s: float
+    """Added to the times of the estimate, s."""
+    frames: int
+    """Scored poses."""
+    unmatched: int
+    """Poses of the estimate without one of the reference."""
+    unusable: int
+    """Scored poses whose covariance is not positive definite."""
     path_m: float
+    """Length of the reference's path, m."""
     position_rmse_m: float
+    """m."""
     rotation_rmse_deg: float
+    """Degrees."""
     ate_rigid_m: float
-    end_drift_percent: float | None  # None where the reference stands still
-    claims: Mapping[str, ClaimScore]  # "pose", "position", "rotation"; empty where nothing is claimed
+    """Position RMSE after the best rigid motion, m."""
+    end_drift_percent: float | None
+    """None where the reference stands still."""
+    diverged_at_s: float | None
+    """Time from the first pair after which the estimate is no trajectory of this drive, s; None where it is one."""
+    claims: Mapping[str, ClaimScore]
+    """"pose", "position", "rotation"; empty where nothing is claimed."""
+    gauges: tuple[GaugeScore, ...]
+    """The claim on the pose under each alignment that the poses determine; empty where nothing is claimed."""
+    gauge_is_open: bool
+    """Whether neither the caller nor the file says the alignment."""
     windows: tuple[WindowScore, ...]
-    # Frame by frame: times (N,), the scored poses in the world of the reference, with what they and the reference
-    # claim as covariances, the reference's poses, and of each claim NEES and log score (N,).
+    """Motion over windows."""
+    notes: tuple[str, ...]
+    """What was left out, taken for granted or found to be strange, each in a sentence."""
     times: FloatArray = field(repr=False)
+    """(N,), s, of the scored poses."""
     poses: Trajectory = field(repr=False)
+    """They, in the world of the reference, with what they and the reference claim, carried through the alignment."""
     reference_poses: Trajectory = field(repr=False)
+    """The reference's."""
     nees: Mapping[str, FloatArray] = field(repr=False)
+    """(N,) of each claim."""
     log_scores: Mapping[str, FloatArray] = field(repr=False)
+    """(N,) of each claim."""
 
     @property
     def position_errors(self) -> FloatArray:
         """Position errors (N, 3) in W, m."""
         return self.reference_poses.positions - self.poses.positions
 
+    @property
+    def depends_on_the_gauge(self) -> bool:
+        """Whether no header says the gauge, and the claim on the pose is another one under another alignment."""
+        return self.gauge_is_open and len({gauge.verdict[:8] for gauge in self.gauges}) > 1
+
+    @property
+    def verdict(self) -> str:
+        """The verdict on the claim, in words."""
+        if not self.claims:
+            return "none: no covariance is claimed"
+        verdict = self.claims["pose"].verdict
+        if not self.depends_on_the_gauge or self.claims["pose"].obstacle:
+            return verdict
+        others = (f"{one.nees / 6.0:.3g} ({one.alignment})" for one in self.gauges)
+        return f"{verdict}; but it depends on the alignment, which no header says: NEES / 6 is {', '.join(others)}"
+
     def as_dict(self) -> dict[str, Any]:
-        """All but what is frame by frame, JSON-able."""
-        series = ("times", "poses", "reference_poses", "nees", "log_scores")
+        """All figures as plain data for JSON, without the series; `docs/evaluate.md` has what they are."""
+        series = {"times", "poses", "reference_poses", "nees", "log_scores"}
         plain = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in series}
         claims = {
             name: {**asdict(claim), "coverage": {f"{p:g}": share for p, share in claim.coverage.items()}}
             | {"verdict": claim.verdict}
             for name, claim in self.claims.items()
         }
-        return plain | {"claims": claims, "windows": [asdict(window) for window in self.windows]}
+        lists = {name: [asdict(one) for one in getattr(self, name)] for name in ("gauges", "windows")}
+        said = {"verdict": self.verdict, "depends_on_the_gauge": self.depends_on_the_gauge, "notes": list(self.notes)}
+        return {"schema": SCHEMA} | plain | {"claims": claims} | lists | said
 
     def against(self, other: TrajectoryScore) -> PairedVerdict:
         """This estimate against another one of the same drive, on the frames that both have.
@@ -145,7 +149,8 @@ class TrajectoryScore:
             ratio = float(np.sqrt(a.mean() / b.mean()))
             low, high = np.quantile(np.sqrt(a[rows].mean(axis=1) / b[rows].mean(axis=1)), [0.025, 0.975])
         scores = None
-        if "pose" in self.claims and "pose" in other.claims and not self.unusable and not other.unusable:
+        judged = [one.claims and not one.unusable and not one.claims["pose"].obstacle for one in (self, other)]
+        if all(judged):
             difference = self.log_scores["pose"][mine] - other.log_scores["pose"][others]
             scores = mean_interval(difference)
         return PairedVerdict(self.estimate, other.estimate, len(mine), (ratio, float(low), float(high)), scores)
@@ -156,16 +161,21 @@ class PairedVerdict:
     """One estimate against another one on the same frames of one drive."""
 
     estimate: str
+    """Name of the first."""
     other: str
+    """Name of the second."""
     frames: int
-    error_ratio: tuple[float, float, float]  # of the position RMSE, with its 95 % interval; < 1: the first is better
-    log_score_difference: MeanInterval | None  # nats a frame; < 0: the first is better; None: no claim to score
+    """That both have."""
+    error_ratio: tuple[float, float, float]
+    """Of the position RMSE, with its 95 % interval; < 1: the first is better."""
+    log_score_difference: MeanInterval | None
+    """Nats a frame; < 0: the first is better; None: no claim to score."""
 
     @property
     def words(self) -> str:
         """The verdict in two sentences."""
         ratio, low, high = self.error_ratio
-        shown = self._better(low < 1.0 and high < 1.0, low > 1.0 and high > 1.0)
+        shown = self._better(high < 1.0, low > 1.0)
         text = f"Position error: {ratio:.3g} [{low:.3g}, {high:.3g}] times that of {self.other}: {shown}."
         if self.log_score_difference is None:
             return text
@@ -181,8 +191,14 @@ def evaluate_trajectory(
     estimate: Trajectory | str | Path,
     reference: Trajectory | str | Path,
     *,
-    align: Alignment | None = None,
+    align: AlignmentKind | None = None,
+    align_seconds: float | None = None,
+    up: str = "z",
+    body: Pose | Literal["estimated"] | None = None,
+    time_offset: float | Literal["auto"] = 0.0,
+    interpolate: bool = False,
     max_gap: float = MAX_GAP,
+    pair: bool = False,
 ) -> TrajectoryScore:
     """Judge a trajectory against a reference: its errors, and the covariance that is claimed for them.
 
@@ -191,12 +207,26 @@ def evaluate_trajectory(
     estimate : Trajectory, str or Path
         The trajectory, or a file as `load_trajectory` reads it.
     reference : Trajectory, str or Path
-        Of the same body. Its own covariances, if it has any, are added to those of the estimate.
-    align : {"none", "start", "rigid"}, optional
-        How the estimate is brought into the world of the reference. None: as its file says, "rigid" where it has a
-        world of its own.
+        Its own covariances, if it has any, are added to those of the estimate; so it may be a second estimate.
+    align : {"none", "start", "gravity-yaw", "rigid", "sim3"}, optional
+        How the estimate is brought into the world of the reference. None: by the gauge that the estimate was made in,
+        "start" where what it claims is zero there.
+    align_seconds : float, optional
+        Align by the poses of so many seconds from the first one; 0: by the first pose. None: by all.
+    up : {"x", "y", "z"}
+        Axis of the reference's world that gravity is along, for "gravity-yaw".
+    body : Pose or "estimated", optional
+        Pose T_bc of the reference's body in that of the estimate, m; "estimated": the one that fits best. None: they
+        are the same.
+    time_offset : float or "auto"
+        Added to the times of the estimate, s; "auto": the one up to 1 s that fits best.
+    interpolate : bool
+        Take the reference at the times of the estimate, between its poses, in place of the nearest pose.
     max_gap : float
         Largest difference between the times of a pose and its reference, s.
+    pair : bool
+        The reference is another estimate of the same drive, with covariances of its own: do the two contradict each
+        other? Then the alignment, if none is given, is "start" where both claim nothing there, else "rigid".
 
     Returns
     -------
@@ -206,51 +236,82 @@ def evaluate_trajectory(
     Raises
     ------
     ValueError
-        A file is damaged, there are too few poses in common, the bodies differ, the alignment is not determined, or no
-        covariance is positive definite.
+        A file is damaged, there are too few poses in common, the bodies are named and differ, the alignment, the
+        offset or the body is not determined, or no covariance is positive definite.
     """
     estimate, reference = _loaded(estimate), _loaded(reference)
     max_gap = positive("max_gap", max_gap)
-    if align is not None and align not in get_args(Alignment):
-        raise ValueError(f"align must be one of {', '.join(get_args(Alignment))}, got {align!r}")
-    if estimate.body and reference.body and estimate.body != reference.body:
+    if align is not None and align not in get_args(AlignmentKind):
+        raise ValueError(f"align must be one of {', '.join(get_args(AlignmentKind))}, got {align!r}")
+    if up not in UP:
+        raise ValueError(f"up must be one of {', '.join(UP)}, got {up!r}")
+    if body is None and estimate.body and reference.body and estimate.body != reference.body:
         raise ValueError(
-            f"estimate has poses of {estimate.body}, reference of {reference.body}: give both for the same body"
+            f"estimate has poses of {estimate.body}, reference of {reference.body}: give both for the same body, or "
+            f"the pose of {reference.body} in {estimate.body} as body"
         )
-    how: Alignment = align or ("rigid" if estimate.gauge == "se3" else "none")
-    ours, theirs = _pairs(estimate, reference, max_gap)
-    matched, truth = estimate.rows(ours), reference.rows(theirs)
-    matched = matched.moved(_alignment(how, matched, truth))
-    times = np.arange(len(ours), dtype=np.float64)
+    notes = [f"{one.name}: {note}" for one in (estimate, reference) for note in one.notes]
+    offset = (
+        find_time_offset(estimate, reference) if time_offset == "auto" else finite_number("time_offset", time_offset)
+    )
+    if offset:
+        estimate = shifted(estimate, offset)
+    pairs = paired(estimate, reference, max_gap, interpolate)
+    if body is not None:
+        T_bc = body if isinstance(body, Pose) else find_body_offset(pairs.estimate, pairs.reference).T_bc
+        pairs = replace(pairs, estimate=pairs.estimate.of_body(T_bc))
+        if not isinstance(body, Pose):
+            notes.append(f"the body was moved {np.linalg.norm(T_bc.position):.3g} m by what fits best: errors are low")
+    matched, truth = pairs.estimate, pairs.reference
+    asked, said = gauge_of(matched, truth)
+    if pair:
+        if truth.covariances is None or matched.covariances is None:
+            raise ValueError("pair needs covariances in both files: without a truth they are all there is to judge")
+        asked, said = ("start" if is_zero_at_start(matched) and is_zero_at_start(truth) else "rigid"), ""
+    if align is None and said:
+        notes.append(said)
+    correlation = correlation_of(matched)
+    alignment = find_alignment(align or asked, matched, truth, _rows_within(truth, align_seconds), UP[up])
+    found = find_obstacles(pairs, (estimate, reference), alignment)
+    times = np.arange(len(matched), dtype=np.float64)
     if (stamps := truth.timestamps if truth.timestamps is not None else matched.timestamps) is not None:
         times = stamps
-    covariances = _claimed(matched, truth)
-    timed = estimate.timestamps is not None or reference.timestamps is not None
-    windows = tuple(_window(length, matched, truth, times) for length in WINDOWS) if timed else ()
-    scored = slice(0 if how == "rigid" else 1, None)
-    matched, truth, times = matched.rows(scored), truth.rows(scored), times[scored]
+    aligned = alignment.apply(matched)
+    as_claimed, covariances = claimed_through(aligned, truth, alignment, correlation)
+    windows = [score_windows(length, aligned, truth, times) for length in LENGTHS] if stamps is not None else []
+    scored = scored_rows(aligned, alignment, as_claimed, covariances)
+    own, truth = aligned.rows(scored), truth.rows(scored)
     covariances = None if covariances is None else covariances[scored]
-    claims, series, scores = _claims(matched, truth, covariances)
+    as_claimed = None if as_claimed is None else as_claimed[scored]
+    claims = score_claims(own, truth, covariances, as_claimed, found.obstacles, pair)
     path = metrics.path_length(truth.positions)
     return TrajectoryScore(
         estimate=estimate.name,
         reference=reference.name,
-        alignment=how,
-        frames=len(times),
-        unmatched=len(estimate) - len(ours),
-        unusable=int(np.isnan(series["pose"]).sum()) if series else 0,
+        alignment=alignment.kind,
+        aligned_by=int(alignment.rows.sum()),
+        scale=alignment.scale,
+        correlation=correlation,
+        time_offset_s=offset,
+        frames=len(own),
+        unmatched=len(estimate) - len(pairs.rows),
+        unusable=claims.claims["pose"].unusable if claims.claims else 0,
         path_m=path,
-        position_rmse_m=metrics.ate_unaligned(matched.positions, truth.positions),
-        rotation_rmse_deg=_rotation_rmse_deg(matched.orientations, truth.orientations),
-        ate_rigid_m=metrics.ate_rigid(matched.positions, truth.positions),
-        end_drift_percent=metrics.end_drift_percent(matched.positions, truth.positions) if path > 0 else None,
-        claims=claims,
-        windows=tuple(window for window in windows if window.windows),
-        times=times,
-        poses=replace(matched, covariances=covariances),
+        position_rmse_m=metrics.ate_unaligned(own.positions, truth.positions),
+        rotation_rmse_deg=_rotation_rmse_deg(own.orientations, truth.orientations),
+        ate_rigid_m=metrics.ate_rigid(own.positions, truth.positions),
+        end_drift_percent=metrics.end_drift_percent(own.positions, truth.positions) if path > 0 else None,
+        diverged_at_s=found.diverged_at_s,
+        claims=claims.claims,
+        gauges=score_gauges(matched, pairs.reference, alignment, correlation) if claims.claims else (),
+        gauge_is_open=align is None and not pair and matched.gauge is None and not is_zero_at_start(matched),
+        windows=tuple(window for window in windows if window is not None),
+        notes=(*notes, *found.notes),
+        times=times[scored],
+        poses=replace(own, covariances=covariances),
         reference_poses=truth,
-        nees=series,
-        log_scores=scores,
+        nees=claims.nees,
+        log_scores=claims.log_scores,
     )
 
 
@@ -258,130 +319,14 @@ def _loaded(trajectory: Trajectory | str | Path) -> Trajectory:
     return trajectory if isinstance(trajectory, Trajectory) else load_trajectory(trajectory)
 
 
-def _pairs(estimate: Trajectory, reference: Trajectory, max_gap: float) -> tuple[IntArray, IntArray]:
-    """Rows of both that belong together: nearest in time, each once, or row by row where one has no times."""
-    a, b = estimate.timestamps, reference.timestamps
-    if a is None or b is None:
-        if len(estimate) != len(reference):
-            raise ValueError(
-                f"estimate has {len(estimate)} poses, reference {len(reference)}: without times in both files their "
-                "rows must be the same frames"
-            )
-        ours = theirs = np.arange(len(estimate))
-    else:
-        after = np.clip(np.searchsorted(b, a), 1, max(len(b) - 1, 1))
-        before = after - 1
-        after = np.minimum(after, len(b) - 1)
-        nearest = np.where(np.abs(a - b[before]) <= np.abs(a - b[after]), before, after)
-        gaps = np.abs(a - b[nearest])
-        by_gap = np.lexsort((gaps, nearest))
-        first_of_each = by_gap[np.unique(nearest[by_gap], return_index=True)[1]]
-        ours = np.sort(first_of_each[gaps[first_of_each] <= max_gap])
-        theirs = nearest[ours]
-    if len(ours) <= FEWEST:
-        raise ValueError(
-            f"estimate and reference have {len(ours)} poses in common, more than {FEWEST} are needed: their clocks may "
-            f"differ, or give a max_gap larger than {max_gap:g} s"
-        )
-    return ours, theirs
-
-
-def _alignment(how: Alignment, estimate: Trajectory, reference: Trajectory) -> Pose:
-    """The motion of the estimate's world that is asked for; refuses one that is not determined."""
-    if how == "none":
-        return Pose()
-    if how == "start":
-        return reference.pose(0) @ estimate.pose(0).inverse()
-    for name, one in (("estimate", estimate), ("reference", reference)):
-        length, width, _ = np.linalg.svd(one.positions - one.positions.mean(axis=0), compute_uv=False)
-        if width <= _LINE * length or length == 0.0:
-            raise ValueError(
-                f"the {name} moves along a line or not at all, which does not determine a rigid alignment: align by "
-                "'start', or 'none'"
-            )
-    R, t = metrics.rigid_motion(estimate.positions, reference.positions)
-    return Pose(t, rotations.from_matrix(R))
-
-
-def _claimed(estimate: Trajectory, reference: Trajectory) -> FloatArray | None:
-    """Covariances of the errors of the estimate against the reference; None where it claims nothing."""
-    if estimate.covariances is None or (doubt := reference.pose_covariances) is None:
-        return estimate.covariances
-    J = tangent_jacobian(estimate.tangent, estimate.positions, estimate.orientations)
-    summed: FloatArray = estimate.covariances + transformed(J, doubt)
-    return summed
-
-
-def _claims(
-    estimate: Trajectory, reference: Trajectory, covariances: FloatArray | None
-) -> tuple[dict[str, ClaimScore], dict[str, FloatArray], dict[str, FloatArray]]:
-    """The score of each part of the pose, and its NEES and log score frame by frame."""
-    claims: dict[str, ClaimScore] = {}
-    series: dict[str, FloatArray] = {}
-    scores: dict[str, FloatArray] = {}
-    if covariances is None:
-        return claims, series, scores
-    assert estimate.covariances is not None
-    usable = are_definite(estimate.covariances)  # before what the reference claims is added, which would hide it
-    if not usable.any():
-        raise ValueError(
-            f"none of the covariances of {estimate.name} is positive definite: correct them, or leave them out"
-        )
-    errors = estimate.errors(reference.positions, reference.orientations)
-    for name, part in _PARTS.items():
-        own = covariances[:, part, part]
-        values = np.where(usable, nees(errors[:, part], own), np.nan)
-        sharpness = np.full(len(values), np.nan)
-        sharpness[usable] = 0.5 * (np.linalg.slogdet(own[usable])[1] + DOF[name] * np.log(2.0 * np.pi))
-        series[name], scores[name] = values, 0.5 * values + sharpness
-        claims[name] = _claim(DOF[name], values[usable], sharpness[usable], int(np.count_nonzero(~usable)))
-    return claims, series, scores
-
-
-def _claim(dof: int, values: FloatArray, sharpness: FloatArray, unusable: int) -> ClaimScore:
-    median = float(np.median(values))
-    return ClaimScore(
-        dof=dof,
-        frames=len(values),
-        unusable=unusable,
-        nees=mean_interval(values),
-        median_nees=median,
-        band=mean_band(dof, 1),
-        scale_gap=median / float(chi2.ppf(0.5, dof)),
-        coverage={p: float(np.mean(values <= chi2.ppf(p, dof))) for p in COVERED},
-        log_score=mean_interval(0.5 * values + sharpness),
-        calibration=0.5 * float(values.mean()),
-        sharpness=float(sharpness.mean()),
-    )
-
-
-def _window(seconds: float, estimate: Trajectory, reference: Trajectory, times: FloatArray) -> WindowScore:
-    ends = list(window_ends(times, seconds))
-    claimed, doubt = estimate.pose_covariances, reference.pose_covariances
-    errors, covariances = np.zeros((len(ends), POSE_SIZE)), np.zeros((len(ends), POSE_SIZE, POSE_SIZE))
-    for k, (i, j) in enumerate(ends):
-        first, last = estimate.pose(i), estimate.pose(j)
-        moved, truly = first.inverse() @ last, reference.pose(i).inverse() @ reference.pose(j)
-        errors[k] = pose_errors(
-            "position-rotation", *(a[None] for T in (moved, truly) for a in (T.position, T.orientation))
-        )[0]
-        if claimed is not None:
-            both = np.zeros((2 * POSE_SIZE, 2 * POSE_SIZE))
-            for at, row in enumerate((i, j)):
-                own = slice(POSE_SIZE * at, POSE_SIZE * (at + 1))
-                both[own, own] = claimed[row] + (0.0 if doubt is None else doubt[row])
-            J = relative_jacobian(first, last)
-            covariances[k] = J @ both @ J.T
-    # The first pose may be known exactly: both start there.
-    known = ends and claimed is not None and are_definite(claimed[np.unique(ends)[1:]]).all()
-    least = float(nees(errors, covariances).mean()) if known else float("nan")
-    return WindowScore(
-        seconds=seconds,
-        windows=len(ends),
-        translation_rmse_m=metrics.root_mean_square(errors[:, POSITION]) if ends else float("nan"),
-        rotation_rmse_deg=float(np.rad2deg(metrics.root_mean_square(errors[:, ROTATION]))) if ends else float("nan"),
-        least_nees=least if np.isfinite(least) else None,
-    )
+def _rows_within(reference: Trajectory, seconds: float | None) -> BoolArray:
+    """The poses to align by."""
+    if seconds is None:
+        return np.ones(len(reference), dtype=bool)
+    if reference.timestamps is None:
+        raise ValueError("align_seconds needs times, and the reference has none: align by all, or by 'start'")
+    positive("align_seconds", seconds, allow_zero=True)
+    return np.asarray(reference.timestamps <= reference.timestamps[0] + seconds)
 
 
 def _rotation_rmse_deg(estimate: FloatArray, reference: FloatArray) -> float:

@@ -37,7 +37,7 @@ def window_ends(timestamps: FloatArray | Sequence[float], seconds: float) -> Ite
 
 
 WINDOW_SERIES = tuple(series_of(seconds) + kind for seconds in WINDOWS for kind in ("", "_floor"))
-"""The series of a `FilterRun` that `score_windows` gives."""
+"""The series of a `FilterRun` that `WindowScores` gives."""
 
 
 @runtime_checkable
@@ -66,15 +66,6 @@ class WindowScores:
     recording : Recording
         The stream; windows lie in its frames with a truth that has settled.
 
-    Attributes
-    ----------
-    series : mapping of str to (K,) ndarray
-        By `series_of`: the NEES of the window that ends at a frame (6 degrees of freedom), NaN at the others; and with
-        "_floor", where errors of the reference are stated, what a consistent filter would have without them. Nothing
-        for a filter without clones.
-    open : int
-        Clones that there are now.
-
     Raises
     ------
     ContractBroken
@@ -90,7 +81,11 @@ class WindowScores:
         self._ends = {s: {int(rows[j]): int(rows[i]) for i, j in window_ends(times[rows], s)} for s in WINDOWS}
         self._starts = {s: set(ends.values()) for s, ends in self._ends.items()}
         self.series = {name: np.full(count, np.nan) for name in WINDOW_SERIES if self._slam is not None}
+        """(K,) by `series_of`: the NEES of the window that ends at a frame (6 degrees of freedom), NaN at the others;
+        and with "_floor", where errors of the reference are stated, what a consistent filter would have without them.
+        Nothing for a filter without clones."""
         self.open = 0
+        """Clones that there are now."""
 
     def add(self, moment: Moment) -> None:
         """Note the windows that end at this frame, and begin those that start there."""

@@ -3,4 +3,5 @@
 from .folders import claimed_folder as claimed_folder
 from .folders import is_occupied as is_occupied
 from .folders import write_atomically as write_atomically
+from .json_files import write_json as write_json
 from .readers import read_arrays as read_arrays

@@ -14,7 +14,7 @@ import tokenize
 import warnings
 import zipfile
 import zlib
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -105,10 +105,32 @@ def read_table(
         text = read_text(path)
     except FileNotFoundError as error:
         raise ValueError(f"{path} is missing: copy it from the recording") from error
+    return parse_table(path, text, columns, delimiter=delimiter, header_lines=header_lines, finite=finite)
+
+
+def parse_table(
+    path: Path,
+    text: str,
+    columns: int,
+    *,
+    delimiter: str | None = None,
+    header_lines: int = 0,
+    finite: bool = True,
+    only: Sequence[int] | None = None,
+) -> FloatArray:
+    """The table that a text read from `path` holds, as `read_table` does; `only` these columns of it, where given."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # of an empty file: the error below says it
-            table = np.loadtxt(io.StringIO(text), dtype=np.float64, delimiter=delimiter, skiprows=header_lines, ndmin=2)
+            table = np.loadtxt(
+                io.StringIO(text),
+                dtype=np.float64,
+                comments=("#", "%"),
+                delimiter=delimiter,
+                skiprows=header_lines,
+                usecols=only,
+                ndmin=2,
+            )
     except (ValueError, OverflowError) as error:
         raise ValueError(f"{path} is not a table of {columns} numbers a row: {first_line(error)}") from error
     if table.size == 0:

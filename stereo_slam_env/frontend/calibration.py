@@ -16,7 +16,7 @@ import numpy as np
 
 from filters import StereoCamera
 from stereo_slam_env.frontend.ego_motion import Pairs, Step, most_likely_step, robust_step
-from stereo_slam_env.frontend.settings import TrackerSettings
+from stereo_slam_env.frontend.settings import TrackerSettings, settings_for
 from stereo_slam_env.frontend.tracker import StereoTracker
 from stereo_slam_env.frontend.tracks import MEMORY
 from stereo_slam_env.recording.recording import ImageSequence
@@ -37,7 +37,7 @@ def calibrated(
     sequence: ImageSequence, settings: TrackerSettings | None = None, pairs: int = CALIBRATION_PAIRS
 ) -> TrackerSettings:
     """The settings with the disparity offset that the first `pairs` pairs of a sequence show."""
-    settings = TrackerSettings() if settings is None else settings
+    settings = settings_for(sequence) if settings is None else settings
     tracker = StereoTracker(sequence.camera, settings)
     offset = DisparityOffset(sequence.camera)
     before = 0.0
@@ -56,7 +56,7 @@ class DisparityOffset:
     def __init__(self, camera: StereoCamera) -> None:
         self._camera = camera
         self.value = 0.0
-        """px."""
+        """The estimate, px."""
         self._information = PRIOR_SIGMA**-2
 
     @property

@@ -14,11 +14,14 @@ from stereo_slam_env.frontend.tracks import TrackedPair
 from stereo_slam_env.recording.recording import LandmarkTruth
 from stereo_slam_env.rendering.images import StereoImages, grey
 from stereo_slam_env.rendering.pinhole import points_at
+from stereo_slam_env.simulator.kept import Kept
 from stereo_slam_env.world.routes import FRAME_PERIOD
 
 
-class ImageSensor:
+class ImageSensor(Kept):
     """Measures landmarks in the pairs that `take_pair` renders; what `moves` (points of W (N, 3) -> (N,)) is none."""
+
+    changes = ("_tracker", "_ids", "_points", "_moving_ids", "tracked")
 
     def __init__(
         self,

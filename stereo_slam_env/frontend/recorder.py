@@ -11,7 +11,7 @@ import numpy as np
 from filters import ColouredNoise, LandmarkDrift, Start, StereoFilter, StereoObservation
 from filters.geometry import rotations
 from stereo_slam_env.frontend.ego_motion import Step
-from stereo_slam_env.frontend.settings import DRIFT_SHARE, TrackerSettings
+from stereo_slam_env.frontend.settings import DRIFT_SHARE, TrackerSettings, settings_for
 from stereo_slam_env.frontend.track_noise import with_measured_noise
 from stereo_slam_env.frontend.tracker import StereoTracker
 from stereo_slam_env.frontend.tracks import TrackedPair
@@ -40,7 +40,8 @@ def record_tracks(
     sequence : ImageSequence
         The images.
     settings : TrackerSettings, optional
-        Of the front end.
+        Of the front end. None: `settings_for` the sequence, so that rendered images bring what their renderer says of
+        its blur and noise.
     frames : int, optional
         Stop after so many pairs.
     watch : callable, optional
@@ -53,7 +54,7 @@ def record_tracks(
     Recording
         With the truth and odometry of the sequence, and with what the tracks say of their noise.
     """
-    settings = TrackerSettings() if settings is None else settings
+    settings = settings_for(sequence) if settings is None else settings
     tracker = StereoTracker(sequence.camera, settings)
     taken: list[Frame] = []
     wanted = len(sequence) if frames is None else min(frames, len(sequence))
@@ -105,7 +106,8 @@ class ActiveSearch:
     sequence : ImageSequence
         The images.
     settings : TrackerSettings, optional
-        Of the front end.
+        Of the front end. None: `settings_for` the sequence, so that rendered images bring what their renderer says of
+        its blur and noise.
     watch : callable, optional
         Called with each pair and what was found in it.
     """
@@ -114,7 +116,7 @@ class ActiveSearch:
         self, sequence: ImageSequence, settings: TrackerSettings | None = None, watch: Watch | None = None
     ) -> None:
         self._sequence = sequence
-        self._settings = TrackerSettings() if settings is None else settings
+        self._settings = settings_for(sequence) if settings is None else settings
         self._tracker = StereoTracker(sequence.camera, self._settings)
         self._pairs: Iterator[StereoPair] = iter(())
         self._ahead: StereoPair | None = None  # taken from the sequence, but not yet searched

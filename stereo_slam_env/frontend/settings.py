@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from filters.validation import finite_array, positive, whole_number
+from stereo_slam_env.recording.recording import ImageSequence
 
 _POSITIVE = (
     "nearest",
@@ -25,71 +26,50 @@ pairs (docs/front_end.md)."""
 
 @dataclass(frozen=True)
 class TrackerSettings:
-    """Settings of detection, tracking and termination of landmarks.
-
-    Attributes
-    ----------
-    max_landmarks : int
-        Most landmarks given to the filter in one pair.
-    refill_below : int
-        New ones are looked for when fewer than this are left.
-    nearest : float
-        Least depth of a new landmark, m.
-    min_disparity : float
-        Least disparity of a new landmark, px.
-    min_score : float
-        Least normalised correlation of a match, 0 to 1.
-    uniqueness : float
-        Most that the second best peak may have of the best one's correlation.
-    search_gate : float
-        Probability with which a landmark lies inside the ellipse that is searched.
-    max_radius : float
-        Half axis of the largest ellipse that is searched, px; where a forecast is less certain, the front end's own
-        is taken.
-    gate : float
-        Probability with which a standing landmark passes the test against the motion of the scene.
-    probation : int
-        Pairs in which a new landmark must pass that test before the filter gets it.
-    max_misses : int
-        Most pairs in a row without a match: a landmark that is missed in one more is dropped.
-    margin : int
-        Distance to the edge of both images, px.
-    min_distance : float
-        Between a new landmark and any other in the left image, px.
-    sigma_acceleration, sigma_angular_acceleration : float
-        By how much the motion may change between pairs, m/s^2 and rad/s^2 (as `filters.ConstantVelocity`).
-    disparity_offset : float
-        Added to every measured disparity, px: what the rectification left, see `frontend.calibration`.
-    sigma_floor : float
-        No pixel coordinate is believed to better than this, px. Enough for images of a camera or of `gl`, not for
-        those of `tiny`: see `for_images`.
-    image_blur : float
-        Variance of the point spread of the images along an axis, px^2. A patch that is magnified to be found again has
-        its blur magnified, too, and would match displaced; what this says of it is taken away. 0: nothing is.
-    sigma_relief : float
-        How far a patch is from the plane that it is taken for, m along the ray: the more its landmark has moved by
-        parallax, in time or between the cameras, the more that displaces a match.
-    """
+    """Settings of detection, tracking and termination of landmarks."""
 
     max_landmarks: int = 100
+    """Most landmarks given to the filter in one pair."""
     refill_below: int = 85
+    """New ones are looked for when fewer than this are left."""
     nearest: float = 2.5
+    """Least depth of a new landmark, m."""
     min_disparity: float = 1.0
+    """Least disparity of a new landmark, px."""
     min_score: float = 0.8
+    """Least normalised correlation of a match, 0 to 1."""
     uniqueness: float = 0.92
+    """Most that the second best peak may have of the best one's correlation."""
     search_gate: float = 0.99
+    """Probability with which a landmark lies inside the ellipse that is searched."""
     max_radius: float = 24.0
+    """Half axis of the largest ellipse that is searched, px; where a forecast is less certain, the front end's own is
+    taken."""
     gate: float = 0.999
+    """Probability with which a standing landmark passes the test against the motion of the scene."""
     probation: int = 2
+    """Pairs in which a new landmark must pass that test before the filter gets it."""
     max_misses: int = 2
+    """Most pairs in a row without a match: a landmark that is missed in one more is dropped."""
     margin: int = 8
+    """Distance to the edge of both images, px."""
     min_distance: float = 10.0
+    """Between a new landmark and any other in the left image, px."""
     sigma_acceleration: float = 3.0
+    """By how much the velocity may change between pairs, m/s^2 (as `filters.ConstantVelocity`)."""
     sigma_angular_acceleration: float = 0.6
+    """By how much the angular velocity may change between pairs, rad/s^2."""
     disparity_offset: float = 0.0
+    """Added to every measured disparity, px: what the rectification left, see `frontend.calibration`."""
     sigma_floor: float = 0.05
+    """No pixel coordinate is believed to better than this, px. Enough for images of a camera or of `gl`, not for those
+    of `tiny`: see `settings_for`."""
     image_blur: float = 0.0
+    """Variance of the point spread of the images along an axis, px^2. A patch that is magnified to be found again has
+    its blur magnified, too, and would match displaced; what this says of it is taken away. 0: nothing is."""
     sigma_relief: float = 0.04
+    """How far a patch is from the plane that it is taken for, m along the ray: the more its landmark has moved by
+    parallax, in time or between the cameras, the more that displaces a match."""
 
     def __post_init__(self) -> None:
         lowest = {"max_landmarks": 1, "refill_below": 0, "probation": 0, "max_misses": 0, "margin": 8}
@@ -106,3 +86,9 @@ class TrackerSettings:
             value = getattr(self, name)
             if not (isinstance(value, float | int) and 0.0 < value < 1.0):
                 raise ValueError(f"{name} must be between 0 and 1, got {value!r}")
+
+
+def settings_for(sequence: ImageSequence) -> TrackerSettings:
+    """Settings for images: those of who drew them (the attribute `front_end` of the sequence), else the usual ones."""
+    stated: TrackerSettings | None = getattr(sequence, "front_end", None)
+    return TrackerSettings() if stated is None else stated

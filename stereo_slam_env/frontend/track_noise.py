@@ -47,24 +47,16 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, eq=False)
 class FlowResiduals:
-    """What the most likely motion between two frames leaves of the flow of each track, in order of track and frame.
-
-    Attributes
-    ----------
-    ids : (N,)
-        Of the track.
-    frames : (N,)
-        Number of the second frame.
-    residuals : (N, 3)
-        Measured minus predicted (u, v, d), px.
-    flow : (N,)
-        How far the point moved in the left image, px.
-    """
+    """What the most likely motion between two frames leaves of the flow of each track, in order of track and frame."""
 
     ids: IntArray
+    """(N,), of the track."""
     frames: IntArray
+    """(N,): number of the second frame."""
     residuals: FloatArray
+    """(N, 3): measured minus predicted (u, v, d), px."""
     flow: FloatArray
+    """(N,): how far the point moved in the left image, px."""
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -72,28 +64,20 @@ class FlowResiduals:
 
 @dataclass(frozen=True, eq=False)
 class TrackNoise:
-    """How the errors of tracks are distributed over time.
-
-    Attributes
-    ----------
-    step : (3,)
-        Standard deviation of a residual of (u, v, d), px.
-    lasting : (3,)
-        Of the random walk that adds up as the errors do over many frames, px a frame: the residuals' variance plus
-        twice their covariances over 1 to `LAGS` frames.
-    correlation : (LAGS + 1, 3)
-        Of residuals so many frames apart.
-    slide : float
-        The steady part alone, by how far the points move: root of twice the covariances over 1 to `LAGS` frames of
-        residuals in u and v over the root of the flow, rad per root of a radian. 0 where residuals one frame apart are
-        not positively correlated: then most of the errors are white or a walk, and a sum of covariances above 0 is
-        chance, or the texture's.
-    """
+    """How the errors of tracks are distributed over time."""
 
     step: FloatArray
+    """(3,): standard deviation of a residual of (u, v, d), px."""
     lasting: FloatArray
+    """(3,), of the random walk that adds up as the errors do over many frames, px a frame: the residuals' variance plus
+    twice their covariances over 1 to `LAGS` frames."""
     correlation: FloatArray
+    """(LAGS + 1, 3), of residuals so many frames apart."""
     slide: float
+    """The steady part alone, by how far the points move: root of twice the covariances over 1 to `LAGS` frames of
+    residuals in u and v over the root of the flow, rad per root of a radian. 0 where residuals one frame apart are not
+    positively correlated: then most of the errors are white or a walk, and a sum of covariances above 0 is chance, or
+    the texture's."""
 
     @property
     def lasts(self) -> bool:

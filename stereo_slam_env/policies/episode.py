@@ -23,22 +23,15 @@ _STREAM = 6
 
 @dataclass(frozen=True, eq=False)
 class Episode:
-    """An episode of a policy.
-
-    Attributes
-    ----------
-    recording : Recording
-        The measurements, for any filter; with the angles of the head.
-    drive : tuple of Pose
-        Of the car, frame by frame: where the left camera would be if the head looked straight ahead.
-    failure : str, optional
-        One line where the policy, or the filter in the loop, raised something. The drive goes on then, with the head
-        turned straight ahead, so that it can still be told to be the same.
-    """
+    """An episode of a policy."""
 
     recording: Recording
+    """The measurements, for any filter; with the angles of the head."""
     drive: tuple[Pose, ...]
+    """Of the car, frame by frame: where the left camera would be if the head looked straight ahead."""
     failure: str | None = None
+    """One line where the policy, or the filter in the loop, raised something. The drive goes on then, with the head
+    turned straight ahead, so that it can still be told to be the same."""
 
     @property
     def drive_digest(self) -> str:

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from filters.validation import FloatArray
 from stereo_slam_env.world.vehicle import Head
+from stereo_slam_env.wrappers.direction_of_gaze import moving_head
 
 Action = NDArray[np.float32]
 
@@ -40,10 +41,7 @@ class Policy(Protocol):
 
 def require_head(env: gym.Env[Any, Any]) -> Head:
     """The head of an environment; a `ValueError` where it has none that moves."""
-    head = env.get_wrapper_attr("head")
-    if not isinstance(head, Head):
-        raise ValueError("the policy turns the head, and that of this environment is fixed: use StereoSlam/Gaze-v0")
-    return head
+    return moving_head(env.get_wrapper_attr("head"))
 
 
 def look_towards(env: gym.Env[Any, Any], angles: FloatArray) -> Action:
@@ -59,8 +57,3 @@ def gaze_action(env: gym.Env[Any, Any], decided: ArrayLike) -> Action:
     action = np.zeros(env.action_space.shape, dtype=np.float32)
     action[-len(last) :] = last
     return action
-
-
-def directions(pans: int) -> FloatArray:
-    """Pan and tilt as shares of the largest: from left to right, at no tilt; (pans, 2)."""
-    return np.column_stack([np.linspace(-1.0, 1.0, pans), np.zeros(pans)])

@@ -24,7 +24,7 @@ from stereo_slam_env.policies.foresight import (
     turning_head,
 )
 from stereo_slam_env.policies.interface import Action, look_towards, require_head
-from stereo_slam_env.sensing.sensors import TrackingPolicy
+from stereo_slam_env.sensing.tracking import TrackingPolicy
 from stereo_slam_env.world.routes import FRAME_PERIOD, Route
 from stereo_slam_env.world.vehicle import Head
 from stereo_slam_env.wrappers import Belief
@@ -85,17 +85,6 @@ class Outlook:
 class Preferences:
     """Directions that a planner chooses from, and weights of their worth.
 
-    Attributes
-    ----------
-    gain : {"pose", "map"}
-        Covariance that is to become small: of the pose, or of the pose and the map.
-    pans, tilts : int
-        Directions to choose from: a grid over all that the head can do.
-    curiosity : float
-        What it is worth to look at a place beside the route for the first time, nats.
-    effort : float
-        What it costs to turn by the largest pan or tilt, nats.
-
     Raises
     ------
     ValueError
@@ -103,10 +92,15 @@ class Preferences:
     """
 
     gain: Gain
+    """Covariance that is to become small: "pose", or "map" for pose and map together."""
     pans: int
+    """Directions to choose from, over all that the head can pan."""
     tilts: int
+    """Directions to choose from, over all that the head can tilt; with `pans` they form a grid."""
     curiosity: float
+    """What it is worth to look at a place beside the route for the first time, nats."""
     effort: float
+    """What it costs to turn by the largest pan or tilt, nats."""
 
     def __post_init__(self) -> None:
         one_of("gain", self.gain, get_args(Gain))

@@ -30,30 +30,20 @@ class Velocity:
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """One instant of a recording.
-
-    Attributes
-    ----------
-    timestamp : float
-        s.
-    observation : StereoObservation
-        What the stereo sensor saw; may be empty.
-    odometry : BodyVelocity, optional
-        Mean body velocity of the step from the previous frame to this one.
-    truth : Pose, optional
-        True pose of the left camera in W; None where it is unknown or not to be scored.
-    truth_velocity : Velocity, optional
-        True velocity over the step from the previous frame to this one (as in Eq. 6).
-    head : (2,) ndarray, optional
-        Pan and tilt of the head that carries the eyes, rad; None where they are fixed to the car.
-    """
+    """One instant of a recording."""
 
     timestamp: float
+    """s."""
     observation: StereoObservation
+    """What the stereo sensor saw; may be empty."""
     odometry: BodyVelocity | None = None
+    """Mean body velocity of the step from the previous frame to this one."""
     truth: Pose | None = None
+    """True pose of the left camera in W; None where it is unknown or not to be scored."""
     truth_velocity: Velocity | None = None
+    """True velocity over the step from the previous frame to this one (as in Eq. 6)."""
     head: FloatArray | None = None
+    """(2,): pan and tilt of the head that carries the eyes, rad; None where they are fixed to the car."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,23 +71,6 @@ _KINDS: Mapping[ReferenceKind, str] = {
 class Reference:
     """Kind and origin of the poses that estimates are compared with.
 
-    Attributes
-    ----------
-    kind : {"simulation", "surveyed", "ins", "odometry", "unknown", "none"}
-        An independent truth owes nothing to the images: those of a simulation, surveyed ones (motion capture, laser
-        tracker, total station), those of GPS/INS. Odometry from the same images (and SLAM, and structure from motion)
-        shares their errors with the filters: a distance to it is no error, so it has no NEES. Poses of unknown origin
-        are scored as truth, under the condition that no camera has a part in them, which the report says.
-    description : str
-        Where the poses come from and how good they are, one sentence.
-    position_jitter, rotation_jitter : float
-        Standard deviation per axis of the errors of each pose, independent from frame to frame, m and rad.
-    misalignment : float
-        Standard deviation per axis of the constant rotation by which the poses are of another body than the left
-        camera, rad.
-    settled_at : float, optional
-        Time of the recording, s, before which the poses are not to be scored; None: all are.
-
     Raises
     ------
     ValueError
@@ -105,11 +78,21 @@ class Reference:
     """
 
     kind: ReferenceKind
+    """An independent truth owes nothing to the images: "simulation", "surveyed" (motion capture, laser tracker, total
+    station), "ins" (GPS/INS). "odometry" from the same images (and SLAM, and structure from motion) shares their errors
+    with the filters: a distance to it is no error, so it has no NEES. Poses of "unknown" origin are scored as truth,
+    under the condition that no camera has a part in them, which the report says. "none": no pose is known."""
     description: str
+    """Where the poses come from and how good they are, one sentence."""
     position_jitter: float = 0.0
+    """Standard deviation per axis of the position error of each pose, independent from frame to frame, m."""
     rotation_jitter: float = 0.0
+    """Standard deviation per axis of the rotation error of each pose, independent from frame to frame, rad."""
     misalignment: float = 0.0
+    """Standard deviation per axis of the constant rotation by which the poses are of another body than the left camera,
+    rad."""
     settled_at: float | None = None
+    """Time of the recording, s, before which the poses are not to be scored; None: all are."""
 
     def __post_init__(self) -> None:
         known: tuple[str, ...] = get_args(ReferenceKind)
@@ -192,36 +175,24 @@ NO_REFERENCE = Reference("none", "No true pose is known.")
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """A measurement stream that any number of filters can be run on, identically.
-
-    Attributes
-    ----------
-    name : str
-        Short name for tables and files.
-    camera : StereoCamera
-        The rig.
-    frames : tuple of Frame
-        In time order; the first one only initialises.
-    noise : StereoNoise
-        Noise to assume unless the scenario says otherwise.
-    start : Start
-        What filters are told at the start.
-    landmarks : LandmarkTruth, optional
-        True map, where known.
-    source : mapping
-        Everything needed to say where the stream came from (scenario, seed, file, settings); JSON-able.
-    truth_from : Reference
-        What the truth of the frames is, where they have one.
-    """
+    """A measurement stream that any number of filters can be run on, identically."""
 
     name: str
+    """Short name for tables and files."""
     camera: StereoCamera
+    """The rig."""
     frames: tuple[Frame, ...]
+    """In time order; the first one only initialises."""
     noise: StereoNoise
+    """Noise to assume unless the scenario says otherwise."""
     start: Start = field(default_factory=Start)
+    """What filters are told at the start."""
     landmarks: LandmarkTruth | None = None
+    """True map, where known."""
     source: Mapping[str, Any] = field(default_factory=dict)
+    """Everything needed to say where the stream came from (scenario, seed, file, settings); JSON-able."""
     truth_from: Reference = GIVEN_TRUTH
+    """What the truth of the frames is, where they have one."""
 
     @cached_property
     def reference(self) -> Reference:

@@ -24,47 +24,42 @@ twice the vector part over the scalar part of the quaternion in place of Log. "r
 that of T T^^-1. Source of the latter two: Sola, Deray and Atchuthan, 2018.
 """
 
-Gauge = Literal["fixed", "se3"]
-"""What an estimate leaves open: nothing, because its start pose was given, or the pose of its world."""
+Gauge = Literal["fixed", "se3", "gravity_yaw", "sim3"]
+"""What an estimate leaves open: nothing, because its start pose was given; the pose of its world; position and heading,
+as a system that measures gravity does; the pose and the scale of its world."""
 
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
     """K poses of a body in W, in the order of time.
 
-    Attributes
-    ----------
-    positions : (K, 3)
-        m, in W.
-    orientations : (K, 4)
-        Unit quaternions xyzw of R_wb.
-    timestamps : (K,), optional
-        s, ascending; None: rows are numbered, not timed.
-    covariances : (K, 6, 6), optional
-        Claimed for the error that `tangent` says, position part first; None: nothing is claimed.
-    tangent : Tangent
-        Definition of that error.
-    name : str
-        Whose trajectory it is, for tables.
-    gauge : {"fixed", "se3"}
-        Whether it is in the world of the reference, or has one of its own.
-    body : str, optional
-        Frame whose poses these are, such as "left_camera"; None: not said.
-
     Raises
     ------
     ValueError
-        Wrong shapes, NaN or infinity in poses, quaternions that are no rotations, times that do not ascend, no pose.
+        Wrong shapes, NaN or infinity in poses, quaternions that are no rotations, times or frame numbers that do not
+        ascend, no pose.
     """
 
     positions: FloatArray
+    """(K, 3), m, in W."""
     orientations: FloatArray
+    """(K, 4): unit quaternions xyzw of R_wb."""
     timestamps: FloatArray | None = None
+    """(K,), s, ascending. None: rows are numbered, not timed."""
     covariances: FloatArray | None = None
+    """(K, 6, 6): claimed for the error that `tangent` says, position part first. None: nothing is claimed."""
     tangent: Tangent = "position-rotation"
+    """Definition of that error."""
     name: str = "estimate"
-    gauge: Gauge = "fixed"
+    """Whose trajectory it is, for tables."""
+    gauge: Gauge | None = "fixed"
+    """What its world leaves open, "fixed": nothing, it is that of the reference. None: not said."""
     body: str | None = None
+    """Frame whose poses these are, such as "left_camera"; None: not said."""
+    frame_numbers: IntArray | None = None
+    """(K,), ascending: which frames of the drive the rows are, where some are missing. None: not numbered."""
+    notes: tuple[str, ...] = ()
+    """What was left out or taken for granted where it was read, each in a sentence."""
 
     def __post_init__(self) -> None:
         positions = finite_array("positions", self.positions, ("K", 3))
@@ -72,14 +67,15 @@ class Trajectory:
         orientations = finite_array("orientations", self.orientations, (count, 4))
         if not count:
             raise ValueError("positions must hold at least one pose, got none")
-        lengths = np.linalg.norm(orientations, axis=1)
+        with np.errstate(over="ignore"):  # no unit length either
+            lengths = np.linalg.norm(orientations, axis=1)
         if (bad := np.flatnonzero(np.abs(lengths - 1.0) > 0.01)).size:
             raise ValueError(
                 f"orientations must be unit quaternions xyzw, row {bad[0]} has length {lengths[bad[0]]:.3g}: correct it"
             )
         if self.tangent not in get_args(Tangent):
             raise ValueError(f"tangent must be one of {', '.join(get_args(Tangent))}, got {self.tangent!r}")
-        if self.gauge not in get_args(Gauge):
+        if self.gauge is not None and self.gauge not in get_args(Gauge):
             raise ValueError(f"gauge must be one of {', '.join(get_args(Gauge))}, got {self.gauge!r}")
         object.__setattr__(self, "positions", positions)
         object.__setattr__(self, "orientations", orientations / lengths[:, None])
@@ -94,6 +90,10 @@ class Trajectory:
                     what = f"row {row + 1} is earlier than row {row}: sort the rows by time"
                 raise ValueError(f"timestamps must ascend, {what}")
             object.__setattr__(self, "timestamps", times)
+        if self.frame_numbers is not None:
+            numbers = np.asarray(self.frame_numbers)
+            if numbers.shape != (count,) or (np.diff(numbers) <= 0).any():
+                raise ValueError(f"frame_numbers must be {count} ascending numbers: sort the rows, each frame once")
         if self.covariances is not None:
             covariances = np.asarray(self.covariances, dtype=np.float64)
             if covariances.shape != (count, 6, 6):
@@ -109,14 +109,9 @@ class Trajectory:
 
     def rows(self, index: BoolArray | IntArray | slice) -> Trajectory:
         """The trajectory of some rows, by number or mask."""
-        times, covariances = self.timestamps, self.covariances
-        return replace(
-            self,
-            positions=self.positions[index],
-            orientations=self.orientations[index],
-            timestamps=None if times is None else times[index],
-            covariances=None if covariances is None else covariances[index],
-        )
+        names = ("positions", "orientations", "timestamps", "covariances", "frame_numbers")
+        parts = {name: part[index] for name in names if (part := getattr(self, name)) is not None}
+        return replace(self, **parts)
 
     def errors(self, positions: FloatArray, orientations: FloatArray) -> FloatArray:
         """Errors (K, 6) against true poses, in the definition of `tangent`."""
@@ -130,16 +125,33 @@ class Trajectory:
         J = tangent_jacobian(self.tangent, self.positions, self.orientations)
         return transformed(np.linalg.inv(J).astype(np.float64), self.covariances)
 
-    def moved(self, T: Pose) -> Trajectory:
-        """The same trajectory in another world: T times each pose, covariances with them."""
-        positions = T @ self.positions
+    def moved(self, T: Pose, scale: float = 1.0) -> Trajectory:
+        """The same trajectory in another world: T times each pose, scaled before; covariances with them."""
+        positions = T @ (scale * self.positions)
         orientations = rotations.multiply(np.broadcast_to(T.orientation, self.orientations.shape), self.orientations)
+        turn = np.eye(POSE_SIZE)
+        turn[POSITION, POSITION] = scale * T.R_wc
+        return self._carried(positions, orientations, turn)
+
+    def of_body(self, T_bc: Pose) -> Trajectory:
+        """The trajectory of another frame C of the same rigid body: each pose times T_bc, covariances with them.
+
+        An error of rotation moves the new origin by its lever arm: the adjoint of SE(3), in the coordinates of
+        `PoseBelief`.
+        """
+        R_wb = rotations.matrix(self.orientations)
+        positions = self.positions + R_wb @ T_bc.position
+        orientations = rotations.multiply(self.orientations, np.broadcast_to(T_bc.orientation, self.orientations.shape))
+        J = np.tile(np.eye(POSE_SIZE), (len(self), 1, 1))
+        J[:, POSITION, ROTATION] = -R_wb @ rotations.skew(T_bc.position)
+        J[:, ROTATION, ROTATION] = T_bc.R_wc.T
+        return self._carried(positions, orientations, J)
+
+    def _carried(self, positions: FloatArray, orientations: FloatArray, J: FloatArray) -> Trajectory:
+        """At other poses, with J (6, 6) or (K, 6, 6) from the errors of `PoseBelief` here to those there."""
         covariances = self.pose_covariances
         if covariances is not None:
-            turn = np.eye(POSE_SIZE)
-            turn[POSITION, POSITION] = T.R_wc
-            J = tangent_jacobian(self.tangent, positions, orientations) @ turn
-            covariances = transformed(J, covariances)
+            covariances = transformed(tangent_jacobian(self.tangent, positions, orientations) @ J, covariances)
         return replace(self, positions=positions, orientations=orientations, covariances=covariances)
 
 

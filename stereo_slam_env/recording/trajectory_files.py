@@ -1,10 +1,7 @@
-"""Files of trajectories: TUM, KITTI, and TUM with covariances under the header of SQUARE 0.3.
+"""Files of trajectories: texts in the layouts of `trajectory_layouts`, bags, and the header of SQUARE 0.3.
 
-- TUM: `t x y z qx qy qz qw` a row.
-- KITTI: the upper 3x4 of T_wb, row-major, 12 numbers a row, no times.
-- SQUARE: `#%KEY value` lines, then the row of TUM and the lower triangle of the 6x6 covariance, row by row, 21 numbers;
-  or the row of TUM alone ("deterministic"). 29 columns without a header are read as such a file, too, whose error is
-  the usual one: right, translation first.
+SQUARE has `#%KEY value` lines, then the row of TUM and the lower triangle of the 6x6 covariance, row by row, 21
+numbers; or the row of TUM alone ("deterministic").
 
 SQUARE (Rønning, `smfeval` 0.4, 2026) knows the logarithms of SE(3) on either side. Errors whose position part is a
 displacement are its right perturbation to first order; a further key, TANGENT_CHART, which other readers skip, says
@@ -18,18 +15,19 @@ from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, get_args
 
 import numpy as np
 
 from filters.geometry import rotations
 from filters.motions.model import POSE_SIZE
 from stereo_slam_env.files.folders import write_atomically
-from stereo_slam_env.files.readers import read_poses, read_table, read_text
+from stereo_slam_env.files.readers import read_text
 from stereo_slam_env.recording.trajectory import Gauge, Tangent, Trajectory, tangent_jacobian, transformed
+from stereo_slam_env.recording.trajectory_bags import bag_and_topic, read_bag
+from stereo_slam_env.recording.trajectory_layouts import KNOWN, SQUARE_COLUMNS, UNNAMED, split_columns, trajectory_of
 
 FORMAT = "SQUARE/0.3"
-_TUM, _KITTI, _WITH_COVARIANCE = 8, 12, 29
 _LOWER = np.tril_indices(POSE_SIZE)
 _CHARTS: Mapping[str, Tangent] = {
     "position_rotation_vector": "position-rotation",
@@ -38,53 +36,44 @@ _CHARTS: Mapping[str, Tangent] = {
 _NAMES = {tangent: chart for chart, tangent in _CHARTS.items()}
 _SIDES: Mapping[str, Tangent] = {"right_perturbation": "right", "left_perturbation": "left"}
 _ORDERS = {"translation_rotation": np.arange(POSE_SIZE), "rotation_translation": np.array([3, 4, 5, 0, 1, 2])}
-_GAUGES: Mapping[str, Gauge] = {"fixed": "fixed", "se3": "se3"}
+_GAUGES: Mapping[str, Gauge] = {gauge: gauge for gauge in get_args(Gauge)}
 
 
 def load_trajectory(path: str | Path) -> Trajectory:
-    """Read a trajectory: TUM, KITTI, or either TUM with covariances; which, its header and columns say.
+    """Read a trajectory of any layout or bag; which, its header, its names of columns or their number say.
 
     Parameters
     ----------
     path : str or Path
-        The file.
+        The file; of a bag (`.bag`, `.db3`, `.mcap`, a folder with `metadata.yaml`) also `FILE:/topic`.
 
     Returns
     -------
     Trajectory
-        Named after the file, or as its header says.
+        Named after the file, or as its header says; `notes` says what was left out.
 
     Raises
     ------
     ValueError
         The file is missing, of another format, or damaged: one line that names it.
+    ImportError
+        A bag, and `rosbags` is missing.
     """
+    if (bag := bag_and_topic(path)) is not None:
+        return read_bag(*bag)
     path = Path(path)
     try:
         text = read_text(path)
     except FileNotFoundError as error:
-        raise ValueError(f"{path} does not exist: give a trajectory of TUM, KITTI or SQUARE format") from error
+        raise ValueError(f"{path} does not exist: give a trajectory ({KNOWN}) or a bag") from error
     header = _header(path, text)
-    columns = next((len(row.split()) for row in text.splitlines() if row.strip() and not row.startswith("#")), 0)
-    if columns == _KITTI and not header:
-        positions, orientations = read_poses(path)
-        return Trajectory(positions, orientations, name=path.stem)
-    if columns not in (_TUM, _WITH_COVARIANCE):
-        raise ValueError(
-            f"{path} has {columns} columns: a trajectory has 8 (TUM), 12 (KITTI) or 29 (TUM with covariances)"
-        )
-    about = _about(path, header, columns)
-    order = about.pop("order")
-    table = read_table(path, columns)
-    covariances = None
-    if columns == _WITH_COVARIANCE:
-        covariances = np.zeros((len(table), POSE_SIZE, POSE_SIZE))
-        covariances[:, _LOWER[0], _LOWER[1]] = covariances[:, _LOWER[1], _LOWER[0]] = table[:, _TUM:]
-        covariances = covariances[:, order[:, None], order]
-    try:
-        found = Trajectory(table[:, 1:4], table[:, 4:8], table[:, 0], covariances, **about)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
+    if not header:
+        return trajectory_of(split_columns(path, text), {"name": path.stem, "gauge": None})
+    about = _about(path, header)
+    names, order = about.pop("names"), about.pop("order")
+    found = trajectory_of(split_columns(path, text, names), about)
+    if found.covariances is not None:
+        found = replace(found, covariances=found.covariances[:, order[:, None], order])
     return found if found.tangent in _SIDES.values() else _turned(found, into_body=False)
 
 
@@ -120,7 +109,7 @@ def _write_tum(trajectory: Trajectory, stream: IO[bytes]) -> None:
 def _write_kitti(trajectory: Trajectory, stream: IO[bytes]) -> None:
     R = rotations.matrix(trajectory.orientations)
     T_wb = np.concatenate([R, trajectory.positions[:, :, None]], axis=2)
-    np.savetxt(stream, T_wb.reshape(-1, _KITTI), fmt="%.9f")
+    np.savetxt(stream, T_wb.reshape(len(R), -1), fmt="%.9f")
 
 
 def _write_square(trajectory: Trajectory, stream: IO[bytes]) -> None:
@@ -129,7 +118,7 @@ def _write_square(trajectory: Trajectory, stream: IO[bytes]) -> None:
         "REPRESENTATION": "deterministic",
         "POSE_FRAME": "world",
         "BODY_FRAME": trajectory.body or "body",
-        "GAUGE": trajectory.gauge,
+        "GAUGE": trajectory.gauge or "fixed",
         "TIMESTAMP_UNIT": "seconds",
         "ALGORITHM": " ".join(trajectory.name.split()) or "unknown",
         "ALGORITHM_VERSION": "unknown",
@@ -177,8 +166,8 @@ def _header(path: Path, text: str) -> dict[str, str]:
     return header
 
 
-def _about(path: Path, header: Mapping[str, str], columns: int) -> dict[str, Any]:
-    """What the header says beyond the numbers; the usual of a file without one."""
+def _about(path: Path, header: Mapping[str, str]) -> dict[str, Any]:
+    """What the header says beyond the numbers, with the names of the columns."""
 
     def one_of(key: str, known: Mapping[str, Any], usual: str) -> Any:
         value = header.get(key, usual)
@@ -186,16 +175,13 @@ def _about(path: Path, header: Mapping[str, str], columns: int) -> dict[str, Any
             raise ValueError(f"{path}: {key} must be one of {', '.join(known)}, got {value!r}")
         return known[value]
 
-    if header:
-        if not header.get("FORMAT", "").startswith("SQUARE/"):
-            raise ValueError(f"{path} has a header without FORMAT SQUARE/...: write it as {FORMAT}")
-        wanted = one_of("REPRESENTATION", {"gaussian_se3": _WITH_COVARIANCE, "deterministic": _TUM}, "")
-        if columns != wanted:
-            raise ValueError(f"{path} has {columns} columns where {header['REPRESENTATION']} has {wanted}")
-        one_of("TIMESTAMP_UNIT", {"seconds": None}, "seconds")
-        one_of("ROTATION_PARAM", {"axis_angle": None}, "axis_angle")
+    if not header.get("FORMAT", "").startswith("SQUARE/"):
+        raise ValueError(f"{path} has a header without FORMAT SQUARE/...: write it as {FORMAT}")
+    one_of("TIMESTAMP_UNIT", {"seconds": None}, "seconds")
+    one_of("ROTATION_PARAM", {"axis_angle": None}, "axis_angle")
     side = one_of("TANGENT_CONVENTION", _SIDES, "right_perturbation")
     return {
+        "names": one_of("REPRESENTATION", {"gaussian_se3": SQUARE_COLUMNS, "deterministic": UNNAMED[8]}, ""),
         "tangent": one_of("TANGENT_CHART", _CHARTS, "") if "TANGENT_CHART" in header else side,
         "order": one_of("TANGENT_ORDER", _ORDERS, "translation_rotation"),
         "gauge": one_of("GAUGE", _GAUGES, "fixed"),

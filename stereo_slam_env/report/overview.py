@@ -18,7 +18,14 @@ from stereo_slam_env.benchmark.statistics.measures import (
 )
 from stereo_slam_env.benchmark.statistics.policy_verdict import Agreement, PolicyVerdict
 from stereo_slam_env.benchmark.statistics.remarks import innovation_factor, limit_reached, times_the_claim
-from stereo_slam_env.benchmark.statistics.verdict import Comparison, Consistency, Verdict, consistency, loss
+from stereo_slam_env.benchmark.statistics.verdict import (
+    Comparison,
+    Consistency,
+    Verdict,
+    consistency,
+    loss,
+    timed_words,
+)
 from stereo_slam_env.evaluation.consistency import DOF
 from stereo_slam_env.evaluation.figures import UNKNOWN, Figure
 from stereo_slam_env.evaluation.results import FilterSummary
@@ -287,6 +294,7 @@ def _cost(summary: FilterSummary, summaries: Sequence[FilterSummary]) -> Cell | 
     words = [f"{signed(excess)} %" if excess else "quickest"] if len(summaries) > 1 else []
     if summary.memory_mb is not None and summary.memory_mb >= 0.5:
         words.append(f"{summary.memory_mb:.0f} MB")
+    words += filter(None, [timed_words(summary)])
     return answer(f"{summary.ms_per_frame:.2f} ms", ", ".join(words), "none", key=summary.ms_per_frame)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from functools import cache
 from importlib.metadata import version
@@ -19,6 +19,7 @@ from markupsafe import Markup, escape
 from filters.contract.foreign_text import without_controls
 from stereo_slam_env.files.folders import write_atomically
 from stereo_slam_env.report.charts.drawing import Chart
+from stereo_slam_env.report.charts.saving import save_all
 from stereo_slam_env.report.charts.style import in_page_colours
 
 FIGURES, TABLES = "figures", "tables"
@@ -83,36 +84,42 @@ def part(name: str, /, *arguments: Any, **named: Any) -> Markup:
 
 
 def figure_block(chart: Chart, name: str, description: str, folder: Path) -> Markup:
-    """Save a chart as PNG and SVG, and return it as markup for a page.
+    """Save a chart as PNG and SVG, and return it as markup for a page; arguments as of `figure_blocks`."""
+    return figure_blocks({name: (chart, description)}, folder)[name]
+
+
+def figure_blocks(charts: Mapping[str, tuple[Chart, str]], folder: Path) -> dict[str, Markup]:
+    """Save charts as PNG and SVG, and return them as markup for a page.
 
     Parameters
     ----------
-    chart : Chart
-        Drawn with the colours of `style`.
-    name : str
-        Of the files, and of the figure in the page: letters, digits, "_" and "-", unique in the page.
-    description : str
-        One sentence, plain text: the caption, and what a screen reader says.
+    charts : mapping of str to (Chart, str)
+        By the name of the files, and of the figure in the page: letters, digits, "_" and "-", unique in the page. The
+        chart, drawn with the colours of `style`, and one sentence of plain text: the caption, and what a screen reader
+        says.
     folder : Path
         Where `<name>.png` and `<name>.svg` go, beside the page: links in the page are relative to its parent.
 
     Returns
     -------
-    Markup
-        A `<figure>` with the drawing inline, and the chart that takes its place where there is JavaScript.
+    dict of str to Markup
+        By name, a `<figure>` with the drawing inline, and the chart that takes its place where there is JavaScript.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    svg = chart.save(folder / f"{name}.png", folder / f"{name}.svg")
-    # Inside a script element "<" could end it.
-    data = json.dumps(chart.spec, ensure_ascii=False, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
-    return part(
-        "figure",
-        name=name,
-        place=f"{folder.name}/{name}",
-        description=description,
-        drawing=inline_svg(svg, name, description),
-        data=Markup(in_page_colours(data)),
-    )
+    pictures = [(chart, (folder / f"{name}.png", folder / f"{name}.svg")) for name, (chart, _) in charts.items()]
+    blocks = {}
+    for (name, (chart, description)), svg in zip(charts.items(), save_all(pictures), strict=True):
+        # Inside a script element "<" could end it.
+        data = json.dumps(chart.spec, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
+        blocks[name] = part(
+            "figure",
+            name=name,
+            place=f"{folder.name}/{name}",
+            description=description,
+            drawing=inline_svg(svg, name, description),
+            data=Markup(in_page_colours(data.replace("<", "\\u003c"))),
+        )
+    return blocks
 
 
 def inline_svg(svg: str, name: str, description: str) -> Markup:

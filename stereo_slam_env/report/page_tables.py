@@ -20,59 +20,40 @@ Tone = Literal["", "good", "fair", "bad", "none"]
 
 @dataclass(frozen=True)
 class Column:
-    """A heading.
-
-    Attributes
-    ----------
-    heading, unit : str
-        First and second line.
-    explanation : str
-        Shown when hovering.
-    kind : str
-        "number" (right), "text" (left) or "words" (left, may wrap).
-    link : str
-        Relative address behind the unit.
-    """
+    """A heading."""
 
     heading: str
+    """First and second line."""
     unit: str = ""
+    """First and second line."""
     explanation: str = ""
+    """Shown when hovering."""
     kind: Literal["number", "text", "words"] = "number"
+    """The "number" (right), "text" (left) or "words" (left, may wrap)."""
     link: str = ""
+    """Relative address behind the unit."""
 
 
 @dataclass(frozen=True)
 class Cell:
-    """Cell of a table.
-
-    Attributes
-    ----------
-    text : str
-        Plain text.
-    key : float or str, optional
-        What sorting goes by; None sorts to the end, "" takes the text.
-    tone : str
-        "good", "fair", "bad", "none" (quiet) or "".
-    dot : str
-        Drawing colour of a dot before the text (of a filter).
-    link : str
-        Relative address.
-    note : str
-        A second line below it.
-    note_tone : str
-        Its tone.
-    mark : Markup, optional
-        Drawn beside an answer.
-    """
+    """Cell of a table."""
 
     text: str
+    """Plain text."""
     key: float | str | None = ""
+    """What sorting goes by; None sorts to the end, "" takes the text."""
     tone: Tone = ""
+    """The "good", "fair", "bad", "none" (quiet) or ""."""
     dot: str = ""
+    """Drawing colour of a dot before the text (of a filter)."""
     link: str = ""
+    """Relative address."""
     note: str = ""
+    """A second line below it."""
     note_tone: Tone = "none"
+    """Its tone."""
     mark: Markup | None = None
+    """Drawn beside an answer."""
 
 
 def number(value: float | None, form: str = ".3g", unit: str = "", tone: Tone = "") -> Cell:

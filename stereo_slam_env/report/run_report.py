@@ -16,17 +16,20 @@ from stereo_slam_env.benchmark.statistics.policy_verdict import Looks, judge_pol
 from stereo_slam_env.benchmark.statistics.remarks import innovation_remarks, reference_remarks
 from stereo_slam_env.benchmark.statistics.verdict import Verdict, judge
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
-from stereo_slam_env.evaluation.run_figures import Bounds, Figures, key_of
+from stereo_slam_env.evaluation.run_figures import Bounds, Figures, RunKey, key_of
 from stereo_slam_env.report import tables
 from stereo_slam_env.report.charts import accuracy, consistency, cost, policies, series
 from stereo_slam_env.report.charts.drawing import Chart
 from stereo_slam_env.report.comparison_report import attribution_section, conclusions
 from stereo_slam_env.report.data_section import Recordings, data_section
 from stereo_slam_env.report.overview import colour_key, overview, policy_overview
-from stereo_slam_env.report.page import TABLES, clean_figures, figure_block, part, write_page
+from stereo_slam_env.report.page import TABLES, clean_figures, figure_blocks, part, write_page
 
 MOST_SHOWN = 6
 """Of more filters than that, each is compared with the best one only, and the first ones have figures of their own."""
+
+MOST_FAILURES = 100
+"""Failures of a filter that are listed; the trial table has all."""
 
 
 def write_report(
@@ -44,7 +47,8 @@ def write_report(
 ) -> Path:
     """Write `out/report.html`, figures as `out/figures/<name>.png` and `.svg`, tables as `out/tables/<name>.tex`.
 
-    Returns the page, which needs nothing but itself. `summaries` and `figures` are those of `runs`; `settings` is what
+    Returns the page, which needs nothing but itself. Charts are of `runs`; `summaries` and `figures` are of these and,
+    in a large campaign, of more, whose time series are not kept: all tables and tests are of them. `settings` is what
     was asked for (scenario, noise, gate, seeds, versions), JSON-able, perhaps nested; `attribution` is of the options
     that the filters differ in; `recordings` are linked. With `looks` policies are compared: the page then first says
     what they claim and what is true. A `ValueError` says that there are no runs.
@@ -64,16 +68,16 @@ def write_report(
         first_screen,
         colour_key([summary.filter_name for summary in summaries]),
         *(part("paragraph", remark, "banner") for remark in innovation_remarks(summaries)),
-        part("paragraph", _note(summaries, looks)),
+        part("paragraph", _note(summaries, looks) + _drawn(runs, figures)),
         part("items", [remark for s in summaries for remark in s.remarks], "failures fair"),
         *([attribution_section(attribution, folder)] if attribution is not None else []),
-        *_sections(runs, summaries, bounds or {}, looks, folder),
+        *_drawn_sections(runs, summaries, bounds or {}, looks, folder),
         pairs,
         _failures(summaries),
         part("section", "Settings", "", [part("settings", settings)]),
         data_section(out, recordings),
     ]
-    return write_page(out / "report.html", title=title, subtitle=_subtitle(runs, looks), parts=body)
+    return write_page(out / "report.html", title=title, subtitle=_subtitle(runs, figures, looks), parts=body)
 
 
 def reference_banner(runs: Sequence[FilterRun]) -> Markup:
@@ -98,8 +102,20 @@ def _note(summaries: Sequence[FilterSummary], looks: Looks | None) -> str:
     return note
 
 
-def _subtitle(runs: Sequence[FilterRun], looks: Looks | None) -> str:
-    recordings = set(map(key_of, runs))
+def _drawn(runs: Sequence[FilterRun], figures: Figures) -> str:
+    """Of which recordings the charts are, where they are not of all."""
+    drawn, count = len(set(map(key_of, runs))), len(_recordings(figures))
+    if drawn == count:
+        return ""
+    return f" Tables and tests are of all {count} recordings, curves and dots of the first {drawn}."
+
+
+def _recordings(figures: Figures) -> set[RunKey]:
+    return {key for of_filter in figures.values() for key in of_filter.of_run}
+
+
+def _subtitle(runs: Sequence[FilterRun], figures: Figures, looks: Looks | None) -> str:
+    recordings = _recordings(figures)
     first = series.first_recording(runs)[0]
     length = series.last_known(series.distance(first))
     who = len(series.by_filter(runs))
@@ -121,8 +137,29 @@ def _subtitle(runs: Sequence[FilterRun], looks: Looks | None) -> str:
 # ---- sections -------------------------------------------------------------------------------------------------------
 
 
-def _sections(
+def _drawn_sections(
     runs: Sequence[FilterRun], summaries: Sequence[FilterSummary], bounds: Bounds, looks: Looks | None, folder: Path
+) -> list[Markup]:
+    """The sections; their charts are made first, then all are drawn at once and put in their places."""
+    charts: dict[str, tuple[Chart, str]] = {}
+
+    def draw(name: str, caption: str, plot: Callable[..., Chart], *arguments: Any) -> Markup:
+        charts[name] = plot(*arguments), caption
+        return Markup('<figure id="{}"></figure>').format(name)
+
+    sections = Markup("\n").join(_sections(runs, summaries, bounds, looks, draw, folder.parent / TABLES))
+    for name, block in figure_blocks(charts, folder).items():
+        sections = sections.replace(Markup('<figure id="{}"></figure>').format(name), block)
+    return [sections]
+
+
+def _sections(
+    runs: Sequence[FilterRun],
+    summaries: Sequence[FilterSummary],
+    bounds: Bounds,
+    looks: Looks | None,
+    draw: Callable[..., Markup],
+    folder: Path,
 ) -> Iterator[Markup]:
     who = "Filter" if looks is None else "Policy"
     with_truth = any(series.scored(run).any() for run in runs)
@@ -130,11 +167,8 @@ def _sections(
     first = series.first_recording(runs)
     shown = f"{first[0].recording_name}" + (f", seed {first[0].seed}" if first[0].seed is not None else "")
 
-    def draw(name: str, caption: str, plot: Callable[..., Chart], *arguments: Any) -> Markup:
-        return figure_block(plot(*arguments), name, caption, folder)
-
     def latex(name: str) -> Path:
-        return folder.parent / TABLES / f"{name}.tex"
+        return folder / f"{name}.tex"
 
     if looks is not None:
         yield part("section", "Where policies look, and what that is worth", "", [*_gaze(runs, looks, shown, draw)])
@@ -278,5 +312,10 @@ def _against(compared: PairwiseTable, baseline: str | None, who: str, out: Path)
 
 
 def _failures(summaries: Sequence[FilterSummary]) -> Markup:
-    lines = [f"{s.filter_name}: {failure}" for s in summaries for failure in s.failures]
+    lines = [f"{s.filter_name}: {failure}" for s in summaries for failure in s.failures[:MOST_FAILURES]]
+    lines += [
+        f"{s.filter_name}: {more} more, see the trial table"
+        for s in summaries
+        if (more := len(s.failures) - MOST_FAILURES) > 0
+    ]
     return part("section", "Failures", "", [part("items", lines)]) if lines else Markup()

@@ -1,4 +1,4 @@
-"""Report of judged trajectories: the verdict, the path with its covariance tube, errors and NEES, all figures."""
+"""Report of judged trajectories: the verdict, the path, errors and NEES, calibration, alignments, windows, figures."""
 
 from __future__ import annotations
 
@@ -7,16 +7,30 @@ from pathlib import Path
 
 from markupsafe import Markup
 
+from stereo_slam_env.evaluation.trajectory_runs import RunsScore
 from stereo_slam_env.evaluation.trajectory_score import PairedVerdict, TrajectoryScore
 from stereo_slam_env.report.charts import trajectories
 from stereo_slam_env.report.data_section import data_section
 from stereo_slam_env.report.page import clean_figures, figure_block, part, write_page
 from stereo_slam_env.report.page_tables import Cell, Column, table
-from stereo_slam_env.report.trajectory_table import headline, score_rows, unusable_note
+from stereo_slam_env.report.trajectory_table import (
+    alignment_text,
+    gauge_rows,
+    headline,
+    notes_of,
+    runs_rows,
+    score_rows,
+)
+
+DRAWN = 4
+"""Runs of one estimator that are drawn one by one; all count."""
 
 
 def write_trajectory_report(
-    out: str | Path, scores: Sequence[TrajectoryScore], verdict: PairedVerdict | None = None
+    out: str | Path,
+    scores: Sequence[TrajectoryScore],
+    verdict: PairedVerdict | None = None,
+    runs: RunsScore | None = None,
 ) -> Path:
     """Write `out/report.html`, and each of its figures as `out/figures/<name>.png` and `.svg`.
 
@@ -28,6 +42,8 @@ def write_trajectory_report(
         Estimates, all against the same reference.
     verdict : PairedVerdict, optional
         Of the first one against the second one.
+    runs : RunsScore, optional
+        Where the estimates are runs of one estimator: what they show together.
 
     Returns
     -------
@@ -43,20 +59,32 @@ def write_trajectory_report(
         raise ValueError("scores must not be empty: there is nothing to report")
     out = Path(out)
     folder = clean_figures(out)
+    names = f"{len(scores)} runs" if runs is not None else " and ".join(trajectories.labels_of(scores))
+    reference = scores[0].reference
     body = [
-        part("items", [headline(score) for score in scores], "headline"),
+        *([part("paragraph", runs.words, "headline")] if runs is not None else []),
+        part("items", [headline(score) for score in scores], "headline" if runs is None else ""),
         *([part("paragraph", verdict.words, "headline")] if verdict is not None else []),
-        part("items", [note for score in scores if (note := unusable_note(score))], "failures fair"),
-        _path(scores, folder),
-        *_consistency(scores, folder),
-        part("section", "Figures", "", [_figures(scores)]),
-        data_section(out),
+        part("items", notes_of(scores), "failures fair"),
     ]
-    names = " and ".join(trajectories.labels_of(scores))
-    subtitle = f"{scores[0].frames} scored poses over {scores[0].path_m:.0f} m · aligned: {scores[0].alignment}"
-    return write_page(
-        out / "report.html", title=f"{names} against {scores[0].reference}", subtitle=subtitle, parts=body
-    )
+    if runs is not None:
+        body.append(_together(runs, folder))
+        scores = scores[:DRAWN]
+    body += [_path(scores, folder), *_consistency(scores, folder), *_windows(scores, folder)]
+    body += [part("section", "Figures", "", [_figures(scores)]), data_section(out)]
+    first = scores[0]
+    subtitle = f"{first.frames} scored poses over {first.path_m:.0f} m · aligned: {alignment_text(first)}"
+    return write_page(out / "report.html", title=f"{names} against {reference}", subtitle=subtitle, parts=body)
+
+
+def _together(runs: RunsScore, folder: Path) -> Markup:
+    """What runs of one estimator show together."""
+    caption = f"Mean over {len(runs.runs)} runs, which are independent: the more, the narrower the band."
+    headings = ["claim on", "ANEES / dof", "95 % band", "frames in band", "one by one"]
+    columns = [Column(headings[0], kind="text"), *map(Column, headings[1:]), Column("verdict", kind="words")]
+    chart = figure_block(trajectories.plot_runs(runs), "runs", caption, folder)
+    guide = "Many runs together show what none of them shows alone."
+    return part("section", "All runs together", guide, [chart, table(columns, runs_rows(runs))])
 
 
 def _path(scores: Sequence[TrajectoryScore], folder: Path) -> Markup:
@@ -80,8 +108,32 @@ def _consistency(scores: Sequence[TrajectoryScore], folder: Path) -> list[Markup
         guide = "Above the band the claimed covariance is too small, below it too large."
         caption = "95 % of the frames of a true claim are inside the band."
         drawn = [figure_block(trajectories.plot_nees_over_time(scores), "nees", caption, folder)]
+        caption = "Left: below the dashed line the claim is too small. Right: a peak at the right end says the same."
+        drawn.append(figure_block(trajectories.plot_calibration(scores), "calibration", caption, folder))
         sections.append(part("section", "Can the covariance be believed?", guide, drawn))
+        sections.append(_alignments(scores))
     return sections
+
+
+def _alignments(scores: Sequence[TrajectoryScore]) -> Markup:
+    """The claim under each alignment."""
+    guide = (
+        "The same claim on the pose, by the alignment of the worlds; the covariance is carried through each. Errors of "
+        f"two poses are taken as {' and '.join(dict.fromkeys(score.correlation for score in scores))}."
+    )
+    columns = [Column("estimate", kind="text"), Column("alignment", kind="text")]
+    columns += [Column("position RMSE", unit="m"), Column("NEES / 6"), Column("claim", kind="words")]
+    return part("section", "Alignments", guide, [table(columns, gauge_rows(scores))])
+
+
+def _windows(scores: Sequence[TrajectoryScore], folder: Path) -> list[Markup]:
+    """How the error grows with the length of a window."""
+    if not any(len(score.windows) > 1 for score in scores):
+        return []
+    guide = "Motion over windows does not hang on the alignment, nor on one early error of the heading."
+    caption = "A straight line is a power law: a random walk grows with the root of the time, a wrong scale with it."
+    drawn = [figure_block(trajectories.plot_windows(scores), "windows", caption, folder)]
+    return [part("section", "Drift", guide, drawn)]
 
 
 def _claiming(scores: Sequence[TrajectoryScore]) -> bool:

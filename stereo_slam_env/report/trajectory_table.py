@@ -10,9 +10,12 @@ from rich.markup import escape
 from rich.table import Table
 from scipy.stats import chi2
 
+from stereo_slam_env.evaluation.claims import COVERED, ClaimScore
 from stereo_slam_env.evaluation.consistency import DOF, mean_band
 from stereo_slam_env.evaluation.figures import FIGURES, UNKNOWN
-from stereo_slam_env.evaluation.trajectory_score import COVERED, ClaimScore, TrajectoryScore, WindowScore
+from stereo_slam_env.evaluation.trajectory_runs import RunsScore
+from stereo_slam_env.evaluation.trajectory_score import TrajectoryScore
+from stereo_slam_env.evaluation.trajectory_windows import WindowScore
 
 _Row = tuple[str, Callable[[TrajectoryScore], str]]
 
@@ -26,8 +29,38 @@ def show_trajectory_scores(console: Console, scores: Sequence[TrajectoryScore]) 
     for title, cells in score_rows(scores):
         table.add_row(title, *cells)
     console.print(table, highlight=False)
-    for note in filter(None, map(unusable_note, scores)):
+    for note in notes_of(scores):
         console.print(f"[yellow]note[/yellow]: {escape(note)}", highlight=False, soft_wrap=True)
+    for score in scores:
+        console.print(escape(headline(score)), highlight=False, soft_wrap=True)
+
+
+def show_runs_score(console: Console, score: RunsScore) -> None:
+    """Print what the runs of one estimator show together."""
+    table = Table(box=SIMPLE_HEAD, pad_edge=False)
+    for title in ("runs together", "ANEES / dof", "95 % band", "frames in band, %", "one by one", "claim"):
+        table.add_column(title)
+    for row in runs_rows(score):
+        table.add_row(*row)
+    console.print(table, highlight=False)
+    console.print(escape(score.words), highlight=False, soft_wrap=True)
+
+
+def runs_rows(score: RunsScore) -> list[list[str]]:
+    """A row of cells for the pose, the position and the rotation of several runs."""
+    rows = []
+    for name, claim in score.claims.items():
+        mean, low, high, least, most = (
+            f"{value / claim.dof:.3g}" for value in (claim.mean, *claim.band, min(claim.each), max(claim.each))
+        )
+        share = f"{100.0 * claim.inside:.0f}"
+        rows.append([name, mean, f"{low} to {high}", share, f"{least} to {most}", claim.verdict])
+    return rows
+
+
+def notes_of(scores: Sequence[TrajectoryScore]) -> list[str]:
+    """What is to be known of the scores, each sentence once."""
+    return list(dict.fromkeys(note for score in scores for note in (*score.notes, unusable_note(score)) if note))
 
 
 def score_rows(scores: Sequence[TrajectoryScore]) -> list[tuple[str, list[str]]]:
@@ -40,7 +73,13 @@ def headline(score: TrajectoryScore) -> str:
     """The verdict on one estimate, in a sentence."""
     error = FIGURES["position_rmse_m"].text(score.position_rmse_m)
     claim = score.claims.get("pose")
-    said = "it claims no covariance" if claim is None else f"its covariance is {claim.verdict}"
+    said = f"its covariance is {score.verdict}"
+    if claim is None:
+        said = "it claims no covariance"
+    elif claim.obstacle:
+        said = f"its covariance is not judged: {claim.obstacle}"
+    elif claim.of_a_pair:
+        said = score.verdict
     return f"{score.estimate}: position error {error} m RMS over {score.path_m:.0f} m; {said}."
 
 
@@ -49,6 +88,12 @@ def unusable_note(score: TrajectoryScore) -> str:
     if not score.unusable:
         return ""
     return f"{score.estimate} has {score.unusable} covariances that are not positive definite: what it claims is none"
+
+
+def alignment_text(score: TrajectoryScore) -> str:
+    """How the worlds were aligned, and by how many poses."""
+    by = f" by {score.aligned_by} poses" if score.aligned_by > 1 else ""
+    return score.alignment + by + (f", scale {score.scale:.4g}" if score.alignment == "sim3" else "")
 
 
 def _frames(score: TrajectoryScore) -> str:
@@ -70,6 +115,17 @@ def _nees(claim: ClaimScore) -> str:
     return f"{mean.mean / claim.dof:.2f} [{mean.low / claim.dof:.2f}, {mean.high / claim.dof:.2f}]"
 
 
+def _distances(claim: ClaimScore) -> str:
+    if claim.crps is None or claim.energy_score is None:
+        return UNKNOWN
+    return f"{claim.crps:.3g}, {claim.energy_score:.3g}"
+
+
+def _scale_gap(claim: ClaimScore) -> str:
+    changed = abs(claim.claimed_scale_gap / claim.scale_gap - 1.0) > 1e-9 if claim.scale_gap else False
+    return f"{claim.scale_gap:.3g}" + (f" (as claimed {claim.claimed_scale_gap:.3g})" if changed else "")
+
+
 def _coverage(claim: ClaimScore) -> str:
     return " / ".join(f"{100.0 * claim.coverage[p]:.0f}" for p in COVERED)
 
@@ -79,10 +135,20 @@ def _claim_rows(name: str) -> list[_Row]:
     low, high = (end / dof for end in mean_band(dof, 1))
     return [
         (f"{name} NEES / {dof} [95 %] (one run: {low:.2f} to {high:.2f})", _of(name, _nees)),
-        (f"  scale gap k, median NEES / {chi2.ppf(0.5, dof):.2f}", _of(name, lambda claim: f"{claim.scale_gap:.3g}")),
+        (f"  scale gap k, median NEES / {chi2.ppf(0.5, dof):.2f}", _of(name, _scale_gap)),
         (f"  inside the {asked} % ellipsoid, %", _of(name, _coverage)),
         ("  log score = calibration + sharpness, nats", _of(name, _log_score)),
-        ("  claim", _of(name, lambda claim: claim.verdict)),
+        ("  CRPS, energy score, m", _of(name, _distances)),
+        ("  claim", _of(name, lambda claim: "not judged" if claim.obstacle else claim.verdict)),
+    ]
+
+
+def gauge_rows(scores: Sequence[TrajectoryScore]) -> list[list[str]]:
+    """The claim on the pose under each alignment: a row an alignment and estimate."""
+    return [
+        [score.estimate, one.alignment, f"{one.position_rmse_m:.3g}", f"{one.nees / DOF['pose']:.3g}", one.verdict]
+        for score in scores
+        for one in score.gauges
     ]
 
 
@@ -111,7 +177,7 @@ def _windows(scores: Sequence[TrajectoryScore]) -> list[_Row]:
 
 _ERRORS: list[_Row] = [
     ("scored poses", _frames),
-    ("aligned", lambda score: score.alignment),
+    ("aligned", alignment_text),
     *map(_figure, ("path_m", "position_rmse_m", "rotation_rmse_deg", "ate_rigid_m", "end_drift_percent")),
 ]
 _CLAIMS = [row for name in ("pose", "position", "rotation") for row in _claim_rows(name)]

@@ -1,4 +1,4 @@
-"""Simulated sensors, their noise and their faults."""
+"""Sensors: rigs, noise, tracking, and faults."""
 
 from filters.extras import public_names
 

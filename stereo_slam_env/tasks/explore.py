@@ -9,14 +9,17 @@ import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 
-from filters.validation import BoolArray, positive
+from filters.validation import BoolArray, FloatArray, positive
+from stereo_slam_env.envs.rows import Arrays, Rows, RowsWrapper, Seeds, Step
 from stereo_slam_env.policies.interface import Action
 from stereo_slam_env.tasks.closed_loop import drive_slowly
 from stereo_slam_env.tasks.levels import inner_environment
 from stereo_slam_env.training.task import GAZE_FILTER
 from stereo_slam_env.world.routes import FRAME_PERIOD
 from stereo_slam_env.wrappers import BeliefObservation, BeliefPanorama, SelectedKeys
-from stereo_slam_env.wrappers.recorded_wrapper import RecordedWrapper, dict_space
+from stereo_slam_env.wrappers.filter_rows import FilterRows
+from stereo_slam_env.wrappers.recorded_wrapper import RowWrapper
+from stereo_slam_env.wrappers.vectors import vector_of
 
 KEYS = ("belief_sigmas", "panorama", "head", "car", "route", "progress", "coverage")
 STOP = 2
@@ -28,7 +31,74 @@ _PERIOD, _PAN = 4.0, 0.7
 """Of the head in `explore_by_sweeping`: time to look to both sides, s, and how far, as a share of the farthest."""
 
 
-class Coverage(RecordedWrapper):
+class CoverageRows(RowsWrapper):
+    """What `Coverage` does, on rows; see there."""
+
+    changes = ("_in_reach", "_mapped", "_now", "_terms")
+
+    def __init__(self, rows: Rows, accuracy: float, goal: float, coverage_weight: float, path_weight: float) -> None:
+        super().__init__(rows)
+        self._beliefs: FilterRows = self.needed("beliefs")
+        if self.needed("options").sensor != "landmarks":
+            raise ValueError(
+                "sensor must be 'landmarks': of corners in images nobody knows how many there are to be mapped"
+            )
+        self._accuracy, self._goal = positive("accuracy", accuracy), positive("goal", goal)
+        weights = positive("coverage_weight", coverage_weight), positive("path_weight", path_weight, allow_zero=True)
+        self._prices = np.array([weights[0], -weights[1]])
+        coverage = spaces.Box(0.0, 1.0, (1,), np.float32)
+        self.observation_space = spaces.Dict({**self.dict_space(), "coverage": coverage})
+        self.action_space = spaces.Box(-1.0, 1.0, (rows.action_space.shape[0] + 1,), np.float32)
+        self._in_reach = [np.zeros(0, dtype=np.bool_)] * rows.count
+        self._mapped = list(self._in_reach)
+        self._now, self._terms = np.zeros((rows.count, 2)), np.zeros((rows.count, 2))
+        """Coverage and metres driven, and what they have brought in the last step."""
+
+    def begin(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
+        """See `Rows`; nothing is mapped yet."""
+        self.rows.begin(chosen, seeds, options)
+        road, farthest = self.needed("route").positions[:, [0, 2]], self.needed("options").tracking.farthest
+        for b in np.flatnonzero(chosen).tolist():
+            places = self.world.landmark_truth(b).positions[:, [0, 2]]
+            self._in_reach[b] = np.linalg.norm(places[:, None] - road, axis=-1).min(axis=1) <= farthest
+            self._mapped[b] = np.zeros(len(places), dtype=np.bool_)
+        self._now[chosen] = self._looked(chosen)[chosen]
+        self._terms[chosen] = 0.0
+
+    def advance(self, actions: Any, going: BoolArray) -> Step:
+        """See `Rows`; drive, look, and be paid for what is new on the map."""
+        stops = going & (actions[:, STOP] > _STOP_ABOVE)
+        rewards, terminated, truncated = self.rows.advance(np.delete(actions, STOP, axis=1), going)
+        now = self._looked(going)
+        self._terms[going] = ((now - self._now) * self._prices)[going]
+        self._now[going] = now[going]
+        paid = np.where(going, self._terms[:, 0] + self._terms[:, 1], 0.0)
+        return rewards + paid, terminated | stops, truncated
+
+    def look(self) -> tuple[Arrays, Arrays]:
+        """See `Rows`."""
+        observation, info = self.rows.look()
+        coverage, driven = self._now.T
+        success = (coverage >= self._goal) & ~np.asarray(info["collision"])
+        added = {"reward_coverage": self._terms[:, 0].copy(), "reward_path": self._terms[:, 1].copy()}
+        added |= {"coverage": coverage.copy(), "path_length": driven.copy(), "is_success": success}
+        return {**observation, "coverage": self._now[:, :1].astype(np.float32)}, {**info, **added}
+
+    def _looked(self, which: BoolArray) -> FloatArray:
+        """The share of the landmarks that is mapped, after a look at the maps of some rows, and metres; (B, 2)."""
+        now = self._now.copy()
+        now[:, 1] = self.world.told("distance")
+        for b in np.flatnonzero(which).tolist():
+            landmarks, truth = self._beliefs.filters[b].landmarks, self.world.landmark_truth(b).positions
+            sigmas = np.sqrt(np.einsum("nii->n", landmarks.covariances))
+            errors = np.linalg.norm(landmarks.positions - truth[landmarks.ids], axis=1)
+            mapped, in_reach = self._mapped[b], self._in_reach[b]
+            mapped[landmarks.ids[(sigmas < self._accuracy) & (errors < _SINCERE * self._accuracy)]] = True
+            now[b, 0] = mapped[in_reach].mean() if in_reach.any() else 0.0
+        return now
+
+
+class Coverage(RowWrapper):
     """Pays for landmarks that enter the map, and lets the agent stop.
 
     The landmarks to be mapped are those of the scene no farther from the route than the sensor sees. One is *mapped*
@@ -54,6 +124,8 @@ class Coverage(RecordedWrapper):
         Price of each metre.
     """
 
+    OnRows = CoverageRows
+
     def __init__(
         self,
         env: gym.Env[Any, Any],
@@ -63,59 +135,6 @@ class Coverage(RecordedWrapper):
         path_weight: float = 0.01,
     ) -> None:
         super().__init__(env)
-        self.inner("slam")
-        if self.inner("options").sensor != "landmarks":
-            raise ValueError(
-                "sensor must be 'landmarks': of corners in images nobody knows how many there are to be mapped"
-            )
-        self._accuracy, self._goal = positive("accuracy", accuracy), positive("goal", goal)
-        self._paid = positive("coverage_weight", coverage_weight), positive("path_weight", path_weight, allow_zero=True)
-        inner = dict_space(env, "Coverage").spaces
-        self.observation_space = spaces.Dict({**inner, "coverage": spaces.Box(0.0, 1.0, (1,), np.float32)})
-        assert env.action_space.shape is not None
-        self.action_space = spaces.Box(-1.0, 1.0, (env.action_space.shape[0] + 1,), np.float32)
-        self._in_reach: BoolArray
-        self._mapped: BoolArray
-        self._before = np.zeros(2)
-
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Reset the environment; nothing is mapped yet."""
-        observation, info = self.env.reset(seed=seed, options=options)
-        places, road = self.inner("landmark_truth")().positions[:, [0, 2]], self.inner("route").positions[:, [0, 2]]
-        away = np.linalg.norm(places[:, None] - road, axis=-1).min(axis=1)
-        self._in_reach = away <= self.inner("options").tracking.farthest
-        self._mapped = np.zeros(len(places), dtype=bool)
-        self._before = np.array([self._look(), float(info["distance"])])
-        return self._shown(observation), self._with_rewards(info, np.zeros(2))
-
-    def step(self, action: Any) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
-        """Drive, look, and be paid for what is new on the map."""
-        stops = bool(action[STOP] > _STOP_ABOVE)
-        observation, reward, terminated, truncated, info = self.env.step(np.delete(action, STOP))
-        now = np.array([self._look(), float(info["distance"])])
-        terms = (now - self._before) * self._paid * [1.0, -1.0]
-        self._before = now
-        total = float(reward) + float(terms.sum())
-        return self._shown(observation), total, terminated or stops, truncated, self._with_rewards(info, terms)
-
-    def _look(self) -> float:
-        """The share of the landmarks that is mapped, after a look at the map of the filter."""
-        landmarks, truth = self.inner("slam").landmarks, self.inner("landmark_truth")().positions
-        sigmas = np.sqrt(np.einsum("nii->n", landmarks.covariances))
-        errors = np.linalg.norm(landmarks.positions - truth[landmarks.ids], axis=1)
-        self._mapped[landmarks.ids[(sigmas < self._accuracy) & (errors < _SINCERE * self._accuracy)]] = True
-        return float(self._mapped[self._in_reach].mean()) if self._in_reach.any() else 0.0
-
-    def _shown(self, observation: dict[str, Any]) -> dict[str, Any]:
-        return {**observation, "coverage": self._before[:1].astype(np.float32)}
-
-    def _with_rewards(self, info: dict[str, Any], terms: Any) -> dict[str, Any]:
-        coverage, driven = self._before
-        success = np.bool_(coverage >= self._goal and not info["collision"])
-        rewards = {"reward_coverage": np.float64(terms[0]), "reward_path": np.float64(terms[1])}
-        return {**info, **rewards, "coverage": coverage, "path_length": driven, "is_success": success}
 
 
 def explore(
@@ -129,7 +148,8 @@ def explore(
     goal: float = 0.6,
     coverage_weight: float = 20.0,
     path_weight: float = 0.01,
-) -> gym.Env[Any, Any]:
+    many: Mapping[str, Any] | None = None,
+) -> Any:
     """`StereoSlam/Explore-v0`: drive round a block and look about, until the map is worth no further metre.
 
     The action is `Box(-1, 1, (5,))`: acceleration, steering, stop (above 0.5), pan and tilt. The observation has
@@ -152,12 +172,18 @@ def explore(
         Its options; one that drops what is out of view maps little.
     accuracy, goal, coverage_weight, path_weight : float
         Of `Coverage`.
+    many : mapping, optional
+        `num_envs`, `scenes` and `threads`: that many in rows, instead of one environment.
     """
     unpaid = dict.fromkeys(("progress_weight", "tracking_weight", "goal_weight", "effort_weight"), 0.0)
     own = {"render_mode": render_mode, "route": "loop", **unpaid}
-    env = inner_environment("StereoSlam/DriveGaze-v0", level, arguments or {}, **own)
-    env = BeliefPanorama(BeliefObservation(env, filter, options=filter_options))
-    return SelectedKeys(Coverage(env, accuracy, goal, coverage_weight, path_weight), KEYS)
+    inside = inner_environment("StereoSlam/DriveGaze-v0", level, arguments or {}, many, **own)
+    inside = BeliefPanorama.around(BeliefObservation.around(inside, filter=filter, options=filter_options))
+    weights = {"coverage_weight": coverage_weight, "path_weight": path_weight}
+    return SelectedKeys.around(Coverage.around(inside, accuracy=accuracy, goal=goal, **weights), keys=KEYS)
+
+
+explore_vector = vector_of(explore)
 
 
 def explore_by_sweeping(observation: Mapping[str, Any], step: int) -> Action:

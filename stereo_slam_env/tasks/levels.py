@@ -11,7 +11,9 @@ import gymnasium as gym
 
 from filters.contract.known_names import one_of
 from filters.validation import positive, whole_number
+from stereo_slam_env.envs.rows import Rows
 from stereo_slam_env.wrappers.recorded_wrapper import RecordedWrapper
+from stereo_slam_env.wrappers.vectors import rows_of
 
 LEVELS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
     {
@@ -32,16 +34,21 @@ LEVELS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
 _TRAFFIC = ("moving_cars", "pedestrians")
 
 
-def inner_environment(name: str, level: str, given: Mapping[str, Any], **own: Any) -> gym.Env[Any, Any]:
+def inner_environment(
+    name: str, level: str, given: Mapping[str, Any], many: Mapping[str, Any] | None, **own: Any
+) -> gym.Env[Any, Any] | Rows:
     """The environment `name` inside a task: its own arguments, those of the level, and those given; the last ones win.
 
-    Traffic of a level is for scripted drives, in which it hides landmarks: it keeps time with the script, and an agent
-    that drives is not shown it, so it would be hit without a fault of its own.
+    Rows of such where `many` has their number, see `wrappers.vectors.rows_of`. Traffic of a level is for scripted
+    drives, in which it hides landmarks: it keeps time with the script, and an agent that drives is not shown it, so it
+    would be hit without a fault of its own.
     """
     one_of("level", level, LEVELS)
     scripted = name == "StereoSlam/Gaze-v0"
     of_level = {key: value for key, value in LEVELS[level].items() if scripted or key not in _TRAFFIC}
     arguments = {**own, **of_level, **given}
+    if many is not None:
+        return rows_of(name, options=arguments, **many)
     return gym.make(name, max_episode_steps=-1, disable_env_checker=True, **arguments)
 
 

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from copy import deepcopy
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 
-from filters.validation import positive, whole_number
+from filters.validation import BoolArray, FloatArray, positive, whole_number
+from stereo_slam_env.envs.rows import Arrays, Rows, RowsWrapper, Seeds, Step
 from stereo_slam_env.tasks.levels import inner_environment
 from stereo_slam_env.training.task import GAZE_FILTER
 from stereo_slam_env.world.routes import Route
 from stereo_slam_env.wrappers import BeliefObservation, BeliefPanorama, InformationGain, SelectedKeys
-from stereo_slam_env.wrappers.recorded_wrapper import RecordedWrapper, dict_space
+from stereo_slam_env.wrappers.recorded_wrapper import RowWrapper
+from stereo_slam_env.wrappers.vectors import vector_of
 
 KEYS = ("belief_sigmas", "panorama", "ahead", "price")
 STOP, GO_ON = 0, 1
@@ -27,7 +28,85 @@ _BEYOND, _KNOWN_AGAIN = 5.0, -48.0
 """Of `close_if_it_pays`: metres beyond the start, and the sum of 2 ln(sigma) that is left there."""
 
 
-class LoopClosure(RecordedWrapper):
+class LoopClosureRows(RowsWrapper):
+    """What `LoopClosure` does, on rows; see there."""
+
+    changes = ("_steps", "_price", "_driven", "_total", "_learnt", "_path")
+
+    def __init__(self, rows: Rows, begin: Sequence[float], dearest: float, hold: int) -> None:
+        super().__init__(rows)
+        low, high = (positive("begin", share, allow_zero=True) for share in begin)
+        if not low <= high <= 1.0:
+            raise ValueError(f"begin must be two shares that ascend to 1 at most, got {tuple(begin)}")
+        self._begin, self._dearest = (low, high), positive("dearest", dearest)
+        self._hold = whole_number("hold", hold, 1)
+        self._arc_length: FloatArray = self.needed("route").arc_length
+        self._closing = closing_distance(self.needed("route"))
+        self._still = np.zeros((rows.count, *rows.action_space.shape), dtype=np.float32)
+        added = {
+            "ahead": spaces.Box(-_FARTHEST, _FARTHEST, (1,), np.float32),
+            "price": spaces.Box(0.0, dearest, (1,), np.float32),
+        }
+        self.observation_space = spaces.Dict({**self.dict_space(), **added})
+        self.action_space = spaces.Discrete(2)
+        self._steps = np.zeros(rows.count, dtype=np.int64)
+        self._price, self._driven, self._total = (np.zeros(rows.count) for _ in range(3))
+        self._learnt, self._path = np.zeros(rows.count), np.zeros(rows.count)
+
+    def begin(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
+        """See `Rows`; draw a place and a price, and drive there."""
+        self.rows.begin(chosen, seeds, options)
+        begins = np.zeros(self.count)
+        for b in np.flatnonzero(chosen).tolist():
+            generator = self.world.generator(b)
+            begins[b] = generator.uniform(*self._begin)
+            self._price[b] = generator.uniform(0.0, self._dearest)
+        for numbers in (self._steps, self._total, self._learnt, self._path):
+            numbers[chosen] = 0
+        while True:
+            going = chosen & (self._arc_length[self._steps] < begins * self._closing)
+            if not going.any():
+                break
+            self._drive(going)
+        self._driven[chosen] = self.world.told("distance")[chosen]
+
+    def advance(self, actions: Any, going: BoolArray) -> Step:
+        """See `Rows`; stop, or drive on for a second."""
+        stops = going & (np.asarray(actions) == STOP)
+        still, learnt = going & ~stops, np.zeros(self.count)
+        over = stops.copy()
+        driving = still
+        for _ in range(self._hold):
+            if not driving.any():
+                break
+            rewards, terminated, truncated = self._drive(driving)
+            learnt = learnt + rewards
+            over |= terminated | truncated
+            driving = driving & ~(terminated | truncated)
+        driven = self.world.told("distance")
+        path = np.where(still, self._price * (self._driven - driven), 0.0)
+        self._driven[still] = driven[still]
+        self._total = self._total + np.where(still, learnt + path, 0.0)
+        self._learnt[going], self._path[going] = learnt[going], path[going]
+        return learnt + path, over, np.zeros(self.count, dtype=np.bool_)
+
+    def look(self) -> tuple[Arrays, Arrays]:
+        """See `Rows`."""
+        observation, info = self.rows.look()
+        ahead = self._closing - self._arc_length[self._steps]
+        added = {"ahead": ahead[:, None].astype(np.float32), "price": self._price[:, None].astype(np.float32)}
+        rewards = {"reward_information": self._learnt.copy(), "reward_path": self._path.copy()}
+        success = (ahead <= 0.0) & (self._total > 0.0)
+        return {**observation, **added}, {**info, **rewards, "is_success": success}
+
+    def _drive(self, going: BoolArray) -> Step:
+        """A step of the rows inside."""
+        step = self.rows.advance(self._still, going)
+        self._steps[going] += 1
+        return step
+
+
+class LoopClosure(RowWrapper):
     """The agent takes over on the way round a block, and decides every second whether to drive on or to stop.
 
     `reset` drives from the start of the route to a place somewhere between the shares `begin` of the way to the start
@@ -54,6 +133,8 @@ class LoopClosure(RecordedWrapper):
         An argument is impossible, or the route does not come back to its start.
     """
 
+    OnRows = LoopClosureRows
+
     def __init__(
         self,
         env: gym.Env[Any, Any],
@@ -62,68 +143,6 @@ class LoopClosure(RecordedWrapper):
         hold: int = 10,
     ) -> None:
         super().__init__(env)
-        low, high = (positive("begin", share, allow_zero=True) for share in begin)
-        if not low <= high <= 1.0:
-            raise ValueError(f"begin must be two shares that ascend to 1 at most, got {tuple(begin)}")
-        self._begin, self._dearest = (low, high), positive("dearest", dearest)
-        self._hold = whole_number("hold", hold, 1)
-        self._closing = closing_distance(self.inner("route"))
-        self._still = np.zeros(env.action_space.shape or (), dtype=np.float32)
-        added = {
-            "ahead": spaces.Box(-_FARTHEST, _FARTHEST, (1,), np.float32),
-            "price": spaces.Box(0.0, dearest, (1,), np.float32),
-        }
-        self.observation_space = spaces.Dict({**dict_space(env, "LoopClosure").spaces, **added})
-        self.action_space = spaces.Discrete(2)
-        self._steps, self._price, self._driven, self._total = 0, 0.0, 0.0, 0.0
-        self._observation: dict[str, Any] = {}
-        self._info: dict[str, Any] = {}
-
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Reset the environment, draw a place and a price, and drive there."""
-        self._observation, self._info = self.env.reset(seed=seed, options=options)
-        share = self.env.np_random.uniform(*self._begin)
-        self._price = float(self.env.np_random.uniform(0.0, self._dearest))
-        self._steps, self._total = 0, 0.0
-        arc_length = self.inner("route").arc_length
-        while arc_length[self._steps] < share * self._closing:
-            self._drive()
-        self._driven = float(self._info["distance"])
-        return self._shown(), self._with_rewards(0.0, 0.0)
-
-    def step(self, action: Any) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
-        """Stop, or drive on for a second."""
-        if action == STOP:
-            self._observation, self._info = deepcopy((self._observation, self._info))  # nothing is handed out twice
-            return self._shown(), 0.0, True, False, self._with_rewards(0.0, 0.0)
-        learnt, over, left = 0.0, False, self._hold
-        while left > 0 and not over:
-            reward, over = self._drive()
-            learnt, left = learnt + reward, left - 1
-        driven = float(self._info["distance"])
-        path, self._driven = self._price * (self._driven - driven), driven
-        self._total += learnt + path
-        return self._shown(), learnt + path, over, False, self._with_rewards(learnt, path)
-
-    def _drive(self) -> tuple[float, bool]:
-        """A step of the environment: its reward, and whether the episode is over."""
-        self._observation, reward, terminated, truncated, self._info = self.env.step(self._still)
-        self._steps += 1
-        return float(reward), terminated or truncated
-
-    @property
-    def _ahead(self) -> float:
-        return self._closing - float(self.inner("route").arc_length[self._steps])
-
-    def _shown(self) -> dict[str, Any]:
-        added = {"ahead": self._ahead, "price": self._price}
-        return {**self._observation, **{key: np.array([value], dtype=np.float32) for key, value in added.items()}}
-
-    def _with_rewards(self, learnt: float, path: float) -> dict[str, Any]:
-        rewards = {"reward_information": np.float64(learnt), "reward_path": np.float64(path)}
-        return {**self._info, **rewards, "is_success": np.bool_(self._ahead <= 0.0 and self._total > 0.0)}
 
 
 def closing_distance(route: Route) -> float:
@@ -147,7 +166,8 @@ def revisit(
     begin: Sequence[float] = (0.5, 0.95),
     dearest: float = 0.4,
     hold: int = 10,
-) -> gym.Env[Any, Any]:
+    many: Mapping[str, Any] | None = None,
+) -> Any:
     """`StereoSlam/Revisit-v0`: drive on to see the first landmarks again, or save the metres.
 
     A car has driven most of the way round a block, and the uncertainty of its pose has grown. Where the route passes
@@ -171,12 +191,17 @@ def revisit(
         Its options; one that drops what is out of view cannot close a loop.
     begin, dearest, hold
         Of `LoopClosure`.
+    many : mapping, optional
+        `num_envs`, `scenes` and `threads`: that many in rows, instead of one environment.
     """
     own = {"render_mode": render_mode, "route": "loop"}
-    env = inner_environment("StereoSlam/Gaze-v0", level, arguments or {}, **own)
-    env = BeliefPanorama(BeliefObservation(env, filter, options=filter_options))
-    paid = InformationGain(env, of="pose", resolution=(0.01, 0.001))
-    return SelectedKeys(LoopClosure(paid, begin, dearest, hold), KEYS)
+    inside = inner_environment("StereoSlam/Gaze-v0", level, arguments or {}, many, **own)
+    inside = BeliefPanorama.around(BeliefObservation.around(inside, filter=filter, options=filter_options))
+    paid = InformationGain.around(inside, of="pose", resolution=(0.01, 0.001))
+    return SelectedKeys.around(LoopClosure.around(paid, begin=begin, dearest=dearest, hold=hold), keys=KEYS)
+
+
+revisit_vector = vector_of(revisit)
 
 
 def close_if_it_pays(observation: Mapping[str, Any]) -> int:

@@ -40,31 +40,6 @@ _log = logging.getLogger(__name__)
 class PPOSettings:
     """Settings of the training.
 
-    Attributes
-    ----------
-    decisions : int
-        How many are made in all; each holds for `GazeTask.hold` steps.
-    seed : int
-        Of the network, of chance in its actions, and of the episodes.
-    environments : int
-        How many run at once, in lock-step.
-    threads : int
-        Over which the environments are spread; the result does not depend on it.
-    layers : tuple of int
-        Neurons of the hidden layers, of policy and value alike.
-    rollout : int
-        Decisions of all environments together between two updates.
-    minibatch, epochs : int
-        Decisions in a gradient step; passes over a rollout.
-    learning_rate, discount, gae_lambda, clip : float
-        As PPO has them.
-    entropy : float
-        Weight of the entropy of decisions, so that it goes on trying.
-    initial_log_std : float
-        Logarithm of the standard deviation of continuous actions at first.
-    evaluate_every : int
-        Decisions between two looks at the validation episodes.
-
     Raises
     ------
     ValueError
@@ -72,20 +47,35 @@ class PPOSettings:
     """
 
     decisions: int = 120_000
+    """How many are made in all; each holds for `GazeTask.hold` steps."""
     seed: int = 0
+    """Of the network, of chance in its actions, and of the episodes."""
     environments: int = 16
+    """How many run at once, in lock-step."""
     threads: int = 1
+    """Over which the environments are spread; the result does not depend on it."""
     layers: tuple[int, ...] = (64, 64)
+    """Neurons of the hidden layers, of policy and value alike."""
     rollout: int = 2048
+    """Decisions of all environments together between two updates."""
     minibatch: int = 256
+    """Decisions in a gradient step."""
     epochs: int = 10
+    """Passes over a rollout."""
     learning_rate: float = 5e-4
+    """Step size of Adam."""
     discount: float = 0.95
+    """Weight of a reward that comes one decision later."""
     gae_lambda: float = 0.95
+    """Lambda of generalised advantage estimation."""
     clip: float = 0.2
+    """By how much the ratio of new to old probability of a decision may differ from 1."""
     entropy: float = 0.01
+    """Weight of the entropy of decisions, so that it goes on trying."""
     initial_log_std: float = -0.7
+    """Logarithm of the standard deviation of continuous actions at first."""
     evaluate_every: int = 8192
+    """Decisions between two looks at the validation episodes."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "layers", tuple(self.layers))
@@ -240,7 +230,7 @@ def _learner(task: GazeTask, settings: PPOSettings, out: Path) -> Iterator[tuple
     from stable_baselines3 import PPO
     from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
-    from stereo_slam_env.vector.sb3 import SB3VecEnv
+    from stereo_slam_env.training.sb3 import SB3VecEnv
 
     vector = task.make_vector(settings.environments, autoreset_mode="SameStep", threads=settings.threads)
     scaling = VecNormalize(VecMonitor(SB3VecEnv(vector)), clip_obs=_OBSERVATION_CLIP, gamma=settings.discount)

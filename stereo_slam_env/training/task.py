@@ -4,22 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from gymnasium import spaces
+from gymnasium.vector import AutoresetMode
 
-from filters.contract.known_names import one_of
 from filters.validation import FloatArray, positive, whole_number
-from stereo_slam_env.policies.interface import directions, gaze_action, require_head
+from stereo_slam_env.envs.rows import Rows
+from stereo_slam_env.envs.vector_env import RowsVectorEnv, limited
+from stereo_slam_env.policies.interface import require_head
 from stereo_slam_env.policies.network import Network
-from stereo_slam_env.wrappers import BeliefObservation, BeliefPanorama, InformationGain, SelectedKeys
+from stereo_slam_env.wrappers import BeliefObservation, BeliefPanorama, DirectionOfGaze, InformationGain, SelectedKeys
+from stereo_slam_env.wrappers.direction_of_gaze import directions
 from stereo_slam_env.wrappers.information import Criterion
-from stereo_slam_env.wrappers.recorded_wrapper import RecordedWrapper
-
-if TYPE_CHECKING:
-    from stereo_slam_env.vector.stereo_vector_env import StereoVectorEnv
+from stereo_slam_env.wrappers.vectors import rows_of, vector_of
 
 GAZE_FILTER: Mapping[str, Any] = {"drop_unseen": False, "motion": "velocity-driven", "iterations": 2}
 """Options of a filter for a head that turns: it keeps what is out of view, believes the odometry, and linearises twice,
@@ -30,38 +29,26 @@ POLICY_KEYS = ("belief_sigmas", "head", "panorama")
 
 @dataclass(frozen=True)
 class GazeTask:
-    """An environment, the filter in the loop, and the reward; JSON-able.
-
-    Attributes
-    ----------
-    environment : str
-        An id with a head.
-    arguments : mapping
-        Of the environment.
-    filter : str
-        Name of the filter in the loop.
-    filter_options : mapping
-        Of the filter.
-    criterion : {"log-det", "entropy", "d-optimality", "a-optimality", "e-optimality"}
-        Of `InformationGain`, on the pose.
-    resolution : (2,) tuple
-        Of `InformationGain`: knowing the position better than this, m, and the rotation, rad, is worth nothing.
-    hold : int
-        Steps for which a decision holds.
-    pans : int, optional
-        Directions to choose from, from the head's farthest left to its farthest right, at no tilt; nothing else is then
-        decided. None: the action is that of the environment. Where left and right are as good, a choice can be learnt,
-        and the mean of a continuous action ends up between them.
-    """
+    """An environment, the filter in the loop, and the reward; JSON-able."""
 
     environment: str = "StereoSlam/Gaze-v0"
+    """An id with a head."""
     arguments: Mapping[str, Any] = field(default_factory=dict)
+    """Of the environment."""
     filter: str = "shared-anchor"
+    """Name of the filter in the loop."""
     filter_options: Mapping[str, Any] = field(default_factory=lambda: dict(GAZE_FILTER))
+    """Of the filter."""
     criterion: Criterion = "log-det"
+    """Of `InformationGain`, on the pose."""
     resolution: tuple[float, float] = (0.01, 0.001)
+    """Of `InformationGain`: knowing the position better than this, m, and the rotation, rad, is worth nothing."""
     hold: int = 5
+    """Steps for which a decision holds."""
     pans: int | None = 9
+    """Directions to choose from, from the head's farthest left to its farthest right, at no tilt; nothing else is then
+    decided. None: the action is that of the environment. Where left and right are as good, a choice can be learnt, and
+    the mean of a continuous action ends up between them."""
 
     def __post_init__(self) -> None:
         whole_number("hold", self.hold, 1)
@@ -73,34 +60,47 @@ class GazeTask:
         """The environment for rules and planners: with the belief in the observation; actions hold for some steps."""
         env = gym.make(self.environment, **self.arguments)
         require_head(env)
-        return BeliefPanorama(BeliefObservation(env, self.filter, options=self.filter_options, hold=hold))
+        believing: gym.Env[Any, Any] = self._believing(env, hold)
+        return believing
 
     def make_held(self) -> gym.Env[Any, Any]:
         """The environment for networks: `POLICY_KEYS` alone, decisions hold, the reward is information on the pose."""
-        paid = InformationGain(self.make(self.hold), self.criterion, of="pose", resolution=self.resolution)
-        return SelectedKeys(paid, POLICY_KEYS)
+        held: gym.Env[Any, Any] = self._held(gym.make(self.environment, **self.arguments))
+        return held
 
     def make_for_learning(self) -> gym.Env[Any, Any]:
         """`make_held`, with the number of one of `choices` for an action if there are any."""
         env = self.make_held()
         return env if self.pans is None else DirectionOfGaze(env, self.pans)
 
-    def make_vector(self, count: int, **arguments: Any) -> StereoVectorEnv:
-        """`count` times `make_for_learning` in lock-step; further arguments are of `StereoVectorEnv`."""
-        from stereo_slam_env.vector import DriveGazeVectorEnv, GazeVectorEnv
+    def make_rows(self, num_envs: int, scenes: int | None = None, threads: int = 1) -> Rows:
+        """So many times `make_for_learning` as rows; see `wrappers.vectors.stereo_vector`."""
+        given = dict(self.arguments)
+        limit = given.pop("max_episode_steps", gym.spec(self.environment).max_episode_steps)
+        rows = rows_of(self.environment, num_envs, given, scenes=scenes, threads=threads)
+        held = self._held(limited(rows, limit))
+        made: Rows = held if self.pans is None else DirectionOfGaze.around(held, pans=self.pans)
+        return made
 
-        kinds = {"StereoSlam/Gaze-v0": GazeVectorEnv, "StereoSlam/DriveGaze-v0": DriveGazeVectorEnv}
-        one_of("environment", self.environment, kinds)
-        return kinds[self.environment](
-            count,
-            belief={"filter": self.filter, "options": self.filter_options, "hold": self.hold},
-            panorama={},
-            information={"criterion": self.criterion, "resolution": self.resolution},
-            keys=POLICY_KEYS,
-            pans=self.pans,
-            **arguments,
-            **self.arguments,
-        )
+    def make_vector(
+        self,
+        count: int,
+        *,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        scenes: int | None = None,
+        threads: int = 1,
+    ) -> RowsVectorEnv:
+        """`make_rows` as a vector of Gymnasium."""
+        return RowsVectorEnv(self.make_rows(count, scenes, threads), autoreset_mode)
+
+    def _believing(self, inside: gym.Env[Any, Any] | Rows, hold: int) -> Any:
+        believing = BeliefObservation.around(inside, filter=self.filter, options=self.filter_options, hold=hold)
+        return BeliefPanorama.around(believing)
+
+    def _held(self, inside: gym.Env[Any, Any] | Rows) -> Any:
+        believing = self._believing(inside, self.hold)
+        paid = InformationGain.around(believing, criterion=self.criterion, of="pose", resolution=self.resolution)
+        return SelectedKeys.around(paid, keys=POLICY_KEYS)
 
     @property
     def choices(self) -> FloatArray | None:
@@ -108,28 +108,7 @@ class GazeTask:
         return None if self.pans is None else directions(self.pans)
 
 
-class DirectionOfGaze(RecordedWrapper, gym.ActionWrapper[Any, Any, Any]):
-    """The action is the number of a direction to look in, from the farthest left to the farthest right.
-
-    Parameters
-    ----------
-    env : gymnasium.Env
-        With a head.
-    pans : int
-        Number of directions.
-    """
-
-    def __init__(self, env: gym.Env[Any, Any], pans: int = 9) -> None:
-        super().__init__(env)
-        self._actions = [gaze_action(env, direction) for direction in directions(whole_number("pans", pans, 2))]
-        self.action_space = spaces.Discrete(pans)
-
-    def action(self, action: Any) -> Any:
-        """The action of the environment."""
-        return self._actions[int(action)]
-
-
-def active_gaze(render_mode: str | None = None, **arguments: Any) -> gym.Env[Any, Any]:
+def active_gaze(render_mode: str | None = None, *, many: Mapping[str, Any] | None = None, **arguments: Any) -> Any:
     """`StereoSlam/ActiveGaze-v0`: decide where to look so that the filter knows the most about the pose in the end.
 
     The head of `StereoSlam/Gaze-v0` is turned to one of nine directions (`Discrete(9)`, from the farthest left to the
@@ -142,6 +121,8 @@ def active_gaze(render_mode: str | None = None, **arguments: Any) -> gym.Env[Any
     ----------
     render_mode : str, optional
         That of `StereoSlam/Gaze-v0`.
+    many : mapping, optional
+        Arguments of `GazeTask.make_rows`: that many in rows, instead of one environment.
     **arguments
         Of `GazeTask`: `arguments` of the environment, `filter`, `filter_options`, `criterion`, `resolution`, `hold`,
         `pans`; JSON-able.
@@ -152,47 +133,26 @@ def active_gaze(render_mode: str | None = None, **arguments: Any) -> gym.Env[Any
         There is no argument of that name.
     """
     task = GazeTask(**arguments)
+    if many is not None:
+        return task.make_rows(**many)
     return replace(task, arguments={**task.arguments, "render_mode": render_mode}).make_for_learning()
 
 
-def active_gaze_vector(num_envs: int = 1, max_episode_steps: int | None = None, **arguments: Any) -> StereoVectorEnv:
-    """Many `StereoSlam/ActiveGaze-v0` in lock-step, see `StereoVectorEnv`.
-
-    Parameters
-    ----------
-    num_envs : int
-        Number of environments.
-    max_episode_steps : int, optional
-        Truncate episodes after so many decisions.
-    **arguments
-        Of `GazeTask`, and `autoreset_mode`, `scenes` and `threads` of `StereoVectorEnv`.
-    """
-    own = {name: arguments.pop(name) for name in ("autoreset_mode", "scenes", "threads") if name in arguments}
-    task = GazeTask(**arguments)
-    limit = None if max_episode_steps is None else task.hold * max_episode_steps
-    return task.make_vector(num_envs, max_episode_steps=limit, **own)
+active_gaze_vector = vector_of(active_gaze)
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Means over episodes.
-
-    Attributes
-    ----------
-    final_position_sigma_m : float
-        Root of the trace of the position covariance at the end.
-    final_pose_logdet : float
-        Natural logarithm of the determinant of the pose covariance at the end (m, rad).
-    position_rmse_m : float
-        Root mean square of the true position error over each episode.
-    final_position_error_m : float
-        True position error at the end.
-    """
+    """Means over episodes."""
 
     final_position_sigma_m: float
+    """Root of the trace of the position covariance at the end."""
     final_pose_logdet: float
+    """Natural logarithm of the determinant of the pose covariance at the end (m, rad)."""
     position_rmse_m: float
+    """Root mean square of the true position error over each episode."""
     final_position_error_m: float
+    """True position error at the end."""
 
 
 def evaluate(network: Network | None, task: GazeTask, seeds: Sequence[int], *, threads: int = 1) -> Evaluation:

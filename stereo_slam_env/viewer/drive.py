@@ -27,30 +27,20 @@ from stereo_slam_env.recording.recording import LandmarkTruth, Recording
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """A drive to watch: the filter runs as its moments are asked for.
-
-    Attributes
-    ----------
-    title : str
-        One line.
-    label : str
-        The filter's name in legends.
-    camera : StereoCamera
-        The rig.
-    frames : int
-        Number of moments.
-    moments : callable
-        Runs the filter from the start, yields a `Moment` a frame; they may be kept.
-    landmarks : LandmarkTruth, optional
-        The true map.
-    """
+    """A drive to watch: the filter runs as its moments are asked for."""
 
     title: str
+    """One line."""
     label: str
+    """The filter's name in legends."""
     camera: StereoCamera
+    """The rig."""
     frames: int
+    """Number of moments."""
     moments: Callable[[], Iterator[Moment]]
+    """Runs the filter from the start, yields a `Moment` a frame; they may be kept."""
     landmarks: LandmarkTruth | None = None
+    """The true map."""
 
     @classmethod
     def of(
@@ -118,7 +108,7 @@ def revisit(directory: Path, filter_name: str | None = None, seed: int | None = 
     path = kept.trial_path(which, choice)
     if not path.exists():
         raise ValueError(f"{path} is missing: the run is not finished, run the same command again")
-    done, _ = load_run(path)
+    done = load_run(path).run
     recording = load_recording(kept.recording_path(which, choice))
     failed = ""
     if done.failure is not None:

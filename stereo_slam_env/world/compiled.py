@@ -13,18 +13,16 @@ import numpy as np
 from numba import njit, types
 from numba.extending import intrinsic
 
-from filters.engine.compiled.disk_cache import KEPT
+from filters.engine.compiled.disk_cache import KEPT, LINKED
 from filters.validation import BoolArray, FloatArray, IntArray
+from stereo_slam_env.world.scene import BOX, CYLINDER
 
 _ENTRY: dict[str, Any] = {**KEPT, "error_model": "numpy"}
-_INLINE: dict[str, Any] = {"error_model": "numpy", "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+_INLINE: dict[str, Any] = {**LINKED, "error_model": "numpy"}
 """For functions that only others here call."""
 
 X, Y, COS, SIN, LENGTH, WIDTH, RADIUS = range(7)
 """Columns of a table of rectangles on the ground: centre, direction, size, radius of the circle around it."""
-BOX, CYLINDER, BALL = range(3)
-"""Kinds of surfaces: the first column of their table, see `layout`."""
-COLUMNS = 8
 _RUN = 16
 _TOLERANCE = 1e-6
 
@@ -48,7 +46,8 @@ def circles_around(items: FloatArray) -> FloatArray:
     circles = np.empty((math.ceil(len(items) / _RUN), 3))
     for k in range(len(circles)):
         run = items[k * _RUN : (k + 1) * _RUN]
-        circles[k, :2], circles[k, 2] = run[len(run) // 2, :2], 0.0
+        middle = run[len(run) // 2]
+        circles[k, X], circles[k, Y], circles[k, 2] = middle[X], middle[Y], 0.0
         for item in run:
             reach = math.hypot(item[X] - circles[k, X], item[Y] - circles[k, Y])
             circles[k, 2] = max(circles[k, 2], reach + (item[2] if len(item) == 3 else 0.0))
@@ -192,8 +191,7 @@ def sampling_weights(shapes: FloatArray) -> FloatArray:
 def sample(shapes: FloatArray, counts: IntArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
     """Points uniform on the side (of balls: the whole) surfaces of the shapes and unit outward normals; (N, 3) each.
 
-    A row of `shapes` is a kind and: centre, size, yaw of a box; start, end, radius of a cylinder; centre, radius of a
-    ball.
+    `shapes` are those of `scene.table_of`.
     """
     total = counts.sum()
     points, normals = np.empty((total, 3)), np.zeros((total, 3))

@@ -30,7 +30,7 @@ _GAPS, _DOOR_SHARE = (5.0, 14.0), 0.7
 _END = 20.0
 """What is further along the road than this from its end is not the end, m."""
 _PER_DETAIL = 6
-"""Landmarks."""
+"""Landmarks on each detail of a wall."""
 _WALL = Material((0.93, 0.92, 0.88), "concrete", (23.0, 23.0))
 _FLOOR = Material((0.66, 0.66, 0.68), "concrete", (31.0, 31.0))
 _CEILING = Material((0.80, 0.80, 0.80))

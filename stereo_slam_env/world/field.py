@@ -120,7 +120,7 @@ NEAREST, FARTHEST = 65.0, 250.0
 _AREA = 900.0
 """m^2 for each try to put something."""
 _PER_THING = 60
-"""Landmarks."""
+"""Landmarks on each thing."""
 _ROOM = 3.0
 _HILLS = 0.04
 """Share of the tries."""

@@ -9,7 +9,7 @@ import numpy as np
 from filters.validation import FloatArray
 from stereo_slam_env.world.props import Placed
 from stereo_slam_env.world.road import RoadNetwork
-from stereo_slam_env.world.scene import Box, Cylinder, Primitive
+from stereo_slam_env.world.scene import Primitive, table_of
 
 Make = Callable[[Placed], list[Primitive]]
 """Builds a thing at a place."""
@@ -50,7 +50,7 @@ def sample_surface(shape: Primitive, count: int, rng: np.random.Generator) -> tu
     """Points uniform on the side (of balls: the whole) surface, m in S, and unit outward normals; (count, 3) each."""
     from stereo_slam_env.world import compiled
 
-    points, normals = compiled.sample(_table([shape]), np.array([count]), rng)
+    points, normals = compiled.sample(table_of([shape]), np.array([count]), rng)
     return points, normals
 
 
@@ -64,9 +64,9 @@ def facing_points(
     """`count` points (fewer on few shapes) below `highest` m that face the road; `nearest` gives its nearest points."""
     from stereo_slam_env.world import compiled
 
-    if not shapes:
+    if not len(shapes):
         return np.zeros((0, 3))
-    table = _table(shapes)
+    table = table_of(shapes)
     weights = compiled.sampling_weights(table)
     counts = np.ceil(6 * count * weights / weights.sum()).astype(np.int64)
     points, normals = compiled.sample(table, counts, rng)
@@ -75,18 +75,3 @@ def facing_points(
     candidates = points[compiled.facing(points, normals, nearest(points[:, :2]))]
     chosen: FloatArray = candidates[rng.permutation(len(candidates))[:count]]
     return chosen
-
-
-def _table(shapes: Sequence[Primitive]) -> FloatArray:
-    """A row for each shape, as `compiled.sample` takes them."""
-    from stereo_slam_env.world.compiled import BALL, BOX, COLUMNS, CYLINDER
-
-    rows: list[tuple[float, ...]] = []
-    for shape in shapes:
-        if isinstance(shape, Box):
-            rows.append((BOX, *shape.center, *shape.size, shape.yaw))
-        elif isinstance(shape, Cylinder):
-            rows.append((CYLINDER, *shape.start, *shape.end, shape.radius))
-        else:
-            rows.append((BALL, *shape.center, shape.radius, 0.0, 0.0, 0.0))
-    return np.array(rows, dtype=np.float64).reshape(-1, COLUMNS)

@@ -11,7 +11,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from filters.validation import FloatArray
-from stereo_slam_env.world.scene import Box, Cylinder, Ground, Material, MovingBody, Primitive, Ribbon, Scene, Sphere
+from stereo_slam_env.world.scene import (
+    Box,
+    Cylinder,
+    Ground,
+    Material,
+    MovingBody,
+    Primitive,
+    Ribbon,
+    Scene,
+    Sphere,
+    TriangleMesh,
+)
 
 _GROUND_CELL = 47.3
 _SEGMENTS = 12
@@ -86,6 +97,19 @@ def _sphere(shape: Sphere) -> Mesh:
     unit = _unit_sphere(_SEGMENTS if shape.radius < _LARGE else 4 * _SEGMENTS)
     uvs = unit.uvs * shape.radius / shape.material.tile
     return Mesh(shape.radius * unit.vertices + shape.center, unit.normals, uvs, unit.triangles)
+
+
+@mesh.register
+def _triangle_mesh(shape: TriangleMesh) -> Mesh:
+    corners = shape.vertices[shape.triangles]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    # Textures are projected along the axis that a triangle faces most, as on the sides of a box.
+    axes = np.array([[1, 2], [0, 2], [0, 1]])[np.abs(normals).argmax(axis=1)]
+    flat = np.take_along_axis(corners, axes[:, None], axis=2)
+    uvs = (flat - flat.reshape(-1, 2).min(axis=0)) / shape.material.tile
+    indices = np.arange(corners.size // 3).reshape(-1, 3)
+    return Mesh(corners.reshape(-1, 3), np.repeat(normals, 3, axis=0), uvs.reshape(-1, 2), indices)
 
 
 @cache

@@ -20,8 +20,18 @@ from numpy.typing import NDArray
 
 from filters.geometry import rotations
 from filters.validation import BoolArray, FloatArray
-from stereo_slam_env.world.meshes import Mesh, body_meshes, mtl_text, obj_text, scene_meshes
-from stereo_slam_env.world.scene import Box, Cylinder, Look, Material, MovingBody, Primitive, Scene
+from stereo_slam_env.world.meshes import Mesh, body_meshes, mesh, mtl_text, obj_text, scene_meshes
+from stereo_slam_env.world.scene import (
+    Box,
+    Cylinder,
+    Look,
+    Material,
+    MovingBody,
+    Primitive,
+    Scene,
+    Sphere,
+    TriangleMesh,
+)
 from stereo_slam_env.world.textures import texture
 
 
@@ -198,10 +208,32 @@ class PhysicsWorld:
 
     def _bodies(self, solids: Iterable[Primitive]) -> list[int]:
         """Collision bodies of some solids, all with their origin where that of the solids is."""
-        bodies = []
-        for group in _neighbours([_collision_shape(solid) for solid in solids]):
+        meshes, shapes = [], []
+        for solid in solids:
+            if isinstance(solid, TriangleMesh):
+                meshes.append(mesh(solid))
+            else:
+                shapes.append(_collision_shape(solid))
+        bodies = self._mesh_bodies(meshes) if meshes else []
+        for group in _neighbours(shapes):
             columns = {key: [shape[key] for shape in group] for key in group[0]}
             bodies.append(self._body(pybullet.createCollisionShapeArray(**columns, physicsClientId=self._connected)))
+        return bodies
+
+    def _mesh_bodies(self, meshes: Iterable[Mesh]) -> list[int]:
+        """Collision bodies of surfaces, hollow ones too, each through a file, see `_draw`."""
+        bodies = []
+        with _exchange_folder() as folder:
+            file = folder / "solid.obj"
+            for each in meshes:
+                file.write_text(obj_text(each), encoding="ascii")
+                shape = pybullet.createCollisionShape(
+                    pybullet.GEOM_MESH,
+                    fileName=str(file),
+                    flags=pybullet.GEOM_FORCE_CONCAVE_TRIMESH,
+                    physicsClientId=self._connected,
+                )
+                bodies.append(self._body(shape))
         return bodies
 
     def _body(self, shape: int, mass: float = 0.0) -> int:
@@ -213,9 +245,9 @@ class PhysicsWorld:
         client = self._connected
         file = folder / f"{client}.obj"
         bodies = []
-        for material, mesh in meshes.items():
+        for material, drawn in meshes.items():
             # Through a file: PyBullet leaks vertices that are passed as Python objects.
-            file.write_text(obj_text(mesh, _library(folder, material)), encoding="ascii")
+            file.write_text(obj_text(drawn, _library(folder, material)), encoding="ascii")
             visual = pybullet.createVisualShape(
                 pybullet.GEOM_MESH, fileName=str(file), rgbaColor=[*material.color, 1.0], physicsClientId=client
             )
@@ -279,7 +311,7 @@ def _neighbours(shapes: Iterable[dict[str, Any]]) -> list[list[dict[str, Any]]]:
     return groups
 
 
-def _collision_shape(shape: Primitive) -> dict[str, Any]:
+def _collision_shape(shape: Box | Cylinder | Sphere) -> dict[str, Any]:
     """Arguments of `createCollisionShapeArray` for one shape."""
     kind, half_extents, radius, length, turn = pybullet.GEOM_SPHERE, [1.0, 1.0, 1.0], 1.0, 1.0, [0.0, 0.0, 0.0, 1.0]
     if isinstance(shape, Box):

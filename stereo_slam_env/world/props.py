@@ -10,9 +10,12 @@ from filters.validation import FloatArray
 from stereo_slam_env.world.scene import Box, Cylinder, Material, Primitive, Sphere, Vector
 from stereo_slam_env.world.textures import VARIANTS
 
-_BAY = 3.2
+HOUSE, TOWER, CAR, LAMP_POST, TREE, SIGN, BIN = range(7)
+"""Kinds of things in a street, see `street_plan`."""
+BAY = 3.2
 """Width and height of one window bay of a facade, m."""
-_GROUND_FLOOR = 3.6
+GROUND_FLOOR = 3.6
+"""Height of the ground floor, m."""
 
 _WALLS: tuple[tuple[str, Vector], ...] = (
     ("plaster", (0.93, 0.86, 0.70)),
@@ -26,7 +29,7 @@ _WALLS: tuple[tuple[str, Vector], ...] = (
     ("balcony", (0.86, 0.72, 0.58)),
     ("office", (0.78, 0.82, 0.86)),
 )
-_CHIMNEY = Material((0.55, 0.38, 0.33))
+_CHIMNEY, _FLAT_ROOF, _BIN = Material((0.55, 0.38, 0.33)), Material((0.45, 0.45, 0.47)), Material((0.20, 0.36, 0.28))
 _SHOPS: tuple[Vector, ...] = ((1.0, 0.96, 0.90), (0.92, 0.86, 0.80), (0.84, 0.88, 0.92))
 _ROOFS: tuple[Vector, ...] = ((0.50, 0.36, 0.32), (0.40, 0.40, 0.43))
 PAINTS: tuple[Vector, ...] = (
@@ -65,7 +68,7 @@ class Placed:
 
     def box(self, at: Vector, size: Vector, material: Material, *, solid: bool = True) -> Box:
         """A box aligned with the place; `at` is the centre of its bottom face."""
-        # Written out, here and below, rather than by `point`: there are thousands of these.
+        # Written out, here and below, rather than by `point`: there are many of these.
         (x, y, z), cos, sin = at, self._cos, self._sin
         center = (self._x + cos * x - sin * y, self._y + sin * x + cos * y, z + 0.5 * size[2])
         return Box(center, size, self.yaw, material, solid)
@@ -78,107 +81,34 @@ class Placed:
         return Cylinder(one, other, radius, material, solid)
 
 
-def building(at: Placed, length: float, depth: float, floors: int, rng: np.random.Generator) -> list[Primitive]:
-    """A house with a shop or a plinth on the ground floor, `floors` above it, and an eaves slab."""
-    style, color = _WALLS[rng.integers(len(_WALLS))]
-    bays = max(1, round(length / _BAY))
-    wall = Material(color, style, (4 * length / bays, 4 * _BAY))
-    shop = Material(_SHOPS[rng.integers(len(_SHOPS))], "shop", (4 * length / bays, _GROUND_FLOOR))
-    roof = Material(_ROOFS[rng.integers(len(_ROOFS))], "roof", (3.0, 3.0))
-    top = _GROUND_FLOOR + floors * _BAY
-    shape: list[Primitive] = [
-        at.box((0, 0, 0), (length, depth, _GROUND_FLOOR), shop),
-        at.box((0, 0, _GROUND_FLOOR), (length, depth, floors * _BAY), wall),
-        at.box((0, 0, _GROUND_FLOOR - 0.1), (length + 0.02, depth + 0.3, 0.25), Material(color, None, wall.tile)),
-        at.box((0, 0, top), (length + 0.1, depth + 0.6, 0.45), roof),
-    ]
-    for side in (-0.3, 0.25):
-        shape.append(at.box((side * length, 0, top + 0.45), (0.8, 0.8, 1.2), _CHIMNEY, solid=False))
-    return shape
-
-
-def tower(at: Placed, length: float, depth: float, floors: int, rng: np.random.Generator) -> list[Primitive]:
-    """A tall building of the second row, seen over the first."""
-    style, color = _WALLS[rng.integers(len(_WALLS))]
-    wall = Material(color, style, (4 * _BAY, 4 * _BAY))
-    return [
-        at.box((0, 0, 0), (length, depth, floors * _BAY), wall),
-        at.box((0, 0, floors * _BAY), (length + 0.4, depth + 0.4, 0.5), Material((0.45, 0.45, 0.47))),
-    ]
-
-
-def car(at: Placed, rng: np.random.Generator) -> list[Primitive]:
-    """A parked car, front along local x."""
-    paint = Material(PAINTS[rng.integers(len(PAINTS))])
-    long, tall = float(rng.uniform(0.95, 1.12)), float(rng.uniform(0.95, 1.15))
-    wheels: list[Primitive] = [
-        at.rod((x * long, y - 0.1, 0.33), (x * long, y + 0.1, 0.33), 0.33, RUBBER, solid=False)
-        for x in (-1.3, 1.35)
-        for y in (-0.82, 0.82)
-    ]
-    hubs: list[Primitive] = [
-        at.rod((x * long, y - 0.02, 0.33), (x * long, y + 0.02, 0.33), 0.19, STEEL, solid=False)
-        for x in (-1.3, 1.35)
-        for y in (-0.92, 0.92)
-    ]
-    lights: list[Primitive] = [
-        at.box((x * long, y, 0.62), (0.08, 0.36, 0.15), material, solid=False)
-        for x, material in ((2.1, LAMP), (-2.1, TAIL))
-        for y in (-0.6, 0.6)
-    ]
-    return [
-        at.box((0, 0, 0.03), (4.3 * long, 1.7, 0.02), SHADE, solid=False),
-        at.box((0, 0, 0.25), (4.2 * long, 1.76, 0.62), paint),
-        at.box((-0.2, 0, 0.87), (2.35 * long, 1.56, 0.44 * tall), GLASS),
-        at.box((-0.2, 0, 0.87 + 0.44 * tall), (2.15 * long, 1.52, 0.08), paint),
-        *(at.box((x * long, y, 0.87), (0.1, 0.06, 0.46 * tall), paint, solid=False)
-          for x in (-1.32, -0.2, 0.88) for y in (-0.76, 0.76)),
-        *wheels,
-        *hubs,
-        *lights,
-    ]  # fmt: skip
-
-
-def street_lamp(at: Placed) -> list[Primitive]:
-    """A lamp post; its arm points along local x, over the road."""
-    return [
-        at.rod((0, 0, 0), (0, 0, 0.9), 0.13, STEEL),
-        at.rod((0, 0, 0.9), (0, 0, 6.2), 0.08, STEEL),
-        at.rod((0, 0, 6.15), (1.5, 0, 6.4), 0.05, STEEL, solid=False),
-        at.box((1.7, 0, 6.32), (0.8, 0.26, 0.14), LAMP, solid=False),
-    ]
-
-
-def traffic_sign(at: Placed) -> list[Primitive]:
-    """A blue sign on a post, facing local x."""
-    return [
-        at.rod((0, 0, 0), (0, 0, 2.9), 0.05, STEEL),
-        at.box((0.05, 0, 2.1), (0.04, 0.7, 0.7), _SIGN_EDGE),
-        at.box((0.075, 0, 2.16), (0.02, 0.58, 0.58), _SIGN, solid=False),
-    ]
-
-
-_CROWN_LOW = np.array([(-0.45, -0.45, 1.0), (-0.45, -0.45, 1.05), (-0.45, -0.45, 0.75)])
-_CROWN_HIGH = np.array([(0.45, 0.45, 1.35), (0.45, 0.45, 1.4), (0.45, 0.45, 1.1)])
-"""Limits of each ball of a crown: its middle off the trunk in x and y, its radius, m."""
-
-
-def tree(at: Placed, rng: np.random.Generator) -> list[Primitive]:
-    """A trunk and a crown of three balls."""
-    height = float(rng.uniform(2.2, 3.0))
-    leaves = _LEAVES[rng.integers(len(_LEAVES))]
-    drawn = (_CROWN_LOW + (_CROWN_HIGH - _CROWN_LOW) * rng.random((3, 3))).tolist()
-    crown: list[Primitive] = [
-        Sphere(at.point(x, y, height + lift), radius, leaves)
-        for (x, y, radius), lift in zip(drawn, (0.5, 1.2, 1.9), strict=True)
-    ]
-    return [at.rod((0, 0, 0), (0, 0, height), 0.16, _BARK), *crown]
-
-
-def litter_bin(at: Placed) -> list[Primitive]:
-    """A litter bin."""
-    return [at.rod((0, 0, 0), (0, 0, 0.95), 0.28, Material((0.20, 0.36, 0.28))),
-            at.rod((0, 0, 0.95), (0, 0, 1.02), 0.31, STEEL)]  # fmt: skip
+def street_materials(things: FloatArray) -> list[Material]:
+    """Materials of the primitives of things in a street, in the order of `street_plan.parts`."""
+    materials: list[Material] = []
+    for kind, _, _, _, *drawn in things.tolist():
+        if kind == HOUSE:
+            length, _, _, style, shop, roof = drawn[:6]
+            texture, color = _WALLS[int(style)]
+            width = 4 * length / max(1, round(length / BAY))
+            wall = Material(color, texture, (width, 4 * BAY))
+            ledge = Material(color, None, wall.tile)
+            shops = Material(_SHOPS[int(shop)], "shop", (width, GROUND_FLOOR))
+            materials += [shops, wall, ledge, Material(_ROOFS[int(roof)], "roof", (3.0, 3.0)), _CHIMNEY, _CHIMNEY]
+        elif kind == TOWER:
+            texture, color = _WALLS[int(drawn[3])]
+            materials += [Material(color, texture, (4 * BAY, 4 * BAY)), _FLAT_ROOF]
+        elif kind == CAR:
+            paint = Material(PAINTS[int(drawn[0])])
+            lights = [LAMP, LAMP, TAIL, TAIL]
+            materials += [SHADE, paint, GLASS, paint, *[paint] * 6, *[RUBBER] * 4, *[STEEL] * 4, *lights]
+        elif kind == LAMP_POST:
+            materials += [STEEL, STEEL, STEEL, LAMP]
+        elif kind == TREE:
+            materials += [_BARK, *[_LEAVES[int(drawn[1])]] * 3]
+        elif kind == SIGN:
+            materials += [STEEL, _SIGN_EDGE, _SIGN]
+        else:
+            materials += [_BIN, STEEL]
+    return materials
 
 
 _HERE = Placed(np.zeros(2), 0.0)

@@ -21,7 +21,8 @@ LEAD_IN, LEAD_OUT = 31.0, 130.0
 """How far the road along a route goes on before its start and after its end, m."""
 ASPHALT_HEIGHT = 0.03
 """Drawn height of the road above the plane z = 0, m."""
-_SPACING = 0.5
+SPACING = 0.5
+"""Of the points of a road, m."""
 _LEAST_STEP = 0.25
 _FOLD = 0.2
 """m: how far the inner edge of a bend may lie beyond its centre."""
@@ -43,7 +44,7 @@ class Road:
         tangents = np.concatenate([tangents[:1], tangents, tangents[-1:]])
         middle = path + LANE_OFFSET * left_of(tangents)
         arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(middle, axis=0), axis=1))])
-        self.stations = np.arange(0.0, arc[-1], _SPACING)
+        self.stations = np.arange(0.0, arc[-1], SPACING)
         self.points = np.stack([np.interp(self.stations, arc, middle[:, i]) for i in range(2)], axis=1)
         self.lane_stations: FloatArray = arc[1:-1]
         """Station of each point of the lane; (K,)."""
@@ -72,15 +73,15 @@ class Road:
     @cached_property
     def bends(self) -> FloatArray:
         """Curvature at the points over a few metres, 1/m, positive to the left; (K,)."""
-        return np.asarray(gaussian_filter1d(np.gradient(self.yaws, _SPACING), 3.0, mode="nearest"))
+        return np.asarray(gaussian_filter1d(np.gradient(self.yaws, SPACING), 3.0, mode="nearest"))
 
     def place(self, station: float, left: float) -> tuple[FloatArray, float]:
         """The point `station` m along the road and `left` m to its left, and the yaw of the road there."""
-        x, y, left_x, left_y, yaw = self._places[min(max(round(station / _SPACING), 0), len(self.points) - 1)]
+        x, y, left_x, left_y, yaw = self.places[min(max(round(station / SPACING), 0), len(self.points) - 1)]
         return np.array([x + left * left_x, y + left * left_y]), yaw
 
     @cached_property
-    def _places(self) -> list[list[float]]:
+    def places(self) -> list[list[float]]:
         """Of each point: x, y, the unit vector to the left, and the yaw."""
         yaws = np.arctan2(self.tangents[:, 1], self.tangents[:, 0])
         places: list[list[float]] = np.column_stack([self.points, self._lefts, yaws]).tolist()

@@ -31,24 +31,16 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, eq=False)
 class Route:
-    """A nominal drive on flat ground, in W.
-
-    Attributes
-    ----------
-    name : str
-        What `named_route` takes: a registered name, or the path of a pose file.
-    speeds : (K - 1,)
-        Speed of each step, m/s.
-    yaw_rates : (K - 1,)
-        About the camera's y axis (down), rad/s: positive turns right.
-    straight_below : float
-        Yaw rate up to which it counts as driving straight ahead, rad/s.
-    """
+    """A nominal drive on flat ground, in W."""
 
     name: str
+    """What `named_route` takes: a registered name, or the path of a pose file."""
     speeds: FloatArray
+    """(K - 1,): speed of each step, m/s."""
     yaw_rates: FloatArray
+    """(K - 1,), about the camera's y axis (down), rad/s: positive turns right."""
     straight_below: float = 1e-3
+    """Yaw rate up to which it counts as driving straight ahead, rad/s."""
 
     @property
     def frames(self) -> int:
@@ -248,9 +240,9 @@ _SPACING = 0.25
 _STRIDE = 0.3
 """Steps shorter than this do not tell a direction, m."""
 _PATH_SMOOTHING = 1.5
-"""m along the path."""
+"""Over which positions are smoothed, m along the path."""
 _TIME_SMOOTHING = 0.3
-"""s."""
+"""Over which they are smoothed in time, s."""
 _AT_REST = 0.02
 """Speed that counts as standing still, m/s."""
 _FASTEST = 60.0

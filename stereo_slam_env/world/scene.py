@@ -5,37 +5,31 @@ Everything is in the scene frame S (z up, see `world.frames`), metres.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeVar
+from functools import cached_property, partial
+from itertools import compress
+from typing import Any, TypeVar, overload
 
 import numpy as np
 
-from filters.validation import FloatArray, IntArray
+from filters.validation import BoolArray, FloatArray, IntArray
 
 Vector = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
 class Material:
-    """The look of a surface.
-
-    Attributes
-    ----------
-    color : (3,) tuple
-        RGB in 0..1; tints the texture.
-    texture : str, optional
-        Name in `world.textures.TEXTURES`; None for a plain colour.
-    tile : (2,) tuple
-        Size of one repeat of the texture, m (along, up).
-    variant : int
-        Which version of the texture, from 0 to `world.textures.VARIANTS` - 1.
-    """
+    """The look of a surface."""
 
     color: Vector
+    """RGB in 0..1; tints the texture."""
     texture: str | None = None
+    """Name in `world.textures.TEXTURES`; None for a plain colour."""
     tile: tuple[float, float] = (1.0, 1.0)
+    """Size of one repeat of the texture, m (along, up)."""
     variant: int = 0
+    """Which version of the texture, from 0 to `world.textures.VARIANTS` - 1."""
 
 
 @dataclass(frozen=True)
@@ -73,8 +67,106 @@ class Sphere:
     solid: bool = True
 
 
-Primitive = Box | Cylinder | Sphere
+@dataclass(frozen=True, eq=False)
+class TriangleMesh:
+    """Triangles (T, 3) of vertices (V, 3), m, counter-clockwise from outside; its surface blocks, not what it holds."""
+
+    vertices: FloatArray
+    triangles: IntArray
+    material: Material
+    solid: bool = True
+
+    @property
+    def corners_and_edges(self) -> FloatArray:
+        """Of each triangle a corner and the edges to the others, (T, 9)."""
+        corners = self.vertices[self.triangles]
+        return np.concatenate([corners[:, 0], (corners[:, 1:] - corners[:, :1]).reshape(-1, 6)], axis=1)
+
+
+Primitive = Box | Cylinder | Sphere | TriangleMesh
 _Shape = TypeVar("_Shape", bound=Primitive)
+BOX, CYLINDER, BALL = 0.0, 1.0, 2.0
+"""Kinds of primitives: the first column of their table, see `table_of`."""
+TABLE_COLUMNS = 8
+
+
+class ShapeTable(Sequence[Primitive]):
+    """Primitives by their numbers; each is made when somebody looks at it.
+
+    Parameters
+    ----------
+    table : (N, 8)
+        See `table_of`.
+    solid : (N,)
+        Which are solid.
+    materials : callable
+        Their materials, in order.
+    """
+
+    def __init__(self, table: FloatArray, solid: BoolArray, materials: Callable[[], Sequence[Material]]) -> None:
+        self.table, self.solid, self._materials = table, solid, materials
+
+    def __len__(self) -> int:
+        return len(self.table)
+
+    @overload
+    def __getitem__(self, index: int) -> Primitive: ...
+    @overload
+    def __getitem__(self, index: slice) -> tuple[Primitive, ...]: ...
+    def __getitem__(self, index: int | slice) -> Primitive | tuple[Primitive, ...]:
+        return self._made[index]
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Sequence) and tuple(self) == tuple(other)
+
+    __hash__ = None  # type: ignore[assignment]
+
+    @cached_property
+    def solids(self) -> ShapeTable:
+        """Those that are solid."""
+        return self.where(self.solid)
+
+    def where(self, mask: BoolArray) -> ShapeTable:
+        """Some of them; `mask` is (N,)."""
+        return ShapeTable(self.table[mask], self.solid[mask], partial(_some, self._materials, mask))
+
+    @cached_property
+    def _made(self) -> tuple[Primitive, ...]:
+        rows = zip(self.table.tolist(), self._materials(), self.solid.tolist(), strict=True)
+        return tuple(_primitive(*row) for row in rows)
+
+
+def table_of(shapes: Sequence[Primitive]) -> FloatArray:
+    """A row for each shape, which is no mesh; (N, 8).
+
+    It is the kind and: centre, size, yaw of a box; start, end, radius of a cylinder; centre, radius of a ball.
+    """
+    if isinstance(shapes, ShapeTable):
+        return shapes.table
+    rows: list[tuple[float, ...]] = []
+    for shape in shapes:
+        if isinstance(shape, Box):
+            rows.append((BOX, *shape.center, *shape.size, shape.yaw))
+        elif isinstance(shape, Cylinder):
+            rows.append((CYLINDER, *shape.start, *shape.end, shape.radius))
+        elif isinstance(shape, TriangleMesh):
+            raise ValueError("landmarks are not drawn on a TriangleMesh: give the scene landmark_points on it yourself")
+        else:
+            rows.append((BALL, *shape.center, shape.radius, 0.0, 0.0, 0.0))
+    return np.array(rows, dtype=np.float64).reshape(-1, TABLE_COLUMNS)
+
+
+def _some(materials: Callable[[], Sequence[Material]], mask: BoolArray) -> list[Material]:
+    return list(compress(materials(), mask))
+
+
+def _primitive(row: Sequence[float], material: Material, solid: bool) -> Primitive:
+    kind, x, y, z, a, b, c, d = row
+    if kind == BOX:
+        return Box((x, y, z), (a, b, c), d, material, solid)
+    if kind == CYLINDER:
+        return Cylinder((x, y, z), (a, b, c), d, material, solid)
+    return Sphere((x, y, z), a, material, solid)
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,30 +226,23 @@ class Look:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """A scene and the landmarks on its surfaces.
-
-    Attributes
-    ----------
-    ground : Ground
-        The plane everything stands on.
-    primitives : tuple of Box, Cylinder or Sphere
-        Everything that stands.
-    ribbons : tuple of Ribbon
-        Roads and pavements.
-    landmark_points : (N, 3)
-        On visible surfaces, m; the id of a landmark is its row.
-    moving : tuple of MovingBody
-        What moves; it carries no landmarks.
-    look : Look
-        Light and air.
-    """
+    """A scene and the landmarks on its surfaces."""
 
     ground: Ground
-    primitives: tuple[Primitive, ...]
+    """The plane everything stands on."""
+    primitives: Sequence[Primitive]
+    """Everything that stands."""
     ribbons: tuple[Ribbon, ...]
+    """Roads and pavements."""
     landmark_points: FloatArray
+    """(N, 3), on visible surfaces, m; the id of a landmark is its row."""
     moving: tuple[MovingBody, ...] = ()
+    """What moves; it carries no landmarks."""
     look: Look = Look()
+    """Light and air."""
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Scene:
+        return self  # nobody changes it
 
     @property
     def landmark_ids(self) -> IntArray:
@@ -165,8 +250,10 @@ class Scene:
         return np.arange(len(self.landmark_points), dtype=np.int64)
 
     @property
-    def solids(self) -> tuple[Primitive, ...]:
+    def solids(self) -> Sequence[Primitive]:
         """The standing primitives that block rays and cars."""
+        if isinstance(self.primitives, ShapeTable):
+            return self.primitives.solids
         return tuple(p for p in self.primitives if p.solid)
 
     def repainted(self, paint: Callable[[Material], Material]) -> Scene:

@@ -14,7 +14,7 @@ from stereo_slam_env.world import props
 from stereo_slam_env.world.meshes import body_meshes
 from stereo_slam_env.world.road import LANE_OFFSET, road_along, stations_of
 from stereo_slam_env.world.routes import FRAME_PERIOD, Route, pulse
-from stereo_slam_env.world.scene import Box, Cylinder, MovingBody, Primitive
+from stereo_slam_env.world.scene import Box, Cylinder, MovingBody, Primitive, TriangleMesh
 
 _TALL = 1.8
 """Height of a person, m: what is above is not in the way."""
@@ -36,6 +36,10 @@ class Obstacles:
                     yaw = float(np.arctan2(end[1] - start[1], end[0] - start[0]))
                     middle = 0.5 * (start + end)
                     rectangles.append((*middle[:2], yaw, reach + 2 * solid.radius, 2 * solid.radius))
+            elif isinstance(solid, TriangleMesh):
+                low, high = solid.vertices.min(axis=0), solid.vertices.max(axis=0)
+                if low[2] < _TALL:
+                    rectangles.append((*(0.5 * (low + high))[:2], 0.0, *(high - low)[:2]))
             else:
                 above = max(solid.center[2] - _TALL, 0.0)
                 if above < solid.radius:
@@ -88,7 +92,7 @@ class _Way:
 
 def traffic(
     route: Route,
-    solids: tuple[Primitive, ...],
+    solids: Sequence[Primitive],
     walkway: float,
     rng: np.random.Generator,
     *,

@@ -1,8 +1,9 @@
 """Public names of this room; each is imported when it is first used."""
 
-from .belief_observation import Belief as Belief
+from .belief import Belief as Belief
 from .belief_observation import BeliefObservation as BeliefObservation
 from .belief_panorama import BeliefPanorama as BeliefPanorama
+from .direction_of_gaze import DirectionOfGaze as DirectionOfGaze
 from .information import InformationCriterion as InformationCriterion
 from .information import log_det as log_det
 from .information_gain import InformationGain as InformationGain
@@ -10,3 +11,6 @@ from .observation_shapes import FlattenUVD as FlattenUVD
 from .observation_shapes import SelectedKeys as SelectedKeys
 from .observation_shapes import SequenceObservation as SequenceObservation
 from .record_consistency import RecordConsistency as RecordConsistency
+from .snapshots import Snapshot as Snapshot
+from .snapshots import restore as restore
+from .snapshots import snapshot as snapshot

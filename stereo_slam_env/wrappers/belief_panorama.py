@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
+from numba import njit
 
 from filters.contract.noise import StereoNoise
+from filters.engine.batch import RelativeLandmarks
 from filters.geometry.camera import StereoCamera
-from filters.validation import FloatArray, positive, whole_number
-from stereo_slam_env.wrappers.belief_observation import Belief
-from stereo_slam_env.wrappers.recorded_wrapper import RecordedWrapper, dict_space
+from filters.validation import BoolArray, FloatArray, IntArray, positive, whole_number
+from stereo_slam_env.envs.rows import Arrays, Rows, RowsWrapper, Seeds, Step
+from stereo_slam_env.simulator.rays import OPTIONS
+from stereo_slam_env.wrappers.filter_rows import FilterRows
+from stereo_slam_env.wrappers.recorded_wrapper import RowWrapper
 
 FEATURES = ("share", "gain", "elevation", "nearness", "in_view", "unseen")
 """Columns of `panorama`."""
@@ -21,13 +26,67 @@ _LOW, _HIGH = -1.0, 2.0
 _GAIN_SCALE = 0.1
 _NEAR = 10.0
 """m: a landmark at this distance has nearness 1/2."""
-FORGOTTEN = 5.0
+_FORGOTTEN = 5.0
 """s: the time constant of `unseen`."""
 _LARGEST_SIGMA = 1e3
 """Bound of `belief_sigmas`, m and rad."""
 
 
-class BeliefPanorama(RecordedWrapper, gym.ObservationWrapper[Any, Any, Any]):
+class BeliefPanoramaRows(RowsWrapper):
+    """What `BeliefPanorama` does, on rows; see there."""
+
+    changes = ("_last_seen", "_in_view", "_times")
+
+    def __init__(self, rows: Rows, sectors: int, reach: float | None) -> None:
+        super().__init__(rows)
+        self._sectors = whole_number("sectors", sectors, 3)
+        self._beliefs: FilterRows = self.needed("beliefs")
+        inner = self.dict_space()
+        self._camera, self._noise = self.needed("camera"), self.needed("noise")
+        self._reach = self.needed("options").tracking.farthest if reach is None else positive("reach", reach)
+        self._last_seen = np.full((rows.count, sectors), -np.inf)
+        self._in_view = np.zeros((rows.count, sectors))
+        self._times = np.zeros(rows.count)
+        self._most = inner["uvd"].shape[0] if "uvd" in inner else 1  # type: ignore[index]
+        added: dict[str, spaces.Space[Any]] = {
+            "panorama": spaces.Box(_LOW, _HIGH, (sectors, len(FEATURES)), np.float32),
+            "belief_sigmas": spaces.Box(0.0, _LARGEST_SIGMA, (6,), np.float32),
+        }
+        self.observation_space = spaces.Dict({**inner, **added})
+
+    def begin(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
+        """See `Rows`; no sector has been in view yet."""
+        self.rows.begin(chosen, seeds, options)
+        self._last_seen[chosen] = -np.inf
+        self._look_around(chosen)
+
+    def advance(self, actions: Any, going: BoolArray) -> Step:
+        """See `Rows`."""
+        step = self.rows.advance(actions, going)
+        self._look_around(going)
+        return step
+
+    def look(self) -> tuple[Arrays, Arrays]:
+        """See `Rows`."""
+        observation, info = self.rows.look()
+        seen = np.empty((self.count, self._sectors, len(FEATURES)))
+        maps, angles = self._beliefs.maps, self.world.angles()
+        seen[..., :4] = panoramas(maps, angles, self._camera, self._noise, self._sectors, self._most, self._reach)
+        seen[..., 4] = self._in_view
+        seen[..., 5] = 1.0 - np.exp((self._last_seen - self._times[:, None]) / _FORGOTTEN)
+        sigmas = np.sqrt(np.einsum("bii->bi", self._beliefs.pose_covariances)).clip(0.0, _LARGEST_SIGMA)
+        added = {"panorama": seen.clip(_LOW, _HIGH).astype(np.float32), "belief_sigmas": sigmas.astype(np.float32)}
+        return {**observation, **added}, info
+
+    def _look_around(self, which: BoolArray) -> None:
+        """Remember what is in view of some rows."""
+        self._times[which] = self.world.times()[which]
+        in_view = share_in_view(self._camera, self.world.angles()[which, :1], self._sectors)
+        self._in_view[which] = in_view
+        self._last_seen[which] = np.where(in_view >= 0.5, self._times[which, None], self._last_seen[which])
+
+
+class BeliefPanorama(RowWrapper):
     """Adds the keys `panorama` (sectors, 6) and `belief_sigmas` (6,) to the observation, float32.
 
     `panorama`: sector k is the azimuth from -pi + 2 pi k / sectors on, about the vertical of the *car's* straight-ahead
@@ -66,96 +125,10 @@ class BeliefPanorama(RecordedWrapper, gym.ObservationWrapper[Any, Any, Any]):
         `sectors` is not an integer of at least 3, `reach` is not positive, or there is no filter in the loop.
     """
 
+    OnRows = BeliefPanoramaRows
+
     def __init__(self, env: gym.Env[Any, Any], sectors: int = 12, reach: float | None = None) -> None:
         super().__init__(env)
-        self.sectors = whole_number("sectors", sectors, 3)
-        self.inner("slam")
-        inner = dict_space(env, "BeliefPanorama")
-        self._camera = self.inner("camera")
-        self.reach = self.inner("options").tracking.farthest if reach is None else positive("reach", reach)
-        self._noise = self.inner("noise")
-        self._last_seen: FloatArray = np.full(sectors, -np.inf)
-        self._most = inner["uvd"].shape[0] if "uvd" in inner.spaces else 1  # type: ignore[index]
-        added: dict[str, spaces.Space[Any]] = {
-            "panorama": spaces.Box(_LOW, _HIGH, (sectors, len(FEATURES)), np.float32),
-            "belief_sigmas": spaces.Box(0.0, _LARGEST_SIGMA, (6,), np.float32),
-        }
-        self.observation_space = spaces.Dict({**inner.spaces, **added})
-
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Reset the environment; no sector has been in view yet."""
-        self._last_seen = np.full(self.sectors, -np.inf)
-        return super().reset(seed=seed, options=options)
-
-    def observation(self, observation: dict[str, Any]) -> dict[str, Any]:
-        """The observation with `panorama` and `belief_sigmas`."""
-        belief = self.inner("belief")
-        pan, tilt = (float(angle) for angle in observation.get("head", (0.0, 0.0)))
-        seen = np.empty((self.sectors, len(FEATURES)))
-        seen[:, :4] = around(belief, self._camera, self._noise, pan, tilt, self.sectors, self._most, self.reach)
-        seen[:, 4] = share_in_view(self._camera, pan, self.sectors)
-        now = self.inner("frame").timestamp
-        self._last_seen[seen[:, 4] >= 0.5] = now
-        seen[:, 5] = 1.0 - np.exp((self._last_seen - now) / FORGOTTEN)
-        sigmas = np.sqrt(belief.pose.covariance.diagonal()).clip(0.0, _LARGEST_SIGMA)
-        return {
-            **observation,
-            "panorama": seen.clip(_LOW, _HIGH).astype(np.float32),
-            "belief_sigmas": sigmas.astype(np.float32),
-        }
-
-
-def around(
-    belief: Belief,
-    camera: StereoCamera,
-    noise: StereoNoise,
-    pan: float,
-    tilt: float,
-    sectors: int,
-    most: int,
-    reach: float = math.inf,
-) -> FloatArray:
-    """The first four columns of `BeliefPanorama`, those of the map; (sectors, 4), not clipped.
-
-    `camera` and `noise` are of the measurements that a look would bring, `pan` and `tilt` of the head, rad; the share
-    of `most` landmarks is 1; landmarks farther away than `reach`, m, do not count.
-    """
-    seen = np.zeros((sectors, 4))
-    if len(belief) == 0:
-        return seen
-    distances = np.sqrt(np.einsum("ni,ni->n", belief.points_c, belief.points_c))
-    near = distances <= reach
-    (c_pan, s_pan), (c_tilt, s_tilt) = ((math.cos(angle), math.sin(angle)) for angle in (pan, tilt))
-    R_bc = np.array(
-        [[c_pan, s_pan * s_tilt, s_pan * c_tilt], [0.0, c_tilt, -s_tilt], [-s_pan, c_pan * s_tilt, c_pan * c_tilt]]
-    )
-    points_b, distances = belief.points_c[near] @ R_bc.T, distances[near]
-    azimuth = np.arctan2(points_b[:, 0], points_b[:, 2])
-    elevation = np.arctan2(-points_b[:, 1], np.hypot(points_b[:, 0], points_b[:, 2]))
-    sector = np.floor((azimuth + math.pi) * (sectors / (2.0 * math.pi))).astype(np.int64) % sectors
-    gains = _gains(belief.points_c[near], distances, belief.relative_covariances[near], camera, noise)
-
-    counts = np.bincount(sector, minlength=sectors)
-    seen[:, 0] = counts / most
-    seen[:, 1] = _GAIN_SCALE * np.log1p(np.bincount(sector, gains, sectors))
-    seen[:, 2] = np.bincount(sector, elevation, sectors) / (0.5 * math.pi * np.maximum(counts, 1))
-    np.maximum.at(seen[:, 3], sector, 1.0 / (1.0 + distances / _NEAR))
-    return seen
-
-
-def _gains(
-    points_c: FloatArray, distances: FloatArray, covariances: FloatArray, camera: StereoCamera, noise: StereoNoise
-) -> FloatArray:
-    """Gain of one look at each landmark (N, 3), see `BeliefPanorama`; (N,) nats."""
-    sights = points_c / distances[:, None]
-    along = np.einsum("ni,nij,nj->n", sights, covariances, sights)
-    across = 0.5 * (np.einsum("nii->n", covariances) - along)
-    left_along = distances**4 * noise.R[2, 2] / camera.disparity_constant**2
-    left_across = distances**2 * noise.R[0, 0] / camera.fx**2
-    gains: FloatArray = 0.5 * np.log1p(along / left_along) + np.log1p(across / left_across)
-    return gains
 
 
 def share_in_view(camera: StereoCamera, pan: float | FloatArray, sectors: int) -> FloatArray:
@@ -170,3 +143,72 @@ def share_in_view(camera: StereoCamera, pan: float | FloatArray, sectors: int) -
     overlap = 0.5 * (right - left + width) - away
     share: FloatArray = overlap.clip(0.0, min(width, right - left)) / width
     return share
+
+
+def panoramas(
+    maps: RelativeLandmarks,
+    angles: FloatArray,
+    camera: StereoCamera,
+    noise: StereoNoise,
+    sectors: int,
+    most: int,
+    reach: float,
+) -> FloatArray:
+    """The first four columns of `BeliefPanorama` of each row, those of the map; (B, sectors, 4), not clipped.
+
+    `camera` and `noise` are of the measurements that a look would bring, `angles` (B, 2) of the heads, rad; the share
+    of `most` landmarks is 1; landmarks farther away than `reach`, m, do not count.
+    """
+    seen = np.zeros((len(angles), sectors, 4))
+    along, across = noise.R[2, 2] / camera.disparity_constant**2, noise.R[0, 0] / camera.fx**2
+    _panoramas(maps.offsets, maps.points_c, maps.covariances, maps.located, angles, along, across, most, reach, seen)
+    return seen
+
+
+@njit(**OPTIONS)
+def _panoramas(
+    offsets: IntArray,
+    points_c: FloatArray,
+    covariances: FloatArray,
+    located: BoolArray,
+    angles: FloatArray,
+    noise_along: float,
+    noise_across: float,
+    most: int,
+    reach: float,
+    seen: FloatArray,
+) -> None:
+    sectors = seen.shape[1]
+    for b in range(len(angles)):
+        sin_pan, cos_pan = math.sin(angles[b, 0]), math.cos(angles[b, 0])
+        sin_tilt, cos_tilt = math.sin(angles[b, 1]), math.cos(angles[b, 1])
+        for m in range(offsets[b], offsets[b + 1]):
+            x, y, z = points_c[m, 0], points_c[m, 1], points_c[m, 2]
+            distance = math.sqrt(x * x + y * y + z * z)
+            if not located[m] or distance > reach:
+                continue
+            right = cos_pan * x + sin_pan * sin_tilt * y + sin_pan * cos_tilt * z
+            down = cos_tilt * y - sin_tilt * z
+            ahead = -sin_pan * x + cos_pan * sin_tilt * y + cos_pan * cos_tilt * z
+            azimuth = math.atan2(right, ahead)
+            sector = math.floor((azimuth + math.pi) * (sectors / (2.0 * math.pi))) % sectors
+            along, spread = 0.0, 0.0
+            for i in range(3):
+                for j in range(3):
+                    along += points_c[m, i] * covariances[m, i, j] * points_c[m, j]
+                spread += covariances[m, i, i]
+            along /= distance * distance
+            across = 0.5 * (spread - along)
+            square = distance * distance
+            gain = 0.5 * math.log1p(along / (square * square * noise_along))
+            gain += math.log1p(across / (square * noise_across))
+            row = seen[b, sector]
+            row[0] += 1.0
+            row[1] += gain
+            row[2] += math.atan2(-down, math.sqrt(right * right + ahead * ahead))
+            row[3] = max(row[3], 1.0 / (1.0 + distance / _NEAR))
+        for k in range(sectors):
+            row = seen[b, k]
+            row[2] /= 0.5 * math.pi * max(row[0], 1.0)
+            row[0] /= most
+            row[1] = _GAIN_SCALE * math.log1p(row[1])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Literal, get_args
 
 import gymnasium as gym
@@ -11,17 +11,138 @@ import numpy as np
 
 from filters.contract.known_names import one_of
 from filters.motions.constant_velocity import ConstantVelocity
-from filters.validation import IntArray, finite_number, whole_number
+from filters.validation import BoolArray, FloatArray, IntArray, finite_number, whole_number
+from stereo_slam_env.envs.rows import Arrays, Rows, RowsWrapper, Seeds, Step
 from stereo_slam_env.evaluation.consistency import mean_band
 from stereo_slam_env.evaluation.cramer_rao import ReferenceBelief
+from stereo_slam_env.wrappers.filter_rows import FilterRows
 from stereo_slam_env.wrappers.information import Criterion, InformationCriterion, Subject
-from stereo_slam_env.wrappers.recorded_wrapper import RecordedWrapper
+from stereo_slam_env.wrappers.recorded_wrapper import RowWrapper
 
 BeliefOf = Literal["filter", "reference"]
 """Belief that is paid for: that of the filter in the loop, or the reference belief."""
 
 
-class InformationGain(RecordedWrapper):
+class InformationGainRows(RowsWrapper):
+    """What `InformationGain` does, on rows; see there."""
+
+    changes = ("_recent", "references", "_potentials", "_gains", "_credited", "_gain")
+
+    def __init__(
+        self,
+        rows: Rows,
+        criterion: Criterion,
+        of: Subject,
+        prior_sigma: float,
+        resolution: Sequence[float],
+        belief: BeliefOf,
+        nees_gate: float | None,
+        weight: float,
+        keep_reward: bool,
+        max_age: int | None,
+        use_odometry: bool,
+        report_both: bool,
+    ) -> None:
+        super().__init__(rows)
+        one_of("belief", belief, get_args(BeliefOf))
+        if nees_gate is not None and belief == "reference":
+            raise ValueError("nees_gate must be None with belief='reference', which claims nothing to be judged")
+        kept = 1 if max_age is None else whole_number("max_age", max_age, 0) + 1
+        self._criterion = InformationCriterion(criterion, of, prior_sigma, tuple(resolution))
+        self._limit = np.inf if nees_gate is None else mean_band(6, 1, nees_gate)[1]
+        self._paid, self._weight, self._keep_reward = belief, finite_number("weight", weight), keep_reward
+        self._both, self._use_odometry = report_both, use_odometry
+        self._ages = max_age is not None
+        self._recent: list[deque[IntArray]] = [deque(maxlen=kept) for _ in range(rows.count)]
+        self._beliefs: FilterRows | None = None
+        if belief == "filter" or report_both:
+            self._beliefs = self.needed("beliefs")
+        self.references: list[ReferenceBelief | None] = [None] * rows.count
+        """The reference beliefs after the current frames, where they are run."""
+        names = [name for name in get_args(BeliefOf) if report_both or name == belief]
+        self._potentials, self._gains = ({name: np.zeros(rows.count) for name in names} for _ in range(2))
+        self._credited, self._gain = np.zeros(rows.count), np.zeros(rows.count)
+
+    def begin(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
+        """See `Rows`; nothing is gained yet."""
+        self.rows.begin(chosen, seeds, options)
+        if "reference" in self._potentials:
+            camera, noise = self.needed("camera"), self.needed("noise")
+            for b in np.flatnonzero(chosen).tolist():
+                start, truth = self.world.start(b), self.world.frame(b).truth
+                assert truth is not None
+                self.references[b] = ReferenceBelief(
+                    camera, noise, ConstantVelocity(), start, truth, use_odometry=self._use_odometry
+                )
+                self._recent[b].clear()
+        for name, now in self._now(chosen).items():
+            self._potentials[name][chosen], self._gains[name][chosen] = now[chosen], 0.0
+        self._credited[chosen], self._gain[chosen] = self._potentials[self._paid][chosen], 0.0
+
+    def advance(self, actions: Any, going: BoolArray) -> Step:
+        """See `Rows`; the reward is the information gained."""
+        rewards, terminated, truncated = self.rows.advance(actions, going)
+        for name, now in self._now(going).items():
+            before = self._potentials[name]
+            self._gains[name] = np.where(going, self._weight * (before - now), self._gains[name])
+            self._potentials[name] = np.where(going, now, before)
+        claims = self._potentials[self._paid]
+        credited = np.where(self._are_consistent(going), claims, np.maximum(self._credited, claims))
+        self._gain = np.where(going, self._weight * (self._credited - credited), self._gain)
+        self._credited = np.where(going, credited, self._credited)
+        gained = np.where(going, self._gain, 0.0)
+        return rewards + gained if self._keep_reward else gained, terminated, truncated
+
+    def look(self) -> tuple[Arrays, Arrays]:
+        """See `Rows`."""
+        observation, info = self.rows.look()
+        added = {"reward_information": self._gain.copy(), "information_potential": self._credited.copy()}
+        if self._both:
+            added["reward_information_claimed"] = self._gains["filter"].copy()
+            added["reward_information_reference"] = self._gains["reference"].copy()
+        return observation, {**info, **added}
+
+    def _now(self, which: BoolArray) -> dict[str, FloatArray]:
+        """The potentials (B,) of each belief that is needed, of some rows after their frame."""
+        return {name: self._of_filters(which) if name == "filter" else self._of_references(which)
+                for name in self._potentials}  # fmt: skip
+
+    def _of_filters(self, which: BoolArray) -> FloatArray:
+        assert self._beliefs is not None
+        if self._criterion.of == "pose":
+            return self._criterion.pose_potentials(self._beliefs.pose_covariances)
+        now = np.zeros(self.count)
+        for b in np.flatnonzero(which).tolist():
+            now[b] = self._criterion.potential(self._beliefs.belief(b).joint_covariance)
+        return now
+
+    def _of_references(self, which: BoolArray) -> FloatArray:
+        """Potentials of the reference beliefs, which are fed the frames; landmarks leave them by age."""
+        now = np.zeros(self.count)
+        for b in np.flatnonzero(which).tolist():
+            best, frame, recent = self.references[b], self.world.frame(b), self._recent[b]
+            assert best is not None
+            best.step(frame, self.world.landmark_truth(b))
+            if self._ages:
+                recent.append(frame.observation.ids)
+                best.keep(np.concatenate(recent))
+            alone = self._criterion.of == "pose"
+            now[b] = self._criterion.potential(best.pose_covariance if alone else best.joint_covariance())
+        return now
+
+    def _are_consistent(self, which: BoolArray) -> BoolArray:
+        consistent = np.ones(self.count, dtype=np.bool_)
+        if self._limit == np.inf:
+            return consistent
+        assert self._beliefs is not None
+        for b in np.flatnonzero(which).tolist():
+            truth = self.world.frame(b).truth
+            assert truth is not None
+            consistent[b] = self._beliefs.belief(b).nees(truth)[2] <= self._limit
+        return consistent
+
+
+class InformationGain(RowWrapper):
     """The reward of a step is the decrease of a potential, the uncertainty of pose and map.
 
     So the return telescopes: it is the potential at reset minus the potential at the end, times `weight`, whatever
@@ -82,6 +203,8 @@ class InformationGain(RecordedWrapper):
         An argument is unknown or impossible, or there is no filter in the loop where one is needed.
     """
 
+    OnRows = InformationGainRows
+
     def __init__(
         self,
         env: gym.Env[Any, Any],
@@ -98,86 +221,11 @@ class InformationGain(RecordedWrapper):
         report_both: bool = False,
     ) -> None:
         super().__init__(env)
-        one_of("belief", belief, get_args(BeliefOf))
-        if nees_gate is not None and belief == "reference":
-            raise ValueError("nees_gate must be None with belief='reference', which claims nothing to be judged")
-        if max_age is not None:
-            whole_number("max_age", max_age, 0)
-        self._criterion = InformationCriterion(criterion, of, prior_sigma, tuple(resolution))
-        self._limit = np.inf if nees_gate is None else mean_band(6, 1, nees_gate)[1]
-        self._belief, self._weight, self._keep_reward = belief, finite_number("weight", weight), keep_reward
-        self._both, self._use_odometry = report_both, use_odometry
-        self._recent: deque[IntArray] | None = None if max_age is None else deque(maxlen=max_age + 1)
-        if belief == "filter" or report_both:
-            self.inner("slam")
-        self._reference: ReferenceBelief | None = None
-        self._potentials: dict[str, float] = {}
-        self._credited = 0.0
 
     @property
     def reference(self) -> ReferenceBelief:
         """The reference belief after the current frame, where one is run."""
-        if self._reference is None:
+        reference: ReferenceBelief | None = self.rows.references[0]
+        if reference is None:
             raise RuntimeError("there is no reference belief: use belief='reference' or report_both, and reset first")
-        return self._reference
-
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Reset the environment; nothing is gained yet."""
-        observation, info = self.env.reset(seed=seed, options=options)
-        if self._both or self._belief == "reference":
-            camera, noise, start = (self.inner(name) for name in ("camera", "noise", "start"))
-            self._reference = ReferenceBelief(
-                camera, noise, ConstantVelocity(), start, self.inner("frame").truth, use_odometry=self._use_odometry
-            )
-        if self._recent is not None:
-            self._recent.clear()
-        self._use_frame()
-        self._potentials = self._now()
-        self._credited = self._potentials[self._belief]
-        return observation, self._with_gains(info, 0.0, dict.fromkeys(self._potentials, 0.0))
-
-    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Step the environment; the reward is the information gained."""
-        observation, reward, terminated, truncated, info = self.env.step(action)
-        self._use_frame()
-        before, self._potentials = self._potentials, self._now()
-        claims = self._potentials[self._belief]
-        credited = claims if self._is_consistent() else max(self._credited, claims)
-        gain = self._weight * (self._credited - credited)
-        self._credited = credited
-        gains = {name: self._weight * (before[name] - now) for name, now in self._potentials.items()}
-        total = float(reward) + gain if self._keep_reward else gain
-        return observation, total, terminated, truncated, self._with_gains(info, gain, gains)
-
-    def _use_frame(self) -> None:
-        """Feed the current frame to the reference belief, if there is one; landmarks leave it by age."""
-        frame = self.inner("frame")
-        if self._reference is not None:
-            self._reference.step(frame, self.inner("landmark_truth")())
-            if self._recent is not None:
-                self._recent.append(frame.observation.ids)
-                self._reference.keep(np.concatenate(self._recent))
-
-    def _now(self) -> dict[str, float]:
-        """The potential of each belief that is needed."""
-        potential, alone = self._criterion.potential, self._criterion.of == "pose"
-        now = {}
-        if self._both or self._belief == "filter":
-            belief = self.inner("belief")
-            now["filter"] = potential(belief.pose.covariance if alone else belief.joint_covariance)
-        if self._reference is not None:
-            best = self._reference
-            now["reference"] = potential(best.pose_covariance if alone else best.joint_covariance())
-        return now
-
-    def _is_consistent(self) -> bool:
-        if self._limit == np.inf:
-            return True
-        return bool(self.inner("belief").nees(self.inner("frame").truth)[2] <= self._limit)
-
-    def _with_gains(self, info: dict[str, Any], gain: float, gains: dict[str, float]) -> dict[str, Any]:
-        added = {"reward_information": gain, "information_potential": self._credited}
-        if self._both:
-            added["reward_information_claimed"] = gains["filter"]
-            added["reward_information_reference"] = gains["reference"]
-        return {**info, **{name: np.float64(value) for name, value in added.items()}}
+        return reference

@@ -9,11 +9,11 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
-from numpy.typing import NDArray
 
 from filters.contract.known_names import require_known
 from filters.validation import FloatArray
-from stereo_slam_env.wrappers.recorded_wrapper import RecordedWrapper, dict_space
+from stereo_slam_env.envs.rows import Arrays, Rows, RowsWrapper
+from stereo_slam_env.wrappers.recorded_wrapper import RowWrapper
 
 ROWS: Mapping[str, tuple[str, ...]] = {
     "mask": ("uvd", "ids"),
@@ -34,7 +34,50 @@ UNITS: Mapping[str, float] = MappingProxyType(
 """Keys over many orders of magnitude, and where their logarithmic scale becomes linear (in their own units)."""
 
 
-class FlattenUVD(RecordedWrapper, gym.ObservationWrapper[Any, Any, Any]):
+class FlattenUVDRows(RowsWrapper):
+    """What `FlattenUVD` does, on rows; see there."""
+
+    def __init__(self, rows: Rows) -> None:
+        super().__init__(rows)
+        self._scales: dict[str, tuple[FloatArray, FloatArray, float | None]] = {}
+        layout: dict[str, slice] = {}
+        size = 0
+        for key, space in self.dict_space().items():
+            if key in ROWS:
+                high: FloatArray = np.ones(space.shape or ())
+                low: FloatArray = -high
+            elif isinstance(space, spaces.Box) and np.issubdtype(space.dtype, np.floating):
+                low, high = space.low.astype(np.float64), space.high.astype(np.float64)
+            else:
+                continue
+            if not (np.isfinite(low).all() and np.isfinite(high).all() and (high > low).all()):
+                raise ValueError(
+                    f"observation key {key!r} must be a bounded Box, got {space}: FlattenUVD scales by the bounds"
+                )
+            self._scales[key] = low, high, UNITS.get(key)
+            layout[key] = slice(size, size + low.size)
+            size += low.size
+        self.layout: Mapping[str, slice] = MappingProxyType(layout)
+        self.observation_space = spaces.Box(-1.0, 1.0, (size,), np.float32)
+
+    def look(self) -> tuple[Any, Arrays]:
+        """See `Rows`; the flat observations are (B, size)."""
+        observation, info = self.rows.look()
+        flat = np.empty((self.count, *self.observation_space.shape), dtype=np.float32)
+        for key, (low, high, unit) in self._scales.items():
+            values = np.array(observation[key], dtype=np.float64)
+            if unit is None:
+                values = (2.0 * values - low - high) / (high - low)
+            else:
+                values = np.copysign(np.log1p(np.abs(values) / unit) / np.log1p(high / unit), values)
+            mask = observation.get(_MASK_OF.get(key, ""))
+            if mask is not None:
+                values[np.asarray(mask) == 0] = 0.0
+            flat[:, self.layout[key]] = values.reshape(self.count, -1)
+        return flat.clip(-1.0, 1.0), info
+
+
+class FlattenUVD(RowWrapper):
     """The Dict observation as one 1-D float32 Box in [-1, 1].
 
     In the order of the Dict's keys, each raveled; `layout` says which entries belong to which key:
@@ -56,47 +99,35 @@ class FlattenUVD(RecordedWrapper, gym.ObservationWrapper[Any, Any, Any]):
         The observation is no Dict, or a Box in it is not bounded.
     """
 
+    OnRows = FlattenUVDRows
+
     def __init__(self, env: gym.Env[Any, Any]) -> None:
         super().__init__(env)
-        self._scales: dict[str, tuple[FloatArray, FloatArray, float | None]] = {}
-        layout: dict[str, slice] = {}
-        size = 0
-        for key, space in dict_space(env, "FlattenUVD").spaces.items():
-            if key in ROWS:
-                high: FloatArray = np.ones(space.shape or ())
-                low: FloatArray = -high
-            elif isinstance(space, spaces.Box) and np.issubdtype(space.dtype, np.floating):
-                low, high = space.low.astype(np.float64), space.high.astype(np.float64)
-            else:
-                continue
-            if not (np.isfinite(low).all() and np.isfinite(high).all() and (high > low).all()):
-                raise ValueError(
-                    f"observation key {key!r} must be a bounded Box, got {space}: FlattenUVD scales by the bounds"
-                )
-            self._scales[key] = low, high, UNITS.get(key)
-            layout[key] = slice(size, size + low.size)
-            size += low.size
-        self.layout: Mapping[str, slice] = MappingProxyType(layout)
+
+    @property
+    def layout(self) -> Mapping[str, slice]:
         """Entries of the observation that come from each key."""
-        self.observation_space = spaces.Box(-1.0, 1.0, (size,), np.float32)
-
-    def observation(self, observation: Mapping[str, Any]) -> NDArray[np.float32]:
-        """The flat observation."""
-        flat = np.empty(self.observation_space.shape or (0,), dtype=np.float32)
-        for key, (low, high, unit) in self._scales.items():
-            values = np.array(observation[key], dtype=np.float64)
-            if unit is None:
-                values = (2.0 * values - low - high) / (high - low)
-            else:
-                values = np.copysign(np.log1p(np.abs(values) / unit) / np.log1p(high / unit), values)
-            mask = observation.get(_MASK_OF.get(key, ""))
-            if mask is not None:
-                values[np.asarray(mask) == 0] = 0.0
-            flat[self.layout[key]] = values.ravel()
-        return flat.clip(-1.0, 1.0)
+        layout: Mapping[str, slice] = self.rows.layout
+        return layout
 
 
-class SelectedKeys(RecordedWrapper, gym.ObservationWrapper[Any, Any, Any]):
+class SelectedKeysRows(RowsWrapper):
+    """What `SelectedKeys` does, on rows."""
+
+    def __init__(self, rows: Rows, keys: Sequence[str]) -> None:
+        super().__init__(rows)
+        inner = self.dict_space()
+        require_known("the observation has no key", keys, inner)
+        self.observation_space, self._keys = spaces.Dict({key: inner[key] for key in keys}), list(keys)
+        rows.want(self._keys)
+
+    def look(self) -> tuple[Arrays, Arrays]:
+        """See `Rows`."""
+        observation, info = self.rows.look()
+        return {key: observation[key] for key in self._keys}, info
+
+
+class SelectedKeys(RowWrapper):
     """Some keys of the Dict observation. Unlike `gymnasium.wrappers.FilterObservation` it can be pickled.
 
     Parameters
@@ -112,25 +143,47 @@ class SelectedKeys(RecordedWrapper, gym.ObservationWrapper[Any, Any, Any]):
         The observation is no Dict, or is without one of the keys.
     """
 
+    OnRows = SelectedKeysRows
+
     def __init__(self, env: gym.Env[Any, Any], keys: Sequence[str]) -> None:
         super().__init__(env)
-        inner = dict_space(env, "SelectedKeys").spaces
-        require_known("the observation has no key", keys, inner)
-        self.observation_space = spaces.Dict({key: inner[key] for key in keys})
-
-    def observation(self, observation: Mapping[str, Any]) -> dict[str, Any]:
-        """The observation with these keys alone."""
-        return {key: observation[key] for key in self.arguments["keys"]}
 
 
-class SequenceObservation(RecordedWrapper, gym.ObservationWrapper[Any, Any, Any]):
+class SequenceObservationRows(RowsWrapper):
+    """What `SequenceObservation` does, on rows; see there."""
+
+    def __init__(self, rows: Rows) -> None:
+        super().__init__(rows)
+        inner = self.dict_space()
+        self.observation_space = spaces.Dict(
+            {
+                key: _sequence(space) if _MASK_OF.get(key) in inner else space
+                for key, space in inner.items()
+                if key not in ROWS
+            }
+        )
+
+    def look(self) -> tuple[Arrays, Arrays]:
+        """See `Rows`; sequences are a tuple of arrays, one for each row."""
+        observation, info = self.rows.look()
+        for mask, keys in ROWS.items():
+            if mask in observation:
+                counts = observation.pop(mask).sum(axis=1).tolist()
+                for key in keys:
+                    if key in observation:
+                        pairs = zip(observation[key], counts, strict=True)
+                        observation[key] = tuple(values[:count].copy() for values, count in pairs)
+        return observation, info
+
+
+class SequenceObservation(RowWrapper):
     """Padded keys as `Sequence` spaces, for networks that take sets.
 
     `uvd` and `ids` (and the landmarks of `BeliefObservation`) become stacked sequences: arrays of as many rows as
     there are landmarks, without padding; `mask` and `belief_mask` go. Other keys stay.
 
     Stable-baselines3 and Minari refuse such spaces, and `AsyncVectorEnv` takes them only with `shared_memory=False`;
-    synchronous vector environments give tuples.
+    vectors give tuples, synchronous and native ones.
 
     Parameters
     ----------
@@ -143,25 +196,10 @@ class SequenceObservation(RecordedWrapper, gym.ObservationWrapper[Any, Any, Any]
         The observation is no Dict.
     """
 
+    OnRows = SequenceObservationRows
+
     def __init__(self, env: gym.Env[Any, Any]) -> None:
         super().__init__(env)
-        inner = dict_space(env, "SequenceObservation").spaces
-        self.observation_space = spaces.Dict(
-            {
-                key: _sequence(space) if _MASK_OF.get(key) in inner else space
-                for key, space in inner.items()
-                if key not in ROWS
-            }
-        )
-
-    def observation(self, observation: Mapping[str, Any]) -> dict[str, Any]:
-        """The observation without padding."""
-        rows = dict(observation)
-        for mask, keys in ROWS.items():
-            if mask in rows:
-                count = int(rows.pop(mask).sum())
-                rows |= {key: rows[key][:count].copy() for key in keys if key in rows}
-        return rows
 
 
 def _sequence(space: spaces.Space[Any]) -> spaces.Sequence:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -10,9 +11,11 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from filters.validation import FloatArray, whole_number
+from filters.validation import BoolArray, FloatArray, whole_number
+from stereo_slam_env.envs.rows import Arrays, Rows, RowsWrapper, Seeds, Step
 from stereo_slam_env.evaluation.consistency import mean_band
-from stereo_slam_env.wrappers.recorded_wrapper import RecordedWrapper
+from stereo_slam_env.wrappers.filter_rows import FilterRows
+from stereo_slam_env.wrappers.recorded_wrapper import RowWrapper
 
 PARTS = ("position", "rotation", "pose")
 
@@ -34,7 +37,71 @@ class EpisodeConsistency:
     nis_ratio: float
 
 
-class RecordConsistency(RecordedWrapper):
+class RecordConsistencyRows(RowsWrapper):
+    """What `RecordConsistency` does, on rows; see there."""
+
+    changes = ("episodes", "_recent", "_total", "_count", "_now")
+
+    def __init__(self, rows: Rows, window: int | None, buffer_length: int) -> None:
+        super().__init__(rows)
+        for name, value in (("window", window), ("buffer_length", buffer_length)):
+            if value is not None:
+                whole_number(name, value, 1)
+        self._beliefs: FilterRows = self.needed("beliefs")
+        self.episodes: deque[EpisodeConsistency] = deque(maxlen=buffer_length)
+        self._recent: list[deque[FloatArray]] = [deque(maxlen=window or 0) for _ in range(rows.count)]
+        self._windowed = window is not None
+        self._total, self._count = np.zeros((rows.count, 5)), np.zeros(rows.count, dtype=np.int64)
+        self._now = np.zeros((rows.count, 5))
+        """NEES of position, rotation and pose, NIS and its degrees of freedom, of the current frames."""
+
+    def begin(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
+        """See `Rows`; the means begin again."""
+        self.rows.begin(chosen, seeds, options)
+        self._total[chosen], self._count[chosen] = 0.0, 0
+        for b in np.flatnonzero(chosen).tolist():
+            self._recent[b].clear()
+            self._compare(b)
+
+    def advance(self, actions: Any, going: BoolArray) -> Step:
+        """See `Rows`; compare the new beliefs with the truth."""
+        rewards, terminated, truncated = self.rows.advance(actions, going)
+        for b in np.flatnonzero(going).tolist():
+            self._compare(b)
+            self._recent[b].append(self._now[b].copy())
+            self._total[b] += self._now[b]
+            self._count[b] += 1
+            if terminated[b] or truncated[b]:
+                count = int(self._count[b])
+                means = _means(self._total[b], count)
+                self.episodes.append(EpisodeConsistency(count, *means[:3], _band(count), means[3]))
+        return rewards, terminated, truncated
+
+    def look(self) -> tuple[Arrays, Arrays]:
+        """See `Rows`."""
+        observation, info = self.rows.look()
+        figures = np.array([self._figures(b) for b in range(self.count)]).T
+        names = ("anees", "low", "high", "nis_ratio")
+        by_part = {f"nees_{part}": values for part, values in zip(PARTS, self._now.T, strict=False)}
+        told = {**by_part, **dict(zip(names, figures, strict=True)), "nis": self._now[:, 3]}
+        added = {f"consistency_{name}": values.copy() for name, values in told.items()}
+        return observation, {**info, **added, "consistency_nis_dof": self._now[:, 4].astype(np.int64)}
+
+    def _compare(self, b: int) -> None:
+        belief, truth = self._beliefs.belief(b), self.world.frame(b).truth
+        assert truth is not None
+        self._now[b] = np.append(belief.nees(truth), [belief.report.nis, belief.report.nis_dof])
+
+    def _figures(self, b: int) -> tuple[float, float, float, float]:
+        """Mean pose NEES, its band, and the NIS ratio of a row."""
+        total, count = self._total[b], int(self._count[b])
+        if self._windowed:
+            total, count = np.array(self._recent[b]).reshape(-1, 5).sum(axis=0), len(self._recent[b])
+        means = _means(total, count)
+        return means[2], *_band(count), means[3]
+
+
+class RecordConsistency(RowWrapper):
     """Compares the belief of `BeliefObservation` with the truth; observation and reward are left alone.
 
     `info` gains, from `reset` and every `step`:
@@ -56,12 +123,7 @@ class RecordConsistency(RecordedWrapper):
     window : int, optional
         Frames of the running means; None: the whole episode.
     buffer_length : int
-        Episodes that `episodes` keeps.
-
-    Attributes
-    ----------
-    episodes : deque of EpisodeConsistency
-        Of the episodes that ended, latest last; over the whole episode, whatever the window.
+        Episodes that `episodes` keeps, of all rows of a vector together.
 
     Raises
     ------
@@ -69,57 +131,16 @@ class RecordConsistency(RecordedWrapper):
         An argument is not positive, or there is no filter in the loop.
     """
 
+    OnRows = RecordConsistencyRows
+
     def __init__(self, env: gym.Env[Any, Any], window: int | None = None, buffer_length: int = 100) -> None:
         super().__init__(env)
-        for name, value in (("window", window), ("buffer_length", buffer_length)):
-            if value is not None:
-                whole_number(name, value, 1)
-        self.inner("slam")
-        self.episodes: deque[EpisodeConsistency] = deque(maxlen=buffer_length)
-        self._recent: deque[FloatArray] = deque(maxlen=window or 0)
-        self._windowed = window is not None
-        self._start_again()
 
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Reset the environment."""
-        observation, info = self.env.reset(seed=seed, options=options)
-        self._start_again()
-        return observation, {**info, **self._figures(self._frame())}
-
-    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """Step the environment, and compare the new belief with the truth."""
-        observation, reward, terminated, truncated, info = self.env.step(action)
-        frame = self._frame()
-        self._recent.append(frame)
-        self._total += frame
-        self._count += 1
-        if terminated or truncated:
-            means = _means(self._total, self._count)
-            self.episodes.append(EpisodeConsistency(self._count, *means[:3], _band(self._count), means[3]))
-        return observation, reward, terminated, truncated, {**info, **self._figures(frame)}
-
-    def _start_again(self) -> None:
-        self._recent.clear()
-        self._total, self._count = np.zeros(5), 0
-
-    def _frame(self) -> FloatArray:
-        """NEES of position, rotation and pose, NIS and its degrees of freedom: of the current frame, (5,)."""
-        belief = self.inner("belief")
-        return np.append(belief.nees(self.inner("frame").truth), [belief.report.nis, belief.report.nis_dof])
-
-    def _figures(self, frame: FloatArray) -> dict[str, Any]:
-        """The keys of `info`."""
-        total, count = self._total, self._count
-        if self._windowed:
-            total, count = np.array(self._recent).reshape(-1, 5).sum(axis=0), len(self._recent)
-        means, (low, high) = _means(total, count), _band(count)
-        *by_part, nis, dof = frame
-        figures: dict[str, Any] = {
-            f"consistency_nees_{part}": value for part, value in zip(PARTS, by_part, strict=True)
-        }
-        figures |= {"consistency_anees": means[2], "consistency_low": low, "consistency_high": high}
-        figures |= {"consistency_nis": nis, "consistency_nis_ratio": means[3]}
-        return {name: np.float64(value) for name, value in figures.items()} | {"consistency_nis_dof": np.int64(dof)}
+    @property
+    def episodes(self) -> deque[EpisodeConsistency]:
+        """Of the episodes that ended, latest last; over the whole episode, whatever the window."""
+        episodes: deque[EpisodeConsistency] = self.rows.episodes
+        return episodes
 
 
 def _means(total: FloatArray, count: int) -> tuple[float, float, float, float]:

@@ -1,16 +1,24 @@
-"""Base of the wrappers: a wrapper that is made again from its arguments, by `gym.make` and by pickle."""
+"""Bases of the wrappers: those made again from their arguments, and those that are a row of a `RowsWrapper`."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from inspect import signature
-from typing import Any
+from typing import Any, ClassVar
 
 import gymnasium as gym
+import numpy as np
 from gymnasium.utils import RecordConstructorArgs
+
+from stereo_slam_env.envs.rows import OneRow, Rows, RowsWrapper
+from stereo_slam_env.envs.stereo_env import row_of
+from stereo_slam_env.simulator.kept import Kept
+
+_ALL = np.ones(1, dtype=np.bool_)
 
 
 class RecordedWrapper(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
-    """Wrapper whose arguments are kept: `env.spec` knows it, and pickle and deepcopy make a fresh one, no snapshot.
+    """Wrapper whose arguments are kept: `env.spec` knows it, and pickle and deepcopy make a fresh one.
 
     Arguments of subclasses beside `env` are JSON-able.
     """
@@ -21,10 +29,7 @@ class RecordedWrapper(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     def __new__(cls, env: gym.Env[Any, Any], *args: Any, **arguments: Any) -> RecordedWrapper:
         """Keep the arguments of the subclass, defaults included."""
         made = super().__new__(cls)
-        bound = signature(cls).bind(env, *args, **arguments)
-        bound.apply_defaults()
-        given = list(bound.arguments.items())[1:]
-        made.arguments = {name: list(value) if isinstance(value, tuple) else value for name, value in given}
+        made.arguments = cls._bound(env, *args, **arguments)
         return made
 
     def __init__(self, env: gym.Env[Any, Any]) -> None:
@@ -33,6 +38,14 @@ class RecordedWrapper(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _made_again, (type(self), self.env, self.arguments)
+
+    @classmethod
+    def _bound(cls, env: object, *args: Any, **arguments: Any) -> dict[str, Any]:
+        """All arguments beside `env`, defaults included."""
+        bound = signature(cls).bind(env, *args, **arguments)
+        bound.apply_defaults()
+        given = list(bound.arguments.items())[1:]
+        return {name: list(value) if isinstance(value, tuple) else value for name, value in given}
 
     def inner(self, name: str) -> Any:
         """Attribute `name` of the environment or of a wrapper inside; a `ValueError` says what would offer it."""
@@ -43,11 +56,41 @@ class RecordedWrapper(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
             raise ValueError(f"{type(self).__name__} needs {name!r}: wrap {source} with it") from None
 
 
-def dict_space(env: gym.Env[Any, Any], user: str) -> gym.spaces.Dict:
-    """The observation space of `env`, which must be a Dict for the wrapper called `user`."""
-    if not isinstance(env.observation_space, gym.spaces.Dict):
-        raise ValueError(f"{user} needs a Dict observation, got {env.observation_space}: put it inside FlattenUVD")
-    return env.observation_space
+class RowWrapper(RecordedWrapper, Kept):
+    """A wrapper that does what its `OnRows` does on many rows, on one.
+
+    Arguments of `OnRows` are the rows inside, and by their names those of the wrapper.
+    """
+
+    changes = ("rows",)
+    OnRows: ClassVar[Callable[..., RowsWrapper]]
+
+    def __init__(self, env: gym.Env[Any, Any]) -> None:
+        super().__init__(env)
+        self.rows: Any = type(self).OnRows(OneRow(env), **self.arguments)
+        self.observation_space, self.action_space = self.rows.observation_space, self.rows.action_space
+
+    @classmethod
+    def around(cls, inside: gym.Env[Any, Any] | Rows, **arguments: Any) -> Any:
+        """The wrapper around one environment, or around rows."""
+        if isinstance(inside, Rows):
+            return cls.OnRows(inside, **cls._bound(inside, **arguments))
+        return cls(inside, **arguments)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Reset the environment."""
+        self.rows.begin(_ALL, [seed], options or {})
+        return self._look()
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """Step the environment."""
+        rewards, terminated, truncated = self.rows.advance(np.asarray(action)[None], _ALL)
+        observation, info = self._look()
+        return observation, float(rewards[0]), bool(terminated[0]), bool(truncated[0]), info
+
+    def _look(self) -> tuple[Any, dict[str, Any]]:
+        observation, info = self.rows.look()
+        return row_of(observation, 0), row_of(info, 0)
 
 
 def _made_again(kind: type[RecordedWrapper], env: gym.Env[Any, Any], arguments: dict[str, Any]) -> RecordedWrapper:

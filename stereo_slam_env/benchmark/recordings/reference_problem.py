@@ -1,10 +1,10 @@
 """Reference problems: recordings of pure geometry, for claims about consistency.
 
-No physics, no occlusion, nothing but the filters' models and Gaussian noise, so theory says what NEES and NIS must be.
+No occlusion, nothing but the filters' models and Gaussian noise, so theory says what NEES and NIS must be.
 
-A drive past a cloud of points: Eq. 6 and Eq. 10 hold exactly, but for the accelerations, which are those of a car.
-`long_drive` is the paper's section 4.4 (800 frames, about 350 m, two wide turns), `short_turn` its section 4.3 (12
-frames into a right turn).
+A drive of the simulator past a cloud of points: Eq. 6 and Eq. 10 hold exactly, but for the accelerations, which are
+those of a car. `long_drive` is the paper's section 4.4 (800 frames, about 350 m, two wide turns), `short_turn` its
+section 4.3 (12 frames into a right turn).
 
 Large orientation uncertainty, `relative_noise_loop`: a tumbling camera in a sparse cloud, with noise proportional to
 what is measured. It is the simulation of Zhang, Wu, Song, Huang and Dissanayake, "Convergence and Consistency
@@ -24,7 +24,7 @@ stereo camera:
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -36,12 +36,13 @@ from filters.validation import FloatArray, positive
 from stereo_slam_env.recording.recording import SIMULATION, Frame, LandmarkTruth, Recording, Velocity
 from stereo_slam_env.sensing.pixel_noise import NOISE_MODELS
 from stereo_slam_env.sensing.rigs import CAMERA_HEIGHT, Rig, camera_of
-from stereo_slam_env.sensing.sensors import LandmarkSensor, TrackingPolicy
-from stereo_slam_env.world.routes import FRAME_PERIOD, ROUTES, Route
-from stereo_slam_env.world.vehicle import RouteDriver, advance
-
-# What a filter knows at the start: the pose, and the velocity to this (m/s, rad/s).
-START_SIGMAS = np.repeat([1e-6, 1e-6, 0.5, 0.05], 3)
+from stereo_slam_env.sensing.tracking import TrackingPolicy
+from stereo_slam_env.simulator.scenes import SceneArrays, scene_arrays
+from stereo_slam_env.simulator.simulator import Simulator
+from stereo_slam_env.simulator.state import make_rules
+from stereo_slam_env.world.frames import WorldFrame
+from stereo_slam_env.world.routes import ROUTES, Route
+from stereo_slam_env.world.scene import Ground, Material, Scene
 
 
 def long_drive(
@@ -99,25 +100,17 @@ def _drive(name: str, route: Route, seed: int, noise: str, sigma: float, frames:
         raise ValueError(f"landmarks must be an integer >= 1, got {most!r}")
     camera = camera_of(rig)
     cloud_rng, drive_rng, sensor_rng, start_rng = np.random.default_rng(seed).spawn(4)
-    positions = _points_along(route, cloud_rng)
-    landmarks = LandmarkTruth(np.arange(len(positions)), positions)
-    pixel_noise = NOISE_MODELS[noise](sigma)
-    sensor = LandmarkSensor(
-        camera,
-        pixel_noise,
-        landmarks,
-        lambda pose, points: np.ones(len(points), dtype=bool),
-        TrackingPolicy(max_landmarks=most, refill_below=round(most * 65 / 90)),
-        sensor_rng,
-    )
-    driver = RouteDriver(route, 1.0, drive_rng)
-    pose, velocity = driver.start()
-    start = _start(velocity, start_rng)
-    taken = [Frame(0.0, sensor.observe(pose), truth=pose, truth_velocity=velocity)]
-    for k in range(1, frames):
-        velocity = driver.drive(pose, np.zeros(2))
-        pose = advance(pose, velocity, FRAME_PERIOD)
-        taken.append(Frame(k * FRAME_PERIOD, sensor.observe(pose), truth=pose, truth_velocity=velocity))
+    cloud, pixel_noise = _cloud_along(route, cloud_rng), NOISE_MODELS[noise](sigma)
+    tracking = TrackingPolicy(max_landmarks=most, refill_below=round(most * 65 / 90))
+    simulator = Simulator(make_rules(route, camera, tracking, noise=noise, sigma=sigma), 1, pixel_noise)
+    simulator.put(0, cloud, [drive_rng, sensor_rng, np.random.default_rng(0), start_rng])
+    only = np.ones(1, dtype=np.bool_)
+    simulator.begin(only)
+    taken = [simulator.frame(0)]
+    for _ in range(1, frames):
+        simulator.step(np.zeros((1, 2)), only)
+        taken.append(replace(simulator.frame(0), odometry=None))
+    start, landmarks = simulator.start(0), LandmarkTruth(np.arange(len(cloud.landmarks)), cloud.landmarks)
     source = {
         "problem": name,
         "seed": seed,
@@ -130,14 +123,12 @@ def _drive(name: str, route: Route, seed: int, noise: str, sigma: float, frames:
     return Recording(name, camera, tuple(taken), pixel_noise.stereo_noise, start, landmarks, source, SIMULATION)
 
 
-def _start(velocity: Velocity, rng: np.random.Generator) -> Start:
-    """Start with the exact pose, and a velocity with an error of the stated covariance."""
-    errors = START_SIGMAS[6:] * rng.standard_normal(6)
-    return Start(
-        linear_velocity=velocity.linear + errors[:3],
-        angular_velocity=velocity.angular + errors[3:],
-        covariance=np.diag(START_SIGMAS**2),
-    )
+def _cloud_along(route: Route, rng: np.random.Generator) -> SceneArrays:
+    """A scene of landmarks alone, nothing solid."""
+    points_s, grey = WorldFrame(CAMERA_HEIGHT).to_scene(_points_along(route, rng)), Material((0.5, 0.5, 0.5))
+    low, high = points_s[:, :2].min(axis=0), points_s[:, :2].max(axis=0)
+    ground = Ground((float(low[0]), float(low[1])), (float(high[0]), float(high[1])), grey)
+    return scene_arrays(Scene(ground, (), (), points_s))
 
 
 def _points_along(route: Route, rng: np.random.Generator) -> FloatArray:

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args, get_origin
 
 import msgspec
@@ -44,26 +44,20 @@ class Source(msgspec.Struct, frozen=True, tag_field="kind", forbid_unknown_field
     """Source of the recordings of a scenario.
 
     Fields are JSON-able. A field `arguments`, a dict, takes the options that have no field of their own.
-
-    Attributes
-    ----------
-    seeded : bool
-        Whether there is a recording for each seed, or only one.
-    isolated : bool
-        Whether a recording is made in a process of its own: it is drawn or calculated, not only read.
-    for_policies : bool
-        Whether policies decide where to look, so that each of them drives its own episode.
-    has_rig : bool
-        Whether the camera is simulated, with a rig that the option `rig` chooses.
-    runs_code : bool
-        Whether the options name code to be run, for which `load_study` asks for consent.
     """
 
     seeded: ClassVar[bool] = True
+    """Whether there is a recording for each seed, or only one."""
     isolated: ClassVar[bool] = True
+    """Whether a recording is made in a process of its own: it is drawn or calculated, not only read."""
     for_policies: ClassVar[bool] = False
+    """Whether policies decide where to look, so that each of them drives its own episode."""
     has_rig: ClassVar[bool] = False
+    """Whether the camera is simulated, with a rig that the option `rig` chooses."""
     runs_code: ClassVar[bool] = False
+    """Whether the options name code to be run, for which `load_study` asks for consent."""
+    preloaded: ClassVar[tuple[str, ...]] = ()
+    """Modules that processes which make many recordings are started with."""
 
     @property
     def kind(self) -> str:
@@ -130,6 +124,20 @@ class Source(msgspec.Struct, frozen=True, tag_field="kind", forbid_unknown_field
         ------
         ValueError
             The options are refused: the message names what is wrong.
+        """
+        raise NotImplementedError
+
+    @property
+    def at_once(self) -> bool:
+        """Whether `records` makes many recordings faster than `record` makes them one by one."""
+        return False
+
+    def records(
+        self, seeds: Sequence[int | None], frames: int | None = None, progress: Progress | None = None
+    ) -> list[Recording]:
+        """The recordings of some seeds, each as `record` makes it, to the bit; only where they come `at_once`.
+
+        `progress` is called as a sign of life.
         """
         raise NotImplementedError
 

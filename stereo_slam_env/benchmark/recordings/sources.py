@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import inspect
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from importlib.metadata import EntryPoint, entry_points
@@ -29,17 +29,13 @@ GAZE = "StereoSlam/Gaze-v0"
 
 
 class StreetSource(Source, frozen=True, tag="street"):
-    """The PyBullet street of the environment.
-
-    Attributes
-    ----------
-    arguments : dict
-        Of `StereoSlam/Drive-v0`.
-    """
+    """The PyBullet street of the environment."""
 
     has_rig: ClassVar[bool] = True
+    preloaded: ClassVar[tuple[str, ...]] = ("stereo_slam_env.envs.machine_code",)
 
     arguments: dict[str, Any] = msgspec.field(default_factory=dict)
+    """Arguments of `StereoSlam/Drive-v0`."""
 
     def record(self, seed: int | None, frames: int | None = None, progress: Progress | None = None) -> Recording:
         """Drive the scripted route."""
@@ -53,6 +49,21 @@ class StreetSource(Source, frozen=True, tag="street"):
             return record(self.options, seed or 0, frames, lambda done, wanted: tell(done, wanted or done))
 
         return _tracked(_Tracking(self.key, seed, frames, track))
+
+    @property
+    def at_once(self) -> bool:
+        """Where nothing is drawn and PyBullet is not asked."""
+        return not self.takes_images and self.options.get("physics", "exact") == "exact"
+
+    def records(
+        self, seeds: Sequence[int | None], frames: int | None = None, progress: Progress | None = None
+    ) -> list[Recording]:
+        """Drive the scripted route in rows of one simulator."""
+        from stereo_slam_env.envs.recorder import records
+
+        tell = progress or (lambda done, total: None)
+        numbers = [seed or 0 for seed in seeds]
+        return records(self.options, numbers, frames, lambda done, wanted: tell(done, wanted or done))
 
     def check(self, frames: int | None = None) -> None:
         """Refuse unknown arguments, and a renderer that does not run here."""
@@ -75,18 +86,13 @@ class StreetSource(Source, frozen=True, tag="street"):
 
 
 class GazeSource(Source, frozen=True, tag="gaze"):
-    """An environment in which a policy decides where to look.
-
-    Attributes
-    ----------
-    arguments : dict
-        `environment`, its Gymnasium id, `StereoSlam/Gaze-v0` unless said, and its arguments.
-    """
+    """An environment in which a policy decides where to look."""
 
     for_policies: ClassVar[bool] = True
     has_rig: ClassVar[bool] = True
 
     arguments: dict[str, Any] = msgspec.field(default_factory=dict)
+    """`environment`, its Gymnasium id, `StereoSlam/Gaze-v0` unless said, and its arguments."""
 
     def record(self, seed: int | None, frames: int | None = None, progress: Progress | None = None) -> Recording:
         """Refuse: there is no recording for all policies."""
@@ -131,20 +137,14 @@ class GazeSource(Source, frozen=True, tag="gaze"):
 
 
 class ReferenceSource(Source, frozen=True, tag="reference"):
-    """Pure geometry, in which the filters' models hold.
-
-    Attributes
-    ----------
-    name : str
-        The problem: a function of `reference_problem`.
-    arguments : dict
-        Of that function.
-    """
+    """Pure geometry, in which the filters' models hold."""
 
     has_rig: ClassVar[bool] = True
 
     name: Literal["long_drive", "short_turn", "relative_noise_loop"]
+    """The problem: a function of `reference_problem`."""
     arguments: dict[str, Any] = msgspec.field(default_factory=dict)
+    """Its arguments."""
 
     def record(self, seed: int | None, frames: int | None = None, progress: Progress | None = None) -> Recording:
         """Calculate the drive."""
@@ -168,24 +168,17 @@ class ReferenceSource(Source, frozen=True, tag="reference"):
 
 
 class DatasetSource(Source, frozen=True, tag="dataset"):
-    """A real recording, of tracks or of images, or a stored one.
-
-    Attributes
-    ----------
-    path : str
-        See `datasets.load`.
-    arguments : dict
-        Of the reader.
-    reference : dict
-        Kind and errors of the truth, in place of what the reader states, see `Reference.stating`.
-    """
+    """A real recording, of tracks or of images, or a stored one."""
 
     seeded: ClassVar[bool] = False
     isolated: ClassVar[bool] = False
 
     path: str
+    """What `datasets.load` takes."""
     arguments: dict[str, Any] = msgspec.field(default_factory=dict)
+    """Arguments of the reader."""
     reference: dict[str, float | str] = msgspec.field(default_factory=dict)
+    """Kind and errors of the truth, in place of what the reader states, see `Reference.stating`."""
 
     def record(self, seed: int | None, frames: int | None = None, progress: Progress | None = None) -> Recording:
         """Read it, or track landmarks through its images."""
@@ -223,20 +216,14 @@ class DatasetSource(Source, frozen=True, tag="dataset"):
 
 
 class FactorySource(Source, frozen=True, tag="factory"):
-    """Any function that returns a `Recording`.
-
-    Attributes
-    ----------
-    call : str
-        "package.module:function", called with `seed` and the arguments.
-    arguments : dict
-        Of the function.
-    """
+    """Any function that returns a `Recording`."""
 
     runs_code: ClassVar[bool] = True
 
     call: str
+    """As "package.module:function"; it is called with `seed` and the arguments."""
     arguments: dict[str, Any] = msgspec.field(default_factory=dict)
+    """Its arguments."""
 
     def record(self, seed: int | None, frames: int | None = None, progress: Progress | None = None) -> Recording:
         """Call the function."""

@@ -6,6 +6,7 @@ Where the system cannot fork, joblib's processes do the work themselves.
 
 from __future__ import annotations
 
+import asyncio
 import itertools
 import logging
 import os
@@ -14,7 +15,7 @@ import subprocess
 import sys
 import threading
 import warnings
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
@@ -31,6 +32,7 @@ from stereo_slam_env.benchmark.running.isolation import run_isolated, start_serv
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 RunAll = Callable[[Callable[[Task], Result], Iterable[Task]], Iterator[Result]]
+Submit = Callable[[Callable[[Any], Any], Any], "Future[Any]"]
 
 BackendName = Literal["processes", "ray", "dask"]
 """Processes of this machine, or a cluster, which the extra of that name brings."""
@@ -39,6 +41,12 @@ SECONDS_TO_ANSWER = 15
 SECONDS_OF_A_TASK = 3600
 _OF_WORKERS = ("joblib", "ray", "distributed", "concurrent")
 """Packages whose exceptions say that a worker was lost; what a task raises is never one of them."""
+
+_DASK = {
+    "logging.distributed": "error",  # read when `dask.distributed` is imported, here and in the workers
+    "distributed.scheduler.allowed-failures": 0,  # a task whose worker is lost is done once more here, see `_twice`
+    "distributed.admin.large-graph-warning-threshold": "10GB",  # a task holds its recording
+}
 
 _log = logging.getLogger(__name__)
 
@@ -81,7 +89,7 @@ class Backend:
         return self.name == "processes" and self.jobs == 1
 
     @contextmanager
-    def started(self, *, isolated: bool = False) -> Iterator[RunAll[Any, Any]]:
+    def started(self, *, isolated: bool = False, preloaded: Sequence[str] = ()) -> Iterator[RunAll[Any, Any]]:
         """Yield a function like `map`, whose results come in the order in which they are ready.
 
         Tasks are taken from their iterable as processes become free. What a worker of a cluster had when it was lost is
@@ -92,6 +100,8 @@ class Backend:
         isolated : bool
             Whether tasks do what takes time in processes of their own (`run_isolated`) already. Others are given one,
             for at most `SECONDS_OF_A_TASK`.
+        preloaded : sequence of str
+            Modules that processes of this machine start with.
 
         Raises
         ------
@@ -103,32 +113,25 @@ class Backend:
             Workers were lost twice, or the server of processes does not start.
         """
         if self.in_this_process:
+            start_server(*preloaded)
             with threadpool_limits(limits=1):
                 yield map
         elif self.name == "ray":
             with _ray(self.jobs, self.address), joblib.parallel_config(backend="ray"):
                 yield partial(_twice, self._in_rounds)
         elif self.name == "dask":
-            with _dask(self.jobs, self.address), joblib.parallel_config(backend="dask"):
-                yield partial(_twice, self._as_ready)
+            with _dask(self.jobs, self.address) as (submit, workers):
+                yield partial(_twice, partial(_as_completed, submit, workers))
         elif hasattr(os, "fork"):
-            start_server()  # here, where Ctrl-C interrupts it
+            start_server(*preloaded)  # here, where Ctrl-C interrupts it
             yield self._in_threads if isolated else self._apart
         else:
             with joblib.parallel_config(backend="loky", inner_max_num_threads=1):
                 yield partial(_twice, self._as_ready)
 
     def _in_threads(self, function: Callable[[Task], Result], tasks: Iterable[Task]) -> Iterator[Result]:
-        waiting, running = iter(tasks), set[Future[Result]]()
         with waiting_threads(self.jobs) as submit:
-            while True:
-                for task in itertools.islice(waiting, self.jobs - len(running)):
-                    running.add(submit(partial(function, task)))
-                if not running:
-                    return
-                done, running = wait(running, return_when=FIRST_COMPLETED)
-                for future in done:
-                    yield future.result()
+            yield from _as_completed(lambda function, task: submit(partial(function, task)), self.jobs, function, tasks)
 
     def _apart(self, function: Callable[[Task], Result], tasks: Iterable[Task]) -> Iterator[Result]:
         return self._in_threads(partial(_in_own_process, function), tasks)
@@ -150,6 +153,25 @@ class Backend:
         while round_of_tasks := list(itertools.islice(waiting, TASKS_IN_A_ROUND * self.jobs)):
             workers = joblib.Parallel(n_jobs=self.jobs, batch_size=1)
             yield from workers(joblib.delayed(function)(task) for task in round_of_tasks)
+
+
+def _as_completed(
+    submit: Submit, at_a_time: int, function: Callable[[Task], Result], tasks: Iterable[Task]
+) -> Iterator[Result]:
+    """Results of what is submitted, so many tasks at a time."""
+    waiting, running = iter(tasks), set[Future[Result]]()
+    try:
+        while True:
+            for task in itertools.islice(waiting, at_a_time - len(running)):
+                running.add(submit(function, task))
+            if not running:
+                return
+            done, running = wait(running, return_when=FIRST_COMPLETED)
+            for future in done:
+                yield future.result()
+    finally:
+        for future in running:
+            future.cancel()
 
 
 def _twice(run_all: RunAll[Any, Any], function: Callable[[Task], Result], tasks: Iterable[Task]) -> Iterator[Result]:
@@ -226,11 +248,15 @@ def _require_answer(address: str) -> None:
 
 
 @contextmanager
-def _dask(jobs: int, address: str | None) -> Iterator[None]:
+def _dask(jobs: int, address: str | None) -> Iterator[tuple[Submit, int]]:
+    """Yield a function that submits work to Dask, and how many tasks it does at a time.
+
+    Not through joblib, whose callers wait for ever for a task that Dask gives up because it ends its workers (1.6.0).
+    """
     try:
         import dask
 
-        dask.config.set({"logging.distributed": "error"})  # read by what follows, here and in the workers
+        dask.config.set(_DASK)
         from dask.distributed import Client, LocalCluster
     except ImportError as error:
         raise ImportError(f"backend dask is not installed: {install_command('dask')}") from error
@@ -242,7 +268,13 @@ def _dask(jobs: int, address: str | None) -> Iterator[None]:
         else:
             cluster = address
         try:
-            stack.enter_context(Client(cluster, timeout=SECONDS_TO_ANSWER))
+            client = stack.enter_context(Client(cluster, timeout=SECONDS_TO_ANSWER))
         except OSError as error:
             raise ValueError(f"no Dask scheduler answers at {address}: {first_line(error)}") from error
-        yield
+        try:
+            client.wait_for_workers(1, timeout=SECONDS_TO_ANSWER)
+        except (TimeoutError, asyncio.TimeoutError) as error:  # one class since Python 3.11
+            raise ValueError(f"the Dask cluster has no worker within {SECONDS_TO_ANSWER} s") from error
+        executor = client.get_executor(pure=False)
+        stack.callback(executor.shutdown, wait=False)
+        yield executor.submit, sum(client.ncores().values())

@@ -111,10 +111,13 @@ def run_isolated(work: Callable[[Tell], Result], *, silence_limit: float, progre
         raise WorkDied(f"{lost}, twice") from lost
 
 
-def start_server() -> None:
-    """Start the server of processes, which takes seconds, unless it is there; raises `NoProcess`."""
+def start_server(*preloaded: str) -> None:
+    """Start the server of processes, which takes seconds, unless it is there; raises `NoProcess`.
+
+    `preloaded` are modules that its processes will have imported: those of a long run save more than the server needs.
+    """
     if hasattr(os, "fork"):
-        _server()
+        _server(*preloaded)
 
 
 @contextmanager
@@ -288,13 +291,14 @@ _turns = _Turns()
 class _Server:
     """Server of this process."""
 
-    def __init__(self) -> None:
+    def __init__(self, *preloaded: str) -> None:
         self._socket, theirs = socket.socketpair()
         with theirs:
             # The path is passed on as it is, so that the server finds what this process finds.
             code = (
                 f"import sys; sys.path[:] = {sys.path!r}; "
-                f"from stereo_slam_env.benchmark.running.process_server import serve; serve({theirs.fileno()})"
+                f"from stereo_slam_env.benchmark.running.process_server import serve; "
+                f"serve({', '.join(map(repr, (theirs.fileno(), *preloaded)))})"
             )
             self.process = subprocess.Popen(
                 [sys.executable, "-c", code],
@@ -340,17 +344,18 @@ class _Server:
 _starting = threading.Lock()
 
 
-def _server() -> _Server:
+def _server(*preloaded: str) -> _Server:
     with _starting:
-        server = _server_of(os.getpid())
-        if server.process.poll() is not None:
+        servers = _servers_of(os.getpid())
+        if servers and servers[0].process.poll() is not None:
             _log.warning("the server of processes has ended and is started again")
-            atexit.unregister(server.close)
-            _server_of.cache_clear()
-            server = _server_of(os.getpid())
-        return server
+            atexit.unregister(servers.pop().close)
+        if not servers:
+            servers.append(_Server(*preloaded))
+        return servers[0]
 
 
 @cache
-def _server_of(process: int) -> _Server:
-    return _Server()
+def _servers_of(process: int) -> list[_Server]:
+    """The server of a process, once it is started; that of the process it was forked from is none of its own."""
+    return []

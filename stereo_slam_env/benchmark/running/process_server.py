@@ -29,10 +29,8 @@ import cloudpickle
 
 from filters.contract.foreign_text import first_line
 
-KERNELS = "filters.engine.row"
-"""What compiles the kernels when it is imported, or reads those that have been."""
 PRELOADED = (
-    KERNELS,
+    "filters.engine.row",
     "stereo_slam_env.benchmark.running.tasks",
     "stereo_slam_env.policies.episode",
     "stereo_slam_env.wrappers.belief_panorama",
@@ -46,13 +44,20 @@ READY = b"r"
 _SET_DEATH_SIGNAL, _ADOPT_ORPHANS = 1, 36  # PR_SET_PDEATHSIG, PR_SET_CHILD_SUBREAPER
 
 
-def serve(descriptor: int) -> None:
-    """Fork a process for each request on the socket `descriptor`, until the other side is closed."""
-    for module in PRELOADED:
-        try:
+def serve(descriptor: int, *preloaded: str) -> None:
+    """Fork a process for each request on the socket `descriptor`, until the other side is closed.
+
+    `preloaded` are modules that are imported before, besides those that most trials need.
+    """
+    for module in (*PRELOADED, *preloaded):
+        with suppress(ImportError):  # an extra that is not installed
             importlib.import_module(module)
-        except ImportError:  # an extra that is not installed
-            continue
+    with suppress(ImportError):
+        from filters.engine.compiled.frame import compile_frame
+        from filters.engine.compiled.readout import compile_forecasts
+
+        compile_frame()
+        compile_forecasts()
     _ask_linux(_ADOPT_ORPHANS, 1)
     wake_up, woken_by = os.pipe()
     for end in (wake_up, woken_by):

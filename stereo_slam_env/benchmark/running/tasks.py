@@ -1,13 +1,18 @@
 """Tasks of a benchmark: to make a recording, to run a trial, to compute a bound; and a view of the search in images.
 
 Bytes in, bytes out, so that any process of any machine can do them, and the store only has to write what comes back.
+
+Tasks of one kind go in batches, each in one process (`make_all`, `run_all_trials`). A batch is only a faster way to do
+the same: where anything goes wrong in it, its tasks are done one by one, each in a process of its own, and what goes
+wrong there is what is told.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import CancelledError
 from dataclasses import dataclass, field
 from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -15,8 +20,10 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from filters import ConstantVelocity
+from filters.catalogue.presets import PRESETS
+from filters.contract.foreign_text import first_line
 from stereo_slam_env.benchmark.recordings.source import OpenedImages
-from stereo_slam_env.benchmark.running.isolation import Tell, WorkDied, WorkTooSlow, run_isolated
+from stereo_slam_env.benchmark.running.isolation import NoProcess, Tell, WorkDied, WorkTooSlow, run_isolated
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, Scenario
 from stereo_slam_env.benchmark.scenarios.streams import (
     as_given,
@@ -24,13 +31,16 @@ from stereo_slam_env.benchmark.scenarios.streams import (
     drive_episode,
     drive_straight_ahead,
     make_recording,
+    make_recordings,
     make_sequence,
     without_measurements,
 )
 from stereo_slam_env.benchmark.storage.run_archive import packed_bound, packed_run
+from stereo_slam_env.evaluation.batch_run import run_batch
 from stereo_slam_env.evaluation.cramer_rao import Bound, cramer_rao_bound
 from stereo_slam_env.evaluation.filter_run import failed_run, run_filter
 from stereo_slam_env.evaluation.results import FilterRun
+from stereo_slam_env.evaluation.run_figures import score_of
 from stereo_slam_env.frontend.recorder import ActiveSearch, Watch, record_tracks
 from stereo_slam_env.loop import Observe
 from stereo_slam_env.recording.archive import packed_recording, unpacked_recording
@@ -54,6 +64,9 @@ class Task:
     choice: FilterChoice | None = None
     recording: bytes | None = None  # see `recording.archive`; None: the policy of `choice` drives an episode of its own
     provenance: Mapping[str, Any] = field(default_factory=dict)  # kept with the result
+    bound: Bound | None = None  # for the recording, for the figures of the trial
+    whole: bool = True  # whether the time series are kept, see `run_archive`
+    timed: bool = True  # whether the times of the filter are wanted
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +79,99 @@ class Done:
     content: bytes
     description: Mapping[str, Any] = field(default_factory=dict)
     made: Done | None = None
+
+
+AT_ONCE = 8
+"""Tasks of a batch."""
+TIMED = 10
+"""Recordings on which every filter is run by itself, and timed."""
+
+
+def goes_in_a_batch(task: Task) -> bool:
+    """Whether a task may be done with others of its kind: our own code, whose times nobody wants."""
+    scenario, choice = task.scenario, task.choice
+    if task.recording is None:
+        return choice is None and scenario.source.at_once
+    if choice is None:
+        return True
+    alone = task.timed or scenario.search == "forecast" or "windows" in scenario.metrics
+    return not alone and choice.policy is None and choice.name in PRESETS
+
+
+def batches(tasks: Iterable[Task]) -> Iterator[list[Task]]:
+    """The tasks, in their order: alone, or with others of one kind, of one cell and filter."""
+    open_ones: dict[tuple[int, str | None], list[Task]] = {}
+    for task in tasks:
+        if not goes_in_a_batch(task):
+            yield [task]
+            continue
+        key = task.cell, None if task.choice is None else task.choice.label
+        batch = open_ones.setdefault(key, [])
+        batch.append(task)
+        if len(batch) == AT_ONCE:
+            yield open_ones.pop(key)
+    yield from open_ones.values()
+
+
+def make_all(tasks: Sequence[Task], progress: Tell | None = None, *, here: bool = False) -> list[Done]:
+    """Make the recordings of a batch; raises as `make`."""
+    return _together(tasks, _make_all, partial(make, here=here), tasks[0].scenario.recording_time_limit, progress)
+
+
+def run_all_trials(tasks: Sequence[Task], progress: Tell | None = None) -> list[Done]:
+    """Run the trials of a batch, or compute its bounds."""
+    work = _bound_all if tasks[0].choice is None else _filter_all
+    return _together(tasks, work, run_trial, tasks[0].scenario.frame_time_limit, progress)
+
+
+def _together(
+    tasks: Sequence[Task],
+    work: Callable[[Sequence[Task], Tell], list[Done] | None],
+    alone: Callable[[Task, Tell | None], Done],
+    limit: float,
+    progress: Tell | None,
+) -> list[Done]:
+    done = None
+    if len(tasks) > 1:
+        try:
+            done = run_isolated(partial(work, tasks), silence_limit=limit, progress=progress)
+        except (CancelledError, NoProcess):
+            raise
+        except Exception as error:  # of one of them: they are done once more, each by itself
+            _log.info("%d tasks are done one by one: %s", len(tasks), first_line(error))
+    return [alone(task, progress) for task in tasks] if done is None else done
+
+
+def _make_all(tasks: Sequence[Task], tell: Tell) -> list[Done]:
+    recordings = make_recordings(tasks[0].scenario, [task.seed for task in tasks], tell)
+    return [_recording_of(task, recording) for task, recording in zip(tasks, recordings, strict=True)]
+
+
+def _bound_all(tasks: Sequence[Task], tell: Tell) -> list[Done]:
+    return [_bound_of(task, _bounded(task, tell)) for task in tasks]
+
+
+def _filter_all(tasks: Sequence[Task], tell: Tell) -> list[Done] | None:
+    choice, scenario, recordings = tasks[0].choice, tasks[0].scenario, [_given(task) for task in tasks]
+    assert choice is not None
+    runs = run_batch(
+        recordings,
+        choice.name,
+        choice.options,
+        label=choice.label,
+        common_options=scenario.common_options,
+        noises=[scenario.assumed_noise(recording.noise) for recording in recordings],
+        use_odometry=scenario.use_odometry,
+        score_map="map" in scenario.metrics,
+        seeds=[task.seed for task in tasks],
+        progress=tell,
+    )
+    if runs is None:
+        return None
+    return [
+        Done(task.cell, task.seed, choice, _packed(task, run, task.provenance))
+        for task, run in zip(tasks, runs, strict=True)
+    ]
 
 
 def make(task: Task, progress: Tell | None = None, *, here: bool = False) -> Done:
@@ -89,14 +195,17 @@ def _recorded(task: Task, work: Callable[[Tell], Result], progress: Tell | None 
 
 
 def _make(task: Task, tell: Tell) -> Done:
-    recording = make_recording(task.scenario, task.seed, tell)
+    return _recording_of(task, make_recording(task.scenario, task.seed, tell))
+
+
+def _recording_of(task: Task, recording: Recording) -> Done:
     return Done(task.cell, task.seed, None, packed_recording(recording), description_of(recording))
 
 
 def run_trial(task: Task, progress: Tell | None = None) -> Done:
     """Run a filter, or compute a bound, in a process of its own; what goes wrong there is a result, too."""
     if task.choice is None:
-        return Done(task.cell, task.seed, None, packed_bound(_bound(task), task.provenance["code"]))
+        return _bound_of(task, _bound(task))
     limit = task.scenario.frame_time_limit
     if task.choice.policy is not None:
         return _drive(task, task.choice, limit, progress)
@@ -106,7 +215,7 @@ def run_trial(task: Task, progress: Tell | None = None) -> Done:
     try:
         packed = run_isolated(work, silence_limit=limit, progress=progress)
     except (WorkDied, WorkTooSlow) as error:
-        packed = packed_run(_lost(_given(task), task, task.choice, error), task.provenance)
+        packed = _packed(task, _lost(_given(task), task, task.choice, error), task.provenance)
     return Done(task.cell, task.seed, task.choice, packed)
 
 
@@ -121,7 +230,7 @@ def _drive(task: Task, choice: FilterChoice, limit: float, progress: Tell | None
         episode = _recorded(task, look)
         run, description = _lost(episode.recording, task, choice, error), _description_of(episode)
     provenance = {**task.provenance, "recording": as_given(description, task.scenario)}
-    return Done(task.cell, task.seed, choice, packed_run(run, provenance), made=made)
+    return Done(task.cell, task.seed, choice, _packed(task, run, provenance), made=made)
 
 
 def _driven(task: Task, choice: FilterChoice, tell: Tell) -> tuple[FilterRun, Done]:
@@ -144,7 +253,13 @@ def _filtered(task: Task, choice: FilterChoice, opened: OpenedImages | None, tel
     if task.scenario.search == "forecast":
         search = ActiveSearch(*(opened or make_sequence(task.scenario, task.seed)))
         recording, observe = without_measurements(recording), search.observe
-    return packed_run(_run_on(recording, task, choice, tell, observe), task.provenance)
+    return _packed(task, _run_on(recording, task, choice, tell, observe), task.provenance)
+
+
+def _packed(task: Task, run: FilterRun, provenance: Mapping[str, Any]) -> bytes:
+    """The run with its figures, which are computed here, once."""
+    score = score_of(run, divergence_percent=task.scenario.divergence_percent, bound=task.bound)
+    return packed_run(run, provenance, score, whole=task.whole)
 
 
 def _run_on(
@@ -182,6 +297,10 @@ def _bound(task: Task) -> Bound | None:
     except (WorkDied, WorkTooSlow, ArithmeticError, np.linalg.LinAlgError) as error:
         _log.warning("no bound for seed %s: %s", task.seed, error)
         return None
+
+
+def _bound_of(task: Task, bound: Bound | None) -> Done:
+    return Done(task.cell, task.seed, None, packed_bound(bound, task.provenance["code"]))
 
 
 def _bounded(task: Task, tell: Tell) -> Bound | None:

@@ -165,6 +165,9 @@ class Scenario:
         A filter that needs longer for one frame is stopped and has failed, s.
     recording_time_limit : float
         A simulated recording that makes no progress for that long is stopped, and the run with it, s.
+    kept_seeds : int
+        Of so many seeds, the first ones, recordings and time series are kept, and charts are of them. Of more seeds the
+        figures are kept, which all tables and tests are of.
 
     Raises
     ------
@@ -189,6 +192,7 @@ class Scenario:
     divergence_percent: Positive = 10.0
     frame_time_limit: Positive = 60.0
     recording_time_limit: Positive = 600.0
+    kept_seeds: Annotated[int, Meta(ge=1)] = 100
 
     def __post_init__(self) -> None:
         if not isinstance(self.source, Source):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -34,7 +34,19 @@ def make_recording(scenario: Scenario, seed: int | None, progress: Progress | No
     ValueError
         The source refuses its options or yields no frames: the message names what is wrong.
     """
-    recording = scenario.source.record(seed, scenario.frames, progress)
+    return _as_asked(scenario.source.record(seed, scenario.frames, progress), scenario, seed)
+
+
+def make_recordings(
+    scenario: Scenario, seeds: Sequence[int | None], progress: Progress | None = None
+) -> list[Recording]:
+    """`make_recording` for some seeds, by a source that makes them at once."""
+    made = scenario.source.records(seeds, scenario.frames, progress)
+    return [_as_asked(recording, scenario, seed) for recording, seed in zip(made, seeds, strict=True)]
+
+
+def _as_asked(recording: Recording, scenario: Scenario, seed: int | None) -> Recording:
+    """The frames that the scenario wants of a recording, with its corruptions."""
     if scenario.frames is not None:
         recording = dataclasses.replace(recording, frames=recording.frames[: scenario.frames])
     if scenario.corruptions:

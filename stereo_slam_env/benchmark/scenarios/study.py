@@ -45,36 +45,19 @@ _CellName = Annotated[str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9._+-]*\Z", max_l
 
 @dataclass(frozen=True)
 class Cell:
-    """One point of a grid.
-
-    Attributes
-    ----------
-    name : str
-        Usable as a folder name; unique in its study.
-    factors : mapping of str to value
-        What distinguishes it, e.g. {"options.sigma": 2.0}; empty in a study of one cell.
-    scenario : Scenario
-        What is run.
-    """
+    """One point of a grid."""
 
     name: str
+    """Usable as a folder name; unique in its study."""
     factors: Mapping[str, Any]
+    """What distinguishes it, e.g. {"options.sigma": 2.0}; empty in a study of one cell."""
     scenario: Scenario
+    """What is run."""
 
 
 @dataclass(frozen=True)
 class Study:
     """One scenario, or one for each point of a grid.
-
-    Attributes
-    ----------
-    name : str
-        For titles.
-    cells : tuple of Cell
-        At least one.
-    factorial : mapping of str to tuple, optional
-        Options of the filter whose levels were crossed, e.g. {"landmark": ("inverse-depth", "euclidean")}: the labels
-        of the filters of every cell are those of `factorial_label`.
 
     Raises
     ------
@@ -83,8 +66,12 @@ class Study:
     """
 
     name: str
+    """For titles."""
     cells: tuple[Cell, ...]
+    """At least one."""
     factorial: Mapping[str, tuple[Any, ...]] | None = None
+    """Options of the filter whose levels were crossed, e.g. {"landmark": ("inverse-depth", "euclidean")}: the labels of
+    the filters of every cell are those of `factorial_label`."""
 
     def __post_init__(self) -> None:
         if not self.cells:

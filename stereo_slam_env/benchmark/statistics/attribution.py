@@ -27,31 +27,22 @@ from stereo_slam_env.evaluation.run_figures import Figures
 
 @dataclass(frozen=True)
 class Attribution:
-    """Effects of the options on all responses.
-
-    Attributes
-    ----------
-    factors : mapping of str to tuple
-        Levels of every factor, the first one is what the others are held against.
-    seeds, combinations : int
-        Numbers of them that took part.
-    responses : tuple of ResponseAttribution
-        One for each response.
-    diverged_percent : mapping of (factor, level) to float
-        Share of the runs with that level that diverged or failed.
-    notes : tuple of str
-        What was left out, and why.
-    conclusion : str
-        A few sentences.
-    """
+    """Effects of the options on all responses."""
 
     factors: Mapping[str, tuple[Any, ...]]
+    """Levels of every factor, the first one is what the others are held against."""
     seeds: int
+    """Number of seeds that took part."""
     combinations: int
+    """Number of combinations that took part."""
     responses: tuple[ResponseAttribution, ...]
+    """One for each response."""
     diverged_percent: Mapping[tuple[str, Any], float]
+    """Share of the runs with that level that diverged or failed."""
     notes: tuple[str, ...]
+    """What was left out, and why."""
     conclusion: str
+    """A few sentences."""
 
 
 def attribute_runs(factorial: Mapping[str, Sequence[Any]], figures: Figures) -> Attribution:

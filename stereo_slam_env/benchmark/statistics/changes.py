@@ -73,34 +73,28 @@ class Change:
 
 @dataclass(frozen=True)
 class RunComparison:
-    """Changes from one run of the benchmark to another one.
-
-    Attributes
-    ----------
-    before, after : str
-        Where they are.
-    paired : bool
-        Whether their measurements are bit-identical, recording by recording.
-    changes : tuple of Change
-        By filter, then measure.
-    filters_before, filters_after, recordings_before, recordings_after : tuple of str
-        Filters and recordings that only one of them has.
-    warnings : tuple of str
-        What the reader must know before believing the table, one sentence each.
-    headline : str
-        What changed significantly, in a few sentences.
-    """
+    """Changes from one run of the benchmark to another one."""
 
     before: str
+    """Folder of the first run."""
     after: str
+    """Folder of the second run."""
     paired: bool
+    """Whether their measurements are bit-identical, recording by recording."""
     changes: tuple[Change, ...]
+    """By filter, then measure."""
     filters_before: tuple[str, ...]
+    """Filters that only the first run has."""
     filters_after: tuple[str, ...]
+    """Filters that only the second run has."""
     recordings_before: tuple[str, ...]
+    """Recordings that only the first run has."""
     recordings_after: tuple[str, ...]
+    """Recordings that only the second run has."""
     warnings: tuple[str, ...]
+    """What the reader must know before believing the table, one sentence each."""
     headline: str
+    """What changed significantly, in a few sentences."""
 
     @property
     def shown(self) -> tuple[Change, ...]:

@@ -9,14 +9,16 @@ that could have shown something; those of time, which depends on the machine, am
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from filters.validation import FloatArray
+from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice
 from stereo_slam_env.benchmark.scenarios.streams import pairing_digest
 from stereo_slam_env.benchmark.statistics.changes import (
     MOST_WORDED,
@@ -28,7 +30,8 @@ from stereo_slam_env.benchmark.statistics.changes import (
     headline,
 )
 from stereo_slam_env.benchmark.statistics.measures import DIVERGED, MEASURES, TIME, difference_by
-from stereo_slam_env.benchmark.storage.store import SETTINGS, read_study
+from stereo_slam_env.benchmark.storage.settings import SETTINGS
+from stereo_slam_env.benchmark.storage.store import RunDirectory, read_study
 from stereo_slam_env.evaluation.figures import Figure
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
 from stereo_slam_env.evaluation.run_figures import RunFigures, RunKey, common_keys, key_of, summarise
@@ -88,11 +91,17 @@ class _Side:
 
     name: str
     figures: Mapping[str, RunFigures]
-    trials: Mapping[tuple[str, RunKey], FilterRun]
+    summaries: Mapping[str, FilterSummary]  # over all runs of a filter
+    runs: Callable[[str], Iterable[FilterRun]]  # all runs of a filter, read when they are asked for
     streams: Mapping[tuple[str, RunKey], str] = field(default_factory=dict)
     settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     plugin_code: Mapping[str, str | None] = field(default_factory=dict)  # digest by label; None: it is ours
     cells: Mapping[str, str] = field(default_factory=dict)  # of a grid, by name of the filter
+
+    @cached_property
+    def trials(self) -> dict[tuple[str, RunKey], Mapping[str, Any]]:
+        """Figures of every run."""
+        return {(name, key): row for name, of in self.figures.items() for key, row in of.of_run.items()}
 
     @property
     def keys(self) -> list[RunKey]:
@@ -100,19 +109,27 @@ class _Side:
         return list(dict.fromkeys(key for _, key in self.trials))
 
     def over(self, name: str, keys: Sequence[RunKey]) -> FilterSummary:
-        """Figures of a filter over its runs on these recordings."""
-        return summarise([self.trials[name, key] for key in keys], self.figures[name])
+        """Figures of a filter over its runs on these recordings: kept ones where that is all of them."""
+        if set(keys) == set(self.figures[name].of_run):
+            return self.summaries[name]
+        chosen = {key_of(run): run for run in self.runs(name) if key_of(run) in set(keys)}
+        return summarise([chosen[key] for key in keys], self.figures[name])
 
 
 def _opened(source: str | Path | BenchmarkResult, name: str) -> _Side:
     if not isinstance(source, (str, Path)):
         out = getattr(source, "out", None)
         if out is None or not Path(out).is_dir():
-            return _Side(name, source.figures, {(run.filter_name, key_of(run)): run for run in source.runs})
+            by_filter: dict[str, list[FilterRun]] = {}
+            for run in source.runs:
+                by_filter.setdefault(run.filter_name, []).append(run)
+            summaries = {label: summarise(runs, source.figures[label]) for label, runs in by_filter.items()}
+            return _Side(name, source.figures, summaries, by_filter.__getitem__)
         source = Path(out)
     study = read_study(Path(source))
     figures: dict[str, RunFigures] = {}
-    trials: dict[tuple[str, RunKey], FilterRun] = {}
+    summaries = {}
+    places: dict[str, tuple[RunDirectory, FilterChoice]] = {}
     streams: dict[tuple[str, RunKey], str] = {}
     settings: dict[str, Mapping[str, Any]] = {}
     code: dict[str, str | None] = {}
@@ -121,14 +138,19 @@ def _opened(source: str | Path | BenchmarkResult, name: str) -> _Side:
         prefix = f"{directory.cell.name}: " if study.study.is_grid else ""
         found = directory.results()
         digests = {(about["name"], about["seed"]): pairing_digest(about) for about in found.recordings}
-        for run in found.runs:
-            trial = f"{prefix}{run.filter_name}", key_of(run)
-            trials[trial], streams[trial] = run, digests[key_of(run)]
-        figures |= {f"{prefix}{label}": of_filter for label, of_filter in found.figures.items()}
+        for choice, summary in zip(directory.scenario.competitors, found.summaries, strict=True):
+            label = f"{prefix}{choice.label}"
+            figures[label], summaries[label], places[label] = found.figures[choice.label], summary, (directory, choice)
+            streams |= {(label, key): digests[key] for key in figures[label].of_run}
         code |= {f"{prefix}{label}": digest for label, digest in directory.plugin_code().items()}
         cells |= {f"{prefix}{label}": directory.cell.name for label in found.figures if prefix}
         settings[prefix] = read_json(directory.out / SETTINGS)
-    return _Side(str(source), figures, trials, streams, settings, code, cells)
+
+    def runs_of(label: str) -> Iterator[FilterRun]:
+        directory, choice = places[label]
+        return (found.run for found in directory.trials(choice, {}))
+
+    return _Side(str(source), figures, summaries, runs_of, streams, settings, code, cells)
 
 
 def _refuse_other_kinds(was: _Side, now: _Side) -> None:
@@ -168,10 +190,10 @@ def _same_streams(was: _Side, now: _Side) -> tuple[bool, list[str]]:
             f"The measurements of {which} are not the same in both runs: they are compared as two samples, not pair by "
             f"pair, and a difference may come from the recordings."
         ]
-    pairs = [(was.trials[trial], now.trials[trial]) for trial in common]
+    drives = [{(name, key_of(run)): run for name in side.figures for run in side.runs(name)} for side in (was, now)]
     if all(
-        np.array_equal(getattr(a, name), getattr(b, name), equal_nan=True)
-        for a, b in pairs
+        np.array_equal(getattr(drives[0][trial], name), getattr(drives[1][trial], name), equal_nan=True)
+        for trial in common
         for name in ("timestamps", "true_positions")
     ):
         return True, [
@@ -223,7 +245,7 @@ def _over_runs(was: _Side, now: _Side, name: str, paired: bool) -> tuple[FilterS
 
 def _failures(side: _Side) -> list[str]:
     """Number of failed runs of the filters, with the first error of each."""
-    failed = [(label, run.failure) for (label, _), run in side.trials.items() if run.failure is not None]
+    failed = [(label, row["failure"]) for (label, _), row in side.trials.items() if row["failure"] is not None]
     first = dict(reversed(failed))
     counts = Counter(label for label, _ in failed)
     lines = [f"{label} failed in {n} runs of {side.name}, first at {first[label]}." for label, n in counts.items()]

@@ -19,7 +19,7 @@ from enum import Enum
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.stats import binomtest, fisher_exact, mannwhitneyu, wilcoxon
 
 from filters.validation import BoolArray, FloatArray
@@ -30,6 +30,7 @@ MIN_PAIRS = 6
 TIE_PERCENT = 0.1
 """Two that differ by less than that on every recording are tied."""
 RESAMPLES = 4999
+_MOST_AT_ONCE = 5_000_000
 _EXACT_PAIRS = 50
 _LARGEST_LOG = 50.0
 _MOST_DIGITS = 1e6
@@ -45,36 +46,24 @@ class Finding(Enum):
 
 @dataclass(frozen=True)
 class Difference:
-    """Difference of two quantities, smaller being better, with its confidence interval and test.
-
-    Attributes
-    ----------
-    count : int
-        Pairs, or the size of the smaller group where nothing is paired.
-    estimate : float
-        Mean of log(a / b), or of a - b; NaN without a pair.
-    interval : pair of float, optional
-        Confidence interval of it, corrected for the number of comparisons; None where `too_few`.
-    p_value : float
-        Two-sided, corrected for the number of comparisons.
-    is_ratio : bool
-        Whether it is of logarithms.
-    paired : bool
-        Whether both were measured on the same recordings.
-    comparisons : int
-        What interval and p value are corrected for.
-    largest : float
-        Largest |log(a / b)|, or |a - b|, of a pair; NaN where nothing is paired.
-    """
+    """Difference of two quantities, smaller being better, with its confidence interval and test."""
 
     count: int
+    """Pairs, or the size of the smaller group where nothing is paired."""
     estimate: float
+    """Mean of log(a / b), or of a - b; NaN without a pair."""
     interval: tuple[float, float] | None
+    """Confidence interval of it, corrected for the number of comparisons; None where `too_few`."""
     p_value: float
+    """Two-sided, corrected for the number of comparisons."""
     is_ratio: bool = True
+    """Whether it is of logarithms."""
     paired: bool = True
+    """Whether both were measured on the same recordings."""
     comparisons: int = 1
+    """What interval and p value are corrected for."""
     largest: float = float("nan")
+    """Largest |log(a / b)|, or |a - b|, of a pair; NaN where nothing is paired."""
 
     @property
     def finding(self) -> Finding:
@@ -306,23 +295,22 @@ def as_percent(log_ratio: float) -> float:
     return float(100.0 * np.expm1(np.clip(log_ratio, -_LARGEST_LOG, _LARGEST_LOG)))
 
 
-@lru_cache(maxsize=8)
-def _resamples(count: int, seed: int) -> FloatArray:
-    """Number of draws of each of `count` rows, (RESAMPLES, count)."""
-    drawn = np.random.default_rng([seed, count]).multinomial(count, np.full(count, 1.0 / count), RESAMPLES)
-    weights = drawn.astype(np.float64)
-    weights.setflags(write=False)
-    return weights
+@lru_cache(maxsize=4)
+def _resamples(count: int, seed: int) -> tuple[NDArray[np.uint16], ...]:
+    """Number of draws of each of `count` rows, (RESAMPLES, count), in parts: all at once would fill the memory."""
+    generator, shares = np.random.default_rng([seed, count]), np.full(count, 1.0 / count)
+    parts = np.array_split(np.arange(RESAMPLES), -(-RESAMPLES * count // _MOST_AT_ONCE))
+    return tuple(generator.multinomial(count, shares, len(part)).astype(np.uint16) for part in parts)
 
 
 def _resampled(values: FloatArray, seed: int) -> tuple[FloatArray, FloatArray]:
     """Shift of the mean and squared standard error of each resample, (RESAMPLES, m)."""
     count = len(values)
-    weights = _resamples(count, seed)
     centred = values - values.mean(axis=0)
-    shift = weights @ centred / count
-    variance = np.maximum(weights @ centred**2 / count - shift**2, 0.0) / (count - 1)
-    return shift, variance
+    parts = (part.astype(np.float64) for part in _resamples(count, seed))
+    means = [(part @ centred / count, part @ centred**2 / count) for part in parts]
+    shift, squares = (np.concatenate(column) for column in zip(*means, strict=True))
+    return shift, np.maximum(squares - shift**2, 0.0) / (count - 1)
 
 
 def _ratio(shift: FloatArray, error: FloatArray) -> FloatArray:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
+from functools import lru_cache
 
 import numpy as np
 
@@ -150,14 +151,23 @@ def limit_reached(summary: FilterSummary) -> LimitReached | None:
     """Bound over error of the filter; None where there is no bound or no error."""
     if summary.efficiency_percent is None:
         return None
-    errors, efficiencies = np.array(summary.position_rmse_by_run), np.array(summary.efficiency_by_run)
-    if len(errors) != len(efficiencies):
+    if len(summary.position_rmse_by_run) != len(summary.efficiency_by_run):
         return LimitReached(summary.efficiency_percent, None, summary.runs)
+    found = _interval_of(summary.position_rmse_by_run, summary.efficiency_by_run)
+    return LimitReached(summary.efficiency_percent, *found)
+
+
+@lru_cache(maxsize=64)
+def _interval_of(
+    errors_by_run: tuple[float, ...], efficiency_by_run: tuple[float, ...]
+) -> tuple[tuple[float, float] | None, int]:
+    """Interval of the efficiency, and of how many runs; several places ask, and of many runs it takes seconds."""
+    errors, efficiencies = np.array(errors_by_run), np.array(efficiency_by_run)
     known = np.isfinite(errors) & np.isfinite(efficiencies)
     interval = None
     if known.sum() >= MIN_PAIRS:
         interval = efficiency_interval(0.01 * efficiencies[known] * errors[known], errors[known], CONFIDENCE)
-    return LimitReached(summary.efficiency_percent, interval, int(known.sum()))
+    return interval, int(known.sum())
 
 
 def _digits(percent: float) -> int:

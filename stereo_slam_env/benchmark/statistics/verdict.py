@@ -333,4 +333,11 @@ def _cost(best: FilterSummary, rivals: Sequence[FilterSummary]) -> str:
     if quickest is not None and quickest.ms_per_frame:
         excess = 100.0 * (best.ms_per_frame / quickest.ms_per_frame - 1.0)
         beside = f", {percent_words(excess, 'more')} than {quickest.filter_name}"
-    return f"{best.filter_name} takes {best.ms_per_frame:.3g} ms a frame{beside}."
+    return f"{best.filter_name} takes {best.ms_per_frame:.3g} ms a frame{beside}{timed_words(best, ' (', ')')}."
+
+
+def timed_words(summary: FilterSummary, before: str = "", after: str = "") -> str:
+    """On how many drives the filter was timed; nothing where that is all that it finished."""
+    if summary.timed in (None, summary.runs - len(summary.failures)):
+        return ""
+    return f"{before}timed on {summary.timed} of {summary.runs} drives{after}"

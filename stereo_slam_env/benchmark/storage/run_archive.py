@@ -1,45 +1,90 @@
-"""Files of a run: `FilterRun` and bound as npz and back."""
+"""Files of a run: `FilterRun` with its figures, and bound, as npz and back.
+
+The file of a run is whole, or it has what a summary over runs needs: figures, and the series of one number a frame that
+are pooled or averaged over runs. A campaign keeps the first runs whole and so much of the others.
+"""
 
 from __future__ import annotations
 
 import dataclasses
 import io
 import json
-from collections.abc import Iterator, Mapping
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from filters.contract.foreign_text import first_line
+from filters.validation import FloatArray, IntArray
 from stereo_slam_env.evaluation.cramer_rao import Bound
+from stereo_slam_env.evaluation.figures import trial_columns
 from stereo_slam_env.evaluation.landmark_statistics import SERIES as _LANDMARK_SERIES
 from stereo_slam_env.evaluation.landmark_statistics import LandmarkStatistics
 from stereo_slam_env.evaluation.map_scoring import LandmarkTrace
 from stereo_slam_env.evaluation.results import FilterRun
+from stereo_slam_env.evaluation.run_figures import RunScore
+from stereo_slam_env.evaluation.trajectory_metrics import SegmentErrors
 from stereo_slam_env.files.opening import NotOpened
 from stereo_slam_env.files.readers import read_arrays
 from stereo_slam_env.recording.archive import reference_of
 
-FORMAT = 3
+FORMAT = 4
 _TEXT = ("filter_name", "recording_name", "options", "not_given", "seed", "failure")
 _PARTS = ("counts", "traces", "memory_mb", "landmark_statistics", "truth_from")
 _SERIES = tuple(f.name for f in dataclasses.fields(FilterRun) if f.name not in (*_TEXT, *_PARTS))
-_DAMAGE = (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError)
+_DAMAGE = (MemoryError, OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError)
 _TRACE_SERIES = ("frames", "depth", "sigma", "true_depth", "measured_depth")
+_SEGMENT_SERIES = tuple(f.name for f in dataclasses.fields(SegmentErrors))
+_SHAPES = {
+    **dict.fromkeys(("positions", "true_positions", "linear_velocities", "angular_velocities"), (3,)),
+    **dict.fromkeys(("true_linear_velocities", "true_angular_velocities"), (3,)),
+    **dict.fromkeys(("orientations", "true_orientations"), (4,)),
+    **dict.fromkeys(("pose_covariances", "velocity_covariances"), (6, 6)),
+    "pose_errors": (6,),
+}
+"""Series of more than one number a frame: only a file that is whole has them."""
+_NUMBERS = tuple(name for name in _SERIES if name not in _SHAPES)
+MOST_FRAMES = 10_000_000
+"""Of a run: more are damage."""
+MOST_COUNTED = 1_000_000
+"""Measurements or landmarks counted in one frame: more are damage."""
+_LANDMARK_SHAPES = tuple(getattr(LandmarkStatistics(), name).shape for name in _LANDMARK_SERIES)
 
 
-def packed_run(run: FilterRun, provenance: Mapping[str, Any]) -> bytes:
-    """Bytes of the npz file of a run and of its JSON-able provenance; `load_run` gives both back."""
-    arrays: dict[str, Any] = {name: getattr(run, name) for name in _SERIES}
-    arrays |= {f"count.{name}": values for name, values in run.counts.items()}
-    for i, trace in enumerate(run.traces):
-        arrays |= {f"trace.{i}.{name}": getattr(trace, name) for name in _TRACE_SERIES}
-    arrays |= {f"landmarks.{name}": getattr(run.landmark_statistics, name) for name in _LANDMARK_SERIES}
-    arrays["memory_mb"] = np.array(run.memory_mb)
+@dataclass(frozen=True, eq=False)
+class StoredRun:
+    """What the file of a run holds."""
+
+    run: FilterRun  # where it is not whole, without counts and traces, and the series of vectors are NaN
+    provenance: dict[str, Any]
+    score: RunScore | None  # None where no figures were packed
+    is_whole: bool
+
+
+def packed_run(
+    run: FilterRun, provenance: Mapping[str, Any], score: RunScore | None = None, *, whole: bool = True
+) -> bytes:
+    """Bytes of the npz file of a run, its JSON-able provenance and its figures; `load_run` gives all back."""
+    arrays: dict[str, Any] = _whole(run) if whole else {}
+    names = [] if whole else [name for name in _NUMBERS if np.isfinite(getattr(run, name)).any()]
+    numbers = [
+        [run.memory_mb],
+        *(getattr(run.landmark_statistics, name).ravel() for name in _LANDMARK_SERIES),
+        *([] if score is None else [getattr(score.segments, name) for name in _SEGMENT_SERIES]),
+        *(getattr(run, name) for name in names),
+    ]
+    arrays["numbers"] = np.concatenate(numbers).astype(np.float64)  # one array is read far faster than many
     about = {
         "format": FORMAT,
+        "figures": None if score is None else dict(score.figures),
+        "segments": None if score is None else len(score.segments),
+        "series": None if whole else names,
+        "frames": len(run),
         "run": {name: getattr(run, name) for name in _TEXT}
         | {"options": dict(run.options), "not_given": dict(run.not_given)},
         "traces": [[trace.landmark_id, trace.label] for trace in run.traces],
@@ -50,6 +95,14 @@ def packed_run(run: FilterRun, provenance: Mapping[str, Any]) -> bytes:
     stream = io.BytesIO()
     np.savez_compressed(stream, **arrays)
     return stream.getvalue()
+
+
+def _whole(run: FilterRun) -> dict[str, Any]:
+    arrays: dict[str, Any] = {name: getattr(run, name) for name in _SERIES}
+    arrays |= {f"count.{name}": values for name, values in run.counts.items()}
+    for i, trace in enumerate(run.traces):
+        arrays |= {f"trace.{i}.{name}": getattr(trace, name) for name in _TRACE_SERIES}
+    return arrays
 
 
 def packed_bound(bound: Bound | None, code: str) -> bytes:
@@ -66,31 +119,72 @@ def load_bound(path: Path, *, inside: Path | None = None) -> tuple[Bound | None,
         return Bound(arrays["pose"]) if len(arrays["pose"]) else None, str(arrays["code"])
 
 
-def load_provenance(path: Path, *, inside: Path | None = None) -> dict[str, Any]:
-    """The provenance alone, without reading the series; raises as `load_run`."""
+def load_provenance(path: Path, *, inside: Path | None = None) -> tuple[dict[str, Any], bool]:
+    """The provenance alone, without reading the series, and whether the run is whole; raises as `load_run`."""
     with damage_named(path):
-        provenance: dict[str, Any] = _checked(read_arrays(path, ["about"], inside=inside))["provenance"]
-        return provenance
+        about = _checked(read_arrays(path, ["about"], inside=inside))
+        return about["provenance"], about["series"] is None
 
 
-def load_run(path: Path, *, inside: Path | None = None) -> tuple[FilterRun, dict[str, Any]]:
-    """Read a run and its provenance; a `ValueError` names a file that is damaged, of another format, or outside."""
+def load_run(path: Path, *, inside: Path | None = None) -> StoredRun:
+    """Read a run; a `ValueError` names a file that is damaged, of another format, or outside."""
     with damage_named(path):
         arrays: dict[str, Any] = read_arrays(path, inside=inside)
         about = _checked(arrays)
+        whole, segments = about["series"] is None, about["segments"]
+        numbers = _Numbers(arrays["numbers"])
+        memory = float(numbers.next(())[()])
+        landmarks = LandmarkStatistics(*map(numbers.next, _LANDMARK_SHAPES))
+        score = None
+        if segments is not None:
+            errors = SegmentErrors(*(numbers.next((segments,)) for _ in _SEGMENT_SERIES))
+            if about["figures"].keys() == {
+                figure.name for figure in trial_columns()
+            }:  # else they are of a version with others
+                score = RunScore(about["figures"], errors)
         run = FilterRun(
             **about["run"],
-            **{name: arrays[name] for name in _SERIES},
-            counts={name.removeprefix("count."): arrays[name] for name in arrays if name.startswith("count.")},
+            **({name: arrays[name] for name in _SERIES} if whole else numbers.series(about["series"], about["frames"])),
+            counts={name.removeprefix("count."): _count(arrays[name]) for name in arrays if name.startswith("count.")},
             traces=tuple(
                 LandmarkTrace(landmark_id, label, *(arrays[f"trace.{i}.{name}"] for name in _TRACE_SERIES))
-                for i, (landmark_id, label) in enumerate(about["traces"])
+                for i, (landmark_id, label) in enumerate(about["traces"] if whole else ())
             ),
-            memory_mb=float(arrays["memory_mb"]),
-            landmark_statistics=LandmarkStatistics(*(arrays[f"landmarks.{name}"] for name in _LANDMARK_SERIES)),
+            memory_mb=memory,
+            landmark_statistics=landmarks,
             truth_from=reference_of(about),
         )
-        return run, about["provenance"]
+        return StoredRun(run, about["provenance"], score, whole)
+
+
+def _count(values: IntArray) -> IntArray:
+    if values.dtype.kind != "i" or np.any((values < 0) | (values > MOST_COUNTED)):
+        raise ValueError(f"counts must be integers from 0 to {MOST_COUNTED}")
+    return values
+
+
+class _Numbers:
+    """Arrays that lie one behind the other in one."""
+
+    def __init__(self, numbers: FloatArray) -> None:
+        self._numbers, self._at = numbers, 0
+
+    def next(self, shape: tuple[int, ...]) -> FloatArray:
+        """The next of them."""
+        first, self._at = self._at, self._at + math.prod(shape)
+        return self._numbers[first : self._at].reshape(shape)
+
+    def series(self, names: Sequence[str], frames: int) -> dict[str, FloatArray]:
+        """All series of a run, of which these are there; the others are NaN."""
+        if type(frames) is not int or not 0 <= frames <= MOST_FRAMES:
+            raise ValueError(f"frames must be 0 to {MOST_FRAMES}, got {frames!r}")
+        series = {**_nothing_known(frames), **{name: self.next((frames,)) for name in names}}
+        return {**series, "nis_dof": np.nan_to_num(series["nis_dof"]).astype(np.int64)}
+
+
+@lru_cache(maxsize=16)
+def _nothing_known(frames: int) -> dict[str, FloatArray]:
+    return {name: np.broadcast_to(np.nan, (frames, *_SHAPES.get(name, ()))) for name in _SERIES}
 
 
 @contextmanager

@@ -8,38 +8,54 @@ of files is `seed-0007`, or `recording` for real data; beside each recording (np
 from __future__ import annotations
 
 import dataclasses
-import json
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, Scenario
-from stereo_slam_env.benchmark.scenarios.streams import as_given, pairing_digest, seed_description, stream_key
+from stereo_slam_env.benchmark.scenarios.streams import as_given, pairing_digest, stream_key
 from stereo_slam_env.benchmark.scenarios.study import Cell, Study
 from stereo_slam_env.benchmark.storage.code_identity import code_digest, versions
+from stereo_slam_env.benchmark.storage.given import Given, descriptions
 from stereo_slam_env.benchmark.storage.plugin_code import digest_of_choice, digest_of_source
 from stereo_slam_env.benchmark.storage.run_archive import (
+    StoredRun,
     damage_named,
     load_bound,
     load_provenance,
     load_run,
 )
+from stereo_slam_env.benchmark.storage.run_trajectory_files import WRITTEN, seed_name, write_trajectories
+from stereo_slam_env.benchmark.storage.settings import (
+    SETTINGS,
+    STUDY,
+    refuse_foreign,
+    refuse_other_settings,
+    why_no_run,
+)
 from stereo_slam_env.benchmark.storage.tables import write_csv, write_trial_table
 from stereo_slam_env.evaluation.cramer_rao import Bound
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
-from stereo_slam_env.evaluation.run_figures import Bounds, Figures, figures_of, summarise_all
-from stereo_slam_env.evaluation.run_trajectories import estimate_of, reference_of, truth_of
-from stereo_slam_env.files.folders import is_occupied, write_atomically
+from stereo_slam_env.evaluation.run_figures import (
+    Bounds,
+    Figures,
+    RunFigures,
+    RunKey,
+    RunScore,
+    key_of,
+    score_of,
+    summarise,
+    together,
+)
+from stereo_slam_env.files.folders import write_atomically
 from stereo_slam_env.files.json_files import write_json
 from stereo_slam_env.files.opening import read_bytes
 from stereo_slam_env.files.paths import require_links_inside
 from stereo_slam_env.files.readers import read_json
-from stereo_slam_env.recording.trajectory import Trajectory
-from stereo_slam_env.recording.trajectory_files import save_trajectory
 
 VERSION = 2
-SETTINGS, STUDY, CELLS = "settings.json", "study.json", "cells"
+CELLS = "cells"
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,11 +63,11 @@ class CellResult:
     """Results of one cell."""
 
     directory: RunDirectory
-    runs: tuple[FilterRun, ...]
+    runs: tuple[FilterRun, ...]  # of the recordings that are kept, by seed, then filter
     recordings: tuple[Mapping[str, Any], ...]  # description of each recording, JSON-able, as in `summary.json`
     figures: Figures  # figures of every run, by label of the filter
     summaries: tuple[FilterSummary, ...]
-    bounds: Bounds  # Cramer-Rao bounds by recording, where there are any
+    bounds: Bounds  # Cramer-Rao bounds of the recordings that are kept, where there are any
 
     @property
     def cell(self) -> Cell:
@@ -74,6 +90,7 @@ class RunDirectory:
         self.seeds = cell.scenario.recording_seeds
         self._root = root_of(out)
         self._recordings = self._root / "recordings"
+        self._kept = frozenset(self.seeds[: cell.scenario.kept_seeds])
         self._found_code: dict[str | None, str | None] | None = None
 
     def trial_path(self, seed: int | None, choice: FilterChoice) -> Path:
@@ -100,15 +117,17 @@ class RunDirectory:
         for seed in self.seeds:
             for choice in self.scenario.competitors:
                 path = self.trial_path(seed, choice)
-                provenance = load_provenance(path, inside=self._root) if path.exists() else {}
-                if _code_in(provenance) != (code, self._plugins[choice.label]):
+                provenance, is_whole = load_provenance(path, inside=self._root) if path.exists() else ({}, False)
+                other_code = _code_in(provenance) != (code, self._plugins[choice.label])
+                if other_code or (self.keeps(seed) and not is_whole):
                     todo.append((seed, choice))
                 elif provenance["filter"] != dataclasses.asdict(choice):
                     raise ValueError(
                         f"{path} was made with other options of that filter: give it another label, or choose "
                         f"another output directory"
                     )
-            if self.scenario.has_bound and self._bound(seed)[1] != self._code_of_bound:
+            needed = self.keeps(seed) or (todo and todo[-1][0] == seed)
+            if self.scenario.has_bound and needed and self._bound(seed)[1] != self._code_of_bound:
                 todo.append((seed, None))
         return todo
 
@@ -170,58 +189,83 @@ class RunDirectory:
         write_atomically(path, lambda stream: stream.write(content))
 
     def load(self) -> tuple[list[FilterRun], list[dict[str, Any]]]:
-        """All runs, by seed, then filter, and one description of each recording.
+        """All runs, by seed, then filter, and one description of each recording; raises as `trials`."""
+        given: Given = {}
+        by_filter = [[found.run for found in self.trials(choice, given)] for choice in self.scenario.competitors]
+        return [run for of_seed in zip(*by_filter, strict=True) for run in of_seed], descriptions(self.out, given)
 
-        A `ValueError` says that a trial is missing or damaged, that filters were not given the identical recording, or
-        that images were drawn by different renderers.
+    def trials(self, choice: FilterChoice, given: Given) -> Iterator[StoredRun]:
+        """Trials of a competitor, by seed, with their figures; what it was `given` is noted there.
+
+        A `ValueError` says that a trial is missing or damaged, that this competitor was not given the recordings of
+        those before it, or that images were drawn by different renderers.
         """
-        runs, recordings = [], []
         for seed in self.seeds:
-            given: dict[str, dict[str, Any]] = {}
-            for choice in self.scenario.competitors:
-                path = self.trial_path(seed, choice)
-                if not path.exists():
-                    raise ValueError(f"{path} is missing: the run is not finished, run the same command again")
-                run, provenance = load_run(path, inside=self._root)
-                if run.filter_name != choice.label:  # it becomes the name of files
-                    raise ValueError(f"{path} holds a run of {run.filter_name!r}: delete it and run the command again")
-                given[choice.label] = provenance["recording"]
-                if pairing_digest(given[choice.label]) != pairing_digest(next(iter(given.values()))):
-                    raise ValueError(
-                        f"{path}: the filters of {seed_name(seed)} were not given the same recording: "
-                        f"its source is not deterministic, or its files have changed; delete {path.parent}"
-                    )
-                runs.append(run)
-            recordings.append({"seed": seed, **seed_description(given)})
-        # The same renderer of another version or device draws other pictures, too.
-        drawn = {json.dumps(about.get("source", {}).get("renderer"), sort_keys=True) for about in recordings}
-        if len(drawn) > 1:
+            path = self.trial_path(seed, choice)
+            if not path.exists():
+                raise ValueError(f"{path} is missing: the run is not finished, run the same command again")
+            found = load_run(path, inside=self._root)
+            if found.run.filter_name != choice.label:  # it becomes the name of files
+                raise ValueError(
+                    f"{path} holds a run of {found.run.filter_name!r}: delete it and run the command again"
+                )
+            about, of_seed = found.provenance["recording"], given.setdefault(seed, {})
+            if of_seed and pairing_digest(about) != pairing_digest(next(iter(of_seed.values()))):
+                raise ValueError(
+                    f"{path}: the filters of {seed_name(seed)} were not given the same recording: "
+                    f"its source is not deterministic, or its files have changed; delete {path.parent}"
+                )
+            # Of what is the same for all one description will do.
+            of_seed[choice.label] = about if self.scenario.policies or not of_seed else next(iter(of_seed.values()))
+            yield replace(found, score=self._score(found, seed))
+
+    def _score(self, found: StoredRun, seed: int | None) -> RunScore:
+        """Figures of a trial: those that are kept with it, or of a whole one that has none, computed."""
+        limit = self.scenario.divergence_percent
+        if found.score is not None:
+            return found.score.judged(limit)
+        if not found.is_whole:
             raise ValueError(
-                f"{self.out}: its recordings were drawn by different renderers, {' and '.join(sorted(drawn))}, and are "
-                f"not to be compared: choose another output directory"
+                f"{self.out}: figures of {seed_name(seed)} were kept by another version, without the time series: run "
+                f"the same command again"
             )
-        return runs, recordings
+        return score_of(found.run, divergence_percent=limit, bound=self.bound(seed))
 
     def plugin_code(self) -> dict[str, str | None]:
         """Digest of the code that each filter and policy had, by label; None for those that are ours."""
         return {
-            choice.label: load_provenance(self.trial_path(self.seeds[0], choice)).get("plugin_code")
+            choice.label: load_provenance(self.trial_path(self.seeds[0], choice))[0].get("plugin_code")
             for choice in self.scenario.competitors
         }
 
-    def bounds(self) -> dict[tuple[str, int | None], Bound]:
-        """The bounds there are, by name and seed of the recording."""
+    def bounds(self) -> dict[RunKey, Bound]:
+        """The bounds that are kept, by name and seed of the recording."""
         found = {}
-        for seed in self.seeds:
-            about, (bound, _) = self._about_recording(seed), self._bound(seed)
+        for seed in self.seeds[: self.scenario.kept_seeds]:
+            about, bound = self._about_recording(seed), self.bound(seed)
             if about is not None and bound is not None:
                 found[about["name"], seed] = bound
         return found
+
+    def bound(self, seed: int | None) -> Bound | None:
+        """The bound for a recording, where there is one."""
+        return self._bound(seed)[0]
 
     def _bound(self, seed: int | None) -> tuple[Bound | None, str | None]:
         """The bound, and the version of the code that made it; None where there is none."""
         path = self.bound_path(seed)
         return load_bound(path, inside=self._root) if path.exists() else (None, None)
+
+    def keeps(self, seed: int | None) -> bool:
+        """Whether recording and time series of a seed are kept."""
+        return seed in self._kept
+
+    def remove_recordings(self, seeds: Iterable[int | None]) -> None:
+        """Remove the recordings and bounds of these seeds: figures have been made of them."""
+        for seed in seeds:
+            paths = [self.recording_path(seed, choice) for choice in (None, *self.scenario.competitors)]
+            for path in [*paths, *(path.with_suffix(".json") for path in paths), self.bound_path(seed)]:
+                path.unlink(missing_ok=True)
 
     def _about_recording(self, seed: int | None) -> dict[str, Any] | None:
         path = self.recording_path(seed).with_suffix(".json")
@@ -232,25 +276,35 @@ class RunDirectory:
             return about
 
     def results(self) -> CellResult:
-        """Results of the finished trials; raises as `load`."""
-        runs, recordings = self.load()
-        bounds = self.bounds()
-        figures = figures_of(runs, divergence_percent=self.scenario.divergence_percent, bounds=bounds)
-        return CellResult(self, tuple(runs), tuple(recordings), figures, summarise_all(runs, figures), bounds)
+        """Results of the finished trials; raises as `trials`."""
+        given: Given = {}
+        figures: dict[str, RunFigures] = {}
+        summaries = []
+        kept: list[list[FilterRun]] = []
+        for choice in self.scenario.competitors:  # of many runs no more than those of one filter are in memory
+            found = list(self.trials(choice, given))
+            runs = [each.run for each in found]
+            scores = {key_of(each.run): each.score for each in found if each.score is not None}
+            figures[choice.label] = together(scores)
+            summaries.append(summarise(runs, figures[choice.label]))
+            kept.append([run for run, seed in zip(runs, self.seeds, strict=True) if self.keeps(seed)])
+        drawn = tuple(run for of_seed in zip(*kept, strict=True) for run in of_seed)
+        return CellResult(self, drawn, tuple(descriptions(self.out, given)), figures, tuple(summaries), self.bounds())
 
     def write_results(self) -> CellResult:
-        """Write `summary.json`, `summary.csv` and the trajectories, and return what they say."""
+        """Write `summary.json`, `summary.csv` and trajectories of the first recordings; returns what they say."""
         found = self.results()
         about = {"version": VERSION, "scenario": self.scenario.name, "recordings": found.recordings}
         write_json(self.out / "summary.json", {**about, "filters": found.rows})
         write_csv(self.out / "summary.csv", found.summaries)
-        for run in found.runs:
-            folder = self.out / "trajectories" / seed_name(run.seed)
-            # A camera that looks elsewhere is elsewhere, by the arm of the head: each policy has its own truth.
-            truth = f"{run.filter_name}-truth" if self.scenario.policies else "truth"
-            _write_trajectories(folder / run.filter_name, estimate_of(run), estimate_of(run))
-            _write_trajectories(folder / truth, truth_of(run), reference_of(run))
+        write_trajectories(self.out, self.scenario, found.runs[: WRITTEN * len(self.scenario.competitors)])
         return found
+
+    def write_trajectories(self) -> None:
+        """Write the trajectories of all recordings that are kept; raises as `trials`."""
+        for choice in self.scenario.competitors:
+            whole = (found.run for found in self.trials(choice, {}) if found.is_whole)
+            write_trajectories(self.out, self.scenario, whole)
 
     def settings(self) -> dict[str, Any]:
         """Content of `settings.json`."""
@@ -280,17 +334,15 @@ class StudyDirectory:
         write_trial_table(self.out / "trials.sqlite", results)
         return results
 
+    def write_trajectories(self) -> None:
+        """Write the trajectories of all recordings that are kept."""
+        for directory in self.cells:
+            directory.write_trajectories()
+
 
 def _code_in(provenance: Mapping[str, Any]) -> tuple[str | None, str | None]:
     """Digests of our code and of that of the filter and policy that made a trial."""
     return provenance.get("code"), provenance.get("plugin_code")
-
-
-def _write_trajectories(path: Path, poses: Trajectory | None, claimed: Trajectory | None) -> None:
-    """Write poses as .tum and .kitti, and with what is claimed of them as .square; those that are not known are not."""
-    for ending, trajectory in ((".tum", poses), (".kitti", poses), (".square", claimed)):
-        if trajectory is not None:
-            save_trajectory(path.with_name(path.name + ending), trajectory)
 
 
 def open_study(out: Path, study: Study) -> StudyDirectory:
@@ -316,7 +368,7 @@ def prepared_study(out: Path, study: Study) -> StudyDirectory:
     for run in directory.cells:
         refuse_foreign(run.out)
         if (run.out / SETTINGS).exists():
-            _refuse_other_settings(run.out, _scenario_in(run.out).as_dict(), run.scenario.as_dict())
+            refuse_other_settings(run.out, _scenario_in(run.out).as_dict(), run.scenario.as_dict())
         run.missing()
     return directory
 
@@ -336,53 +388,13 @@ def root_of(out: Path) -> Path:
     return out.parent.parent if out.parent.name == CELLS else out
 
 
-def refuse_foreign(out: Path) -> None:
-    """Raise a `ValueError` where `out` holds something that is no run."""
-    if out.exists() and not out.is_dir():
-        raise ValueError(f"output {out} is a file: give a directory")
-    if out.is_dir() and not any((out / name).exists() for name in (SETTINGS, STUDY)) and is_occupied(out):
-        raise ValueError(f"output {out} is not empty and holds no run: choose another directory")
-
-
-def seed_name(seed: int | None) -> str:
-    """Name of files of one recording."""
-    return "recording" if seed is None else f"seed-{seed:04d}"
-
-
 def _scenario_in(out: Path) -> Scenario:
     if not out.is_dir():
-        raise ValueError(_why_no_run(out))
+        raise ValueError(why_no_run(out))
     path = out / SETTINGS
     try:
         require_links_inside(root_of(out))
         with damage_named(path):
             return Scenario.from_dict(read_json(path)["scenario"])
     except FileNotFoundError as error:
-        raise ValueError(_why_no_run(out)) from error
-
-
-def _why_no_run(out: Path) -> str:
-    """Error message where there is no run to read, with a suggestion."""
-    if not out.is_dir():
-        what = "is a file" if out.exists() else "does not exist"
-        return f"{out} {what}: give the directory of a run"
-    inside = sorted({path.parent for name in (SETTINGS, STUDY) for path in out.glob(f"*/{name}")})
-    if inside:
-        return f"{out} holds no run itself, but {len(inside)}: give one of them, such as {inside[-1]}"
-    return f"{out} holds no run: it has no settings.json, give the directory of a run"
-
-
-def _refuse_other_settings(out: Path, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
-    """Raise a `ValueError` where anything but seeds, filters or limits differs from the settings of the run."""
-    may_change = {"filters", "policies", "seeds", "divergence_percent", "frame_time_limit", "recording_time_limit"}
-    for key in sorted(before.keys() - may_change, key=lambda key: (key == "name", key)):
-        was, is_now = before[key], now[key]
-        if was == is_now:
-            continue
-        if isinstance(was, Mapping) and isinstance(is_now, Mapping):  # name the entry, not the lot
-            entry = min(entry for entry in {**was, **is_now} if was.get(entry) != is_now.get(entry))
-            key, was, is_now = f"{key}.{entry}", was.get(entry), is_now.get(entry)
-        raise ValueError(
-            f"output {out} holds a run with {key} = {json.dumps(was)}, now it is {json.dumps(is_now)}: "
-            f"choose another output directory"
-        )
+        raise ValueError(why_no_run(out)) from error

@@ -19,7 +19,6 @@ from typing import TYPE_CHECKING, Any
 
 from stereo_slam_env.evaluation.figures import FIGURES, trial_columns
 from stereo_slam_env.evaluation.results import FilterSummary
-from stereo_slam_env.evaluation.run_figures import key_of
 from stereo_slam_env.files.folders import unfinished_name, write_atomically
 
 if TYPE_CHECKING:
@@ -102,21 +101,20 @@ def write_trial_table(path: Path, results: Sequence[CellResult]) -> None:
 def _rows(root: Path, result: CellResult) -> list[dict[str, Any]]:
     rows = []
     competitors = {choice.label: choice for choice in result.cell.scenario.competitors}
-    for run in result.runs:
-        choice = competitors[run.filter_name]
-        rows.append(
-            {
-                "cell": result.cell.name,
-                **_factors(result),
-                **{
-                    FIGURES[name].column: FIGURES[name].in_unit(value)
-                    for name, value in result.figures[run.filter_name].of_run[key_of(run)].items()
-                },
-                "policy": None if choice.policy is None else json.dumps(choice.policy.as_dict()),
-                "options": json.dumps(dict(run.options)),
-                "series": result.directory.trial_path(run.seed, choice).relative_to(root).as_posix(),
-            }
-        )
+    options = {summary.filter_name: json.dumps(dict(summary.options)) for summary in result.summaries}
+    for of_seed in zip(*(result.figures[label].of_run.values() for label in competitors), strict=True):
+        for figures in of_seed:
+            choice = competitors[figures["filter"]]
+            rows.append(
+                {
+                    "cell": result.cell.name,
+                    **_factors(result),
+                    **{FIGURES[name].column: FIGURES[name].in_unit(value) for name, value in figures.items()},
+                    "policy": None if choice.policy is None else json.dumps(choice.policy.as_dict()),
+                    "options": options[choice.label],
+                    "series": result.directory.trial_path(figures["seed"], choice).relative_to(root).as_posix(),
+                }
+            )
     return rows
 
 

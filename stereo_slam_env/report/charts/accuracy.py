@@ -25,6 +25,8 @@ from stereo_slam_env.report.charts.style import (
 
 MAX_THIN_LINES = 12
 """Single runs drawn behind a median: more would only darken the picture."""
+MAX_DOTS = 100
+"""Single runs drawn as dots: the first ones."""
 TRUTH = {"width": 7.0, "opacity": 0.18}
 """How the truth is drawn: broad and pale, below the estimates."""
 
@@ -63,7 +65,17 @@ def plot_trajectory(runs: Sequence[FilterRun]) -> Chart:
     return figure([view, errors], colours, columns=1 if long else 2)
 
 
-def map_panel(track: FloatArray, axes: tuple[int, int], width: float, height: float, title: str) -> Panel:
+_CAMERA_AXES = ("x, right (m)", "y, down (m)", "z, forward (m)")
+
+
+def map_panel(
+    track: FloatArray,
+    axes: tuple[int, int],
+    width: float,
+    height: float,
+    title: str,
+    names: Sequence[str] = _CAMERA_AXES,
+) -> Panel:
     """A panel around a track (N, 3), with equal scales; seen from above, x points down where z runs across."""
     across, up = axes
     ends = np.stack([track.min(axis=0), track.max(axis=0)]) if len(track) else np.zeros((2, 3))
@@ -75,7 +87,6 @@ def map_panel(track: FloatArray, axes: tuple[int, int], width: float, height: fl
     if scale * extent[up] < 70.0:  # a straight drive: the scales stay equal, the field is higher than the path
         more = 0.5 * (70.0 / scale - extent[up])
         low[up], high[up] = low[up] - more, high[up] + more
-    names = {0: "x, right (m)", 2: "z, forward (m)"}
     x, y = (float(low[across]), float(high[across])), (float(low[up]), float(high[up]))
     return Panel(Axis(*x, names[across]), Axis(*y, names[up], reverse=across == 2), *size, title)
 
@@ -116,7 +127,7 @@ def plot_error_by_run(runs: Sequence[FilterRun]) -> Chart:
     notes = {name: f"({count} failed)" for name, count in failed.items() if count}
     rmse = {(run.filter_name, run.recording_name, run.seed): position_rmse(run) for run in runs}
     panel = _rows("position RMSE of each run (m)", names, rmse.values(), spread=10.0, notes=notes)
-    recordings = dict.fromkeys(key_of(run) for run in runs)
+    recordings = dict.fromkeys(key_of(run) for run in runs)  # few: their time series are kept
     rows = np.arange(len(names))
     joined = ([rmse.get((name, *recording), np.nan) for name in names] for recording in recordings)
     panel.lines(Curve("", values, rows, MUTED, width=0.9, opacity=0.35, said=None) for values in joined)
@@ -221,15 +232,16 @@ def plot_efficiency(summaries: Sequence[FilterSummary]) -> Chart:
     shown = [s for s in summaries if s.efficiency_percent is not None]
     names = [s.filter_name for s in shown]
     colours = filter_colours(s.filter_name for s in summaries)
-    everything = [100.0, *(value for s in shown for value in (*s.efficiency_by_run, s.efficiency_percent or np.nan))]
+    by_run = {s.filter_name: s.efficiency_by_run[:MAX_DOTS] for s in shown}
+    everything = [100.0, *(value for s in shown for value in (*by_run[s.filter_name], s.efficiency_percent or np.nan))]
     panel = _rows("bound / position RMSE of each run (%)", names, everything, spread=30.0, colours=colours)
     panel.rule(x=100.0, dash=DASHED)
     panel.dots(
         (
             Curve(
                 s.filter_name,
-                s.efficiency_by_run,
-                [row] * len(s.efficiency_by_run),
+                by_run[s.filter_name],
+                [row] * len(by_run[s.filter_name]),
                 colours[s.filter_name],
                 opacity=0.55,
             )

@@ -17,29 +17,22 @@ WIDTH = 1170.0
 
 @dataclass(frozen=True)
 class Axis:
-    """A numeric axis with fixed ends.
-
-    Attributes
-    ----------
-    low, high : float
-        Ends, in the units of the data.
-    title : str
-        With its unit.
-    log, reverse : bool
-        Logarithmic; from high to low.
-    ticks : sequence of float, optional
-        Where to write numbers, instead of round ones; () for none.
-    grid : bool
-        Lines at the ticks.
-    """
+    """A numeric axis with fixed ends."""
 
     low: float
+    """Lower end, in the units of the data."""
     high: float
+    """Upper end, in the units of the data."""
     title: str = ""
+    """Title, with its unit."""
     log: bool = False
+    """Whether it is logarithmic."""
     reverse: bool = False
+    """Whether it goes from high to low."""
     ticks: Sequence[float] | None = None
+    """Where to write numbers, instead of round ones; () for none."""
     grid: bool = True
+    """Lines at the ticks."""
 
     @classmethod
     def of_rows(cls, count: int) -> Axis:

@@ -44,33 +44,26 @@ DASHED = (5.0, 4.0)
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """Points of one series, to be drawn as a line, as dots, as a band or with intervals.
-
-    Attributes
-    ----------
-    key : str
-        The series it belongs to and is switched off with; "" for background.
-    x, y : (K,) array_like
-        NaN is a gap.
-    colour : str
-        One of `style`.
-    low, high : (K,) array_like, optional
-        Ends of a band or of an interval.
-    width, opacity : float
-        Of the line, px.
-    said : str, optional
-        What hovering says besides the values, instead of the key; None says nothing at all.
-    """
+    """Points of one series, to be drawn as a line, as dots, as a band or with intervals."""
 
     key: str
+    """Series that it belongs to and is switched off with; "" for background."""
     x: ArrayLike
+    """(K,): NaN is a gap."""
     y: ArrayLike
+    """(K,): NaN is a gap."""
     colour: str
+    """One of `style`."""
     low: ArrayLike | None = None
+    """(K,): lower ends of a band or of an interval."""
     high: ArrayLike | None = None
+    """(K,): upper ends of a band or of an interval."""
     width: float = 1.6
+    """Width of the line, px."""
     opacity: float = 1.0
+    """Opacity of the line, 0 to 1."""
     said: str | None = ""
+    """What hovering says besides the values, instead of the key; None says nothing at all."""
 
 
 @dataclass(frozen=True)
@@ -89,29 +82,22 @@ class Box:
 
 @dataclass
 class Panel:
-    """One pair of axes, and the layers drawn on it, from the lowest to the highest.
-
-    Attributes
-    ----------
-    x, y : Axis
-        To the right and up.
-    width, height : float
-        Of the field between the axes, px.
-    title : str
-        Above it, with the unit of `y` where that has no title of its own.
-    title_colour : str
-        Of the title.
-    zoom : bool
-        Whether dragging and Ctrl + wheel move and zoom it in the page.
-    """
+    """One pair of axes, and the layers drawn on it, from the lowest to the highest."""
 
     x: Axis
+    """Axis to the right."""
     y: Axis
+    """Axis upwards."""
     width: float
+    """Width of the field between the axes, px."""
     height: float
+    """Height of that field, px."""
     title: str = ""
+    """Above it, with the unit of `y` where that has no title of its own."""
     title_colour: str = INK
+    """Colour of the title."""
     zoom: bool = True
+    """Whether dragging and Ctrl + wheel move and zoom it in the page."""
     _layers: list[Spec] = field(default_factory=list)
     _texts: list[Spec] = field(default_factory=list)
 
@@ -283,15 +269,10 @@ class Panel:
 
 @dataclass(frozen=True)
 class Chart:
-    """A drawing that can be used: a Vega-Lite specification, which notebooks show, and files.
-
-    Attributes
-    ----------
-    spec : dict
-        Of Vega-Lite, with its data.
-    """
+    """A drawing that can be used: a Vega-Lite specification, which notebooks show, and files."""
 
     spec: Spec
+    """Specification for Vega-Lite, with its data."""
 
     @property
     def series(self) -> list[dict[str, str]]:

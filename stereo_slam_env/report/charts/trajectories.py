@@ -1,21 +1,22 @@
-"""Charts of judged trajectories: paths with their covariance tubes, errors against 3 sigma, NEES over time."""
+"""Charts of judged trajectories: paths with covariance tubes, errors against 3 sigma, NEES, calibration, windows."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.stats import chi2
 
 from filters.validation import FloatArray
 from stereo_slam_env.evaluation.consistency import DOF, mean_band
+from stereo_slam_env.evaluation.trajectory_runs import RunsScore
 from stereo_slam_env.evaluation.trajectory_score import TrajectoryScore
 from stereo_slam_env.recording.trajectory import pose_errors
-from stereo_slam_env.report.charts import series
 from stereo_slam_env.report.charts.accuracy import TRUTH, map_panel
-from stereo_slam_env.report.charts.axes import WIDTH, label_room
+from stereo_slam_env.report.charts.axes import WIDTH, Axis, label_room, log_axis, panel_width
 from stereo_slam_env.report.charts.consistency import band_chart, pose_error_chart, shared_error_limits
-from stereo_slam_env.report.charts.drawing import Chart, Curve, figure
-from stereo_slam_env.report.charts.style import INK, filter_colours, nested_widths
+from stereo_slam_env.report.charts.drawing import DASHED, Chart, Curve, Panel, figure
+from stereo_slam_env.report.charts.style import INK, MUTED, filter_colours, nested_widths
 
 SIGMAS = 3.0
 """Half width of a tube."""
@@ -42,7 +43,7 @@ def pose_error(score: TrajectoryScore) -> tuple[FloatArray, FloatArray]:
 
 
 def plot_paths(scores: Sequence[TrajectoryScore]) -> tuple[Chart, float]:
-    """Paths seen from above, each in a tube of 3 sigma across it, and how many times errors and tubes are magnified.
+    """Paths in the plane of their largest extent, in tubes of 3 sigma, and how many times these are magnified.
 
     The reference is where it is. An estimate and its tube are drawn at its error times the factor, so the reference is
     inside a tube where the error is below 3 sigma.
@@ -50,12 +51,13 @@ def plot_paths(scores: Sequence[TrajectoryScore]) -> tuple[Chart, float]:
     labels = labels_of(scores)
     colours = filter_colours(labels)
     track = np.concatenate([score.reference_poses.positions for score in scores])
-    across, up = series.map_axes(track)
+    by_extent = sorted((1, 0, 2), key=lambda axis: float(np.ptp(track[:, axis])))
+    up, across = by_extent[1:]
     plane = [across, up]
     half_widths = [_across_path(score, plane) for score in scores]
     factor = _magnification(scores, half_widths, plane)
-    title = f"Seen from above, {scores[0].reference} in grey"
-    view = map_panel(track, (across, up), WIDTH - 60 - label_room(labels), 420.0, title)
+    title = f"{'xyz'[up]} over {'xyz'[across]}, {scores[0].reference} in grey"
+    view = map_panel(track, (across, up), WIDTH - 60 - label_room(labels), 420.0, title, ("x (m)", "y (m)", "z (m)"))
     tubes, paths = [], []
     for label, score, (normal, half), width in zip(
         labels, scores, half_widths, nested_widths(len(scores)), strict=True
@@ -93,6 +95,65 @@ def plot_nees_over_time(scores: Sequence[TrajectoryScore]) -> Chart:
     low, high = (np.full(len(times), end / DOF["pose"]) for end in mean_band(DOF["pose"], 1))
     curves = {label: _at(times, score) / DOF["pose"] for label, score in claimed.items()}
     return band_chart("Pose NEES / 6 (1 is ideal)", times - times[0], curves, (low, high))
+
+
+def plot_calibration(scores: Sequence[TrajectoryScore]) -> Chart:
+    """How often the truth is inside the ellipsoid of each probability, and how its own probabilities are spread."""
+    claimed = {label: score for label, score in zip(labels_of(scores), scores, strict=True) if "pose" in score.claims}
+    colours = filter_colours(claimed)
+    ideal = np.linspace(0.0, 1.0, 101)
+    width = panel_width(2, label_room([*claimed, "right claim"]))
+    inside = Panel(Axis(0, 100, "probability of the ellipsoid (%)"), Axis(0, 100), width, 230.0, "Poses inside it (%)")
+    spread = Panel(Axis(0, 100, "probability of the truth's own ellipsoid (%)"), Axis(0, 4), width, 230.0)
+    spread.title = "Density (PIT; 1 is ideal)"
+    inside.lines([Curve("", 100 * ideal, 100 * ideal, MUTED, width=0.9, said=None)], DASHED)
+    spread.rule(y=1.0, dash=DASHED)
+    curves, steps = [], []
+    for label, score in claimed.items():
+        values = score.nees["pose"][np.isfinite(score.nees["pose"])]
+        own = np.sort(chi2.cdf(values, DOF["pose"]))
+        share = np.searchsorted(own, ideal, side="right") / len(own)
+        curves.append(Curve(label, 100 * ideal, 100 * share, colours[label]))
+        density, edges = np.histogram(own, bins=20, range=(0.0, 1.0), density=True)
+        steps.append(Curve(label, 100 * np.repeat(edges, 2)[1:-1], np.repeat(density, 2), colours[label]))
+    inside.lines(curves)
+    spread.y = Axis(0, max(2.0, 1.05 * max(float(np.max(step.y)) for step in steps)))
+    spread.lines(steps)
+    spread.colour_key(colours)
+    return figure([inside, spread], colours)
+
+
+def plot_windows(scores: Sequence[TrajectoryScore]) -> Chart:
+    """Error of the motion over windows by their length."""
+    shown = {label: score for label, score in zip(labels_of(scores), scores, strict=True) if score.windows}
+    colours = filter_colours(shown)
+    width = panel_width(2, label_room(shown))
+    panels = []
+    for title, name in (("Displacement, RMSE (m)", "translation_rmse_m"), ("Turn, RMSE (°)", "rotation_rmse_deg")):
+        curves = [
+            Curve(
+                label,
+                [window.seconds for window in score.windows],
+                [getattr(window, name) or np.nan for window in score.windows],
+                colours[label],
+            )
+            for label, score in shown.items()
+        ]
+        x, y = (log_axis([np.asarray(getattr(curve, of), dtype=np.float64) for curve in curves]) for of in "xy")
+        panel = Panel(Axis(x.low, x.high, "length of the window (s)", log=True), y, width, 230.0, title)
+        panel.lines(curves)
+        panel.dots(curves)
+        panels.append(panel)
+    panels[-1].colour_key(colours)
+    return figure(panels, colours)
+
+
+def plot_runs(score: RunsScore) -> Chart:
+    """Mean NEES / 6 of the pose over several runs, over time, against its 95 % band."""
+    pose = score.claims["pose"]
+    low, high = (end / pose.dof for end in pose.bands)
+    curves = {f"{len(score.runs)} runs": pose.by_frame / pose.dof}
+    return band_chart("Pose ANEES / 6 (1 is ideal)", score.times - score.times[0], curves, (low, high))
 
 
 def _at(times: FloatArray, score: TrajectoryScore) -> FloatArray:

@@ -16,7 +16,7 @@ import numpy as np
 
 from stereo_slam_env import run_benchmark
 from stereo_slam_env.benchmark import Backend, versions
-from stereo_slam_env.files import claimed_folder, is_occupied, read_arrays, write_atomically
+from stereo_slam_env.files import claimed_folder, is_occupied, read_arrays, write_atomically, write_json
 from stereo_slam_env.studies.paper import convergence, karlsruhe, landmark_uncertainty, long_drive, speed
 from stereo_slam_env.studies.paper.claims import Arrays, Claim, Finding, Interval, Range, Verdict
 
@@ -114,7 +114,7 @@ def run_paper(
         raise ValueError(f"output {out} is not empty and holds no run of the paper: choose another directory")
     with claimed_folder(out):
         about = {"version": VERSION, "settings": asdict(settings), "versions": versions()}
-        _write_json(out / SETTINGS, about)
+        write_json(out / SETTINGS, about)
 
         drives = long_drive.study(settings.drive_seeds, settings.drive_frames)
         untimed = {**convergence.experiments(settings.turn_seeds), **karlsruhe.experiments(sequences)}
@@ -139,7 +139,7 @@ def run_paper(
             *speed.judge(results),
             *karlsruhe.judge(results),
         )
-        _write_json(out / RESULT, {**about, "claims": [_as_dict(claim) for claim in claims]})
+        write_json(out / RESULT, {**about, "claims": [_as_dict(claim) for claim in claims]})
         _write_rows(out / ROWS, claims)
         from stereo_slam_env.studies.paper.report import write_report  # draws, which only this needs
 
@@ -180,11 +180,6 @@ def _kept(path: Path, key: str) -> Arrays | None:
         return arrays if str(arrays.pop("made from")) == key else None
     except (OSError, ValueError, KeyError):
         return None
-
-
-def _write_json(path: Path, data: Mapping[str, Any]) -> None:
-    text = json.dumps(data, indent=2, allow_nan=False) + "\n"
-    write_atomically(path, lambda stream: stream.write(text.encode()))
 
 
 def _as_dict(claim: Claim) -> dict[str, Any]:

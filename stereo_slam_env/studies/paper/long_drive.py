@@ -99,7 +99,7 @@ def drift_percent(run: FilterRun) -> float:
 
 
 def yaw_rmse(run: FilterRun) -> float:
-    """Degrees."""
+    """Root mean square of the heading error, degrees."""
     return float(np.rad2deg(root_mean_square(yaw(run.orientations) - yaw(run.true_orientations))))
 
 

@@ -1,22 +1,32 @@
-"""Kernels of the motion: the drivers of `world.vehicle`, the head, and Eq. 6, in plain numbers."""
+"""Kernels of the motion: the scripted drive, the car that is steered, the head, and Eq. 6, in plain numbers."""
 
 from __future__ import annotations
 
 import math
+from typing import Any
 
+import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from filters.geometry import rotations
 from filters.geometry.rotations import Four, Nine, Three
-from filters.validation import FloatArray
-from stereo_slam_env.vector.state import Fleet, Rules
-from stereo_slam_env.world.rays import KERNEL
+from filters.validation import FloatArray, IntArray
+from stereo_slam_env.simulator.rays import KERNEL, OPTIONS
+from stereo_slam_env.simulator.state import Fleet, Rules
 
 MOTION, ODOMETRY, NOISE, CHOICE = 0, 1, 2, 3
 """Random streams."""
-matrix_of, quaternion_of = njit(**KERNEL)(rotations.matrix_of), njit(**KERNEL)(rotations.quaternion_of)
-product_of, vector_of = njit(**KERNEL)(rotations.product_of), njit(**KERNEL)(rotations.vector_of)
-from_matrix_of = njit(**KERNEL)(rotations.from_matrix_of)
+
+
+def _compiled(function: Any) -> Any:
+    """A function of `rotations`, compiled as the kernels here are."""
+    return njit(**KERNEL)(function.py_func)
+
+
+matrix_of, quaternion_of = _compiled(rotations.matrix_of), _compiled(rotations.quaternion_of)
+product_of, vector_of = _compiled(rotations.product_of), _compiled(rotations.vector_of)
+from_matrix_of = _compiled(rotations.from_matrix_of)
 
 
 @njit(**KERNEL)
@@ -47,16 +57,70 @@ def turn_between(a: Nine, b: Nine) -> Three:
     return vector_of(q[0], q[1], q[2], q[3])
 
 
+LOOK_AHEAD = (2.0, 5.0, 10.0, 20.0, 30.0)
+"""Distances along the route of the points of the route in the observation, m."""
+_REACH = 30.0
+"""How far along the route the next nearest frame may be, m."""
+
+
+@njit(**OPTIONS)
+def nearest_frames(positions: FloatArray, arc_length: FloatArray, places: FloatArray, around: IntArray) -> IntArray:
+    """`nearest_frame` of places (B, 3) in W, each around its own; (B,)."""
+    found = np.empty(len(places), dtype=np.int64)
+    for b in range(len(places)):
+        found[b] = nearest_frame(positions, arc_length, places[b, 0], places[b, 2], around[b])
+    return found
+
+
+@njit(**OPTIONS)
+def routes_ahead(
+    positions: FloatArray, arc_length: FloatArray, nearest: IntArray, poses: FloatArray, farthest: float
+) -> NDArray[np.float32]:
+    """Points of the route `LOOK_AHEAD` of cameras at poses (B, 7): right and forward, m, float32; (B, 5, 2)."""
+    ahead = np.empty((len(poses), len(LOOK_AHEAD), 2), dtype=np.float32)
+    for b in range(len(poses)):
+        route_ahead(positions, arc_length, nearest[b], poses[b], farthest, ahead[b])
+    return ahead
+
+
 @njit(**KERNEL)
-def nearest_frame(rules: Rules, x: float, z: float, around: int) -> int:
-    """`Route.nearest` on flat ground, of the frames less than 30 m along the route from `around`."""
-    middle, best, least = rules.arc_length[around], around, math.inf
+def route_ahead(
+    positions: FloatArray,
+    arc_length: FloatArray,
+    nearest: int,
+    pose: FloatArray,
+    farthest: float,
+    ahead: NDArray[np.float32],
+) -> None:
+    """Points of the route in front of one camera, linear between frames, within `farthest` m to either side."""
+    R, k, last = rotation_of(pose), nearest, len(arc_length) - 1
+    for i in range(len(LOOK_AHEAD)):
+        place = arc_length[nearest] + LOOK_AHEAD[i]
+        while k < last and arc_length[k + 1] <= place:
+            k += 1
+        share = 0.0 if k == last else (place - arc_length[k]) / (arc_length[k + 1] - arc_length[k])
+        to = positions[min(k + 1, last)]
+        x = positions[k, 0] + share * (to[0] - positions[k, 0]) - pose[0]
+        y = positions[k, 1] + share * (to[1] - positions[k, 1]) - pose[1]
+        z = positions[k, 2] + share * (to[2] - positions[k, 2]) - pose[2]
+        right, _, forward = back(R, x, y, z)
+        ahead[i, 0] = min(max(right, -farthest), farthest)
+        ahead[i, 1] = min(max(forward, -farthest), farthest)
+
+
+@njit(**KERNEL)
+def nearest_frame(positions: FloatArray, arc_length: FloatArray, x: float, z: float, around: int) -> int:
+    """Frame of a route that is nearest on the ground, of those less than 30 m along the route from `around`.
+
+    Where a route crosses or retraces itself, this is the pass.
+    """
+    middle, best, least = arc_length[around], around, math.inf
     first = around
-    while first > 0 and rules.arc_length[first - 1] >= middle - 30.0:
+    while first > 0 and arc_length[first - 1] >= middle - _REACH:
         first -= 1
     k = first
-    while k < len(rules.arc_length) and rules.arc_length[k] <= middle + 30.0:
-        away = (rules.positions[k, 0] - x) ** 2 + (rules.positions[k, 2] - z) ** 2
+    while k < len(arc_length) and arc_length[k] <= middle + _REACH:
+        away = (positions[k, 0] - x) ** 2 + (positions[k, 2] - z) ** 2
         if away < least:
             best, least = k, away
         k += 1
@@ -65,7 +129,7 @@ def nearest_frame(rules: Rules, x: float, z: float, around: int) -> int:
 
 @njit(**KERNEL)
 def route_velocity(rules: Rules, pose: FloatArray, sway: FloatArray, step: int, velocity: FloatArray) -> None:
-    """`RouteDriver._velocity`: linear in W, angular in the camera frame, into `velocity` (6,)."""
+    """Velocity of a scripted drive: linear in W, angular in the camera frame, into `velocity` (6,); see `Sway`."""
     T, R = rules.travel[step], rotation_of(pose)
     travel = (T[0], T[1], T[2], T[3], T[4], T[5], T[6], T[7], T[8])
     N = rules.attitudes[step]
@@ -85,7 +149,7 @@ def route_velocity(rules: Rules, pose: FloatArray, sway: FloatArray, step: int, 
 
 @njit(**KERNEL)
 def agent_velocity(rules: Rules, car: FloatArray, acceleration: float, steering: float, velocity: FloatArray) -> None:
-    """`AgentDriver.drive`: kinematic bicycle; `car` (3,) is speed, steering angle and heading."""
+    """Mean velocity of a step of the kinematic bicycle; `car` (3,) is speed, steering angle and heading."""
     wheelbase, forward, max_speed, max_acceleration, max_steering, max_rate = rules.car
     dt, before = rules.dt, car[0]
     car[0] = min(max(before + acceleration * max_acceleration * dt, 0.0), max_speed)
@@ -142,7 +206,9 @@ def move(rules: Rules, fleet: Fleet, b: int, action: FloatArray) -> None:
     first = len(action) - 2
     for i in range(2):
         most = rules.head[1, i] * rules.dt
-        angles[i] += min(max(action[first + i] * rules.head[0, i] - angles[i], -most), most)
+        before_turn = angles[i]
+        angles[i] += min(max(action[first + i] * rules.head[0, i] - before_turn, -most), most)
+        fleet.turned[b, i] = angles[i] - before_turn
     before, x, y, z = rotation_of(pose), pose[0], pose[1], pose[2]
     look_from(rules, body, angles, pose)
     velocity[0], velocity[1], velocity[2] = (pose[0] - x) / rules.dt, (pose[1] - y) / rules.dt, (pose[2] - z) / rules.dt
@@ -164,7 +230,10 @@ def look_from(rules: Rules, body: FloatArray, angles: FloatArray, pose: FloatArr
 def measure_odometry(
     rules: Rules, fleet: Fleet, b: int, q0: float, q1: float, q2: float, q3: float, measured: FloatArray
 ) -> None:
-    """`OdometrySensor.measure` of the step that began with the orientation q of the camera."""
+    """Mean velocity of the camera over the step that began with its orientation q, with noise.
+
+    The linear part is in the camera frame half-way through the turn, as filters expect it.
+    """
     velocity, used, half = fleet.velocity[b], fleet.used[b, ODOMETRY], 0.5 * rules.dt
     t = quaternion_of(half * velocity[3], half * velocity[4], half * velocity[5])
     A, T = matrix_of(q0, q1, q2, q3), matrix_of(t[0], t[1], t[2], t[3])

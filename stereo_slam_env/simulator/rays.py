@@ -1,4 +1,4 @@
-"""Compiled occlusion: rays against the boxes, cylinders and balls of a scene, through a tree of bounding boxes.
+"""Compiled occlusion: rays against the solids of a scene, through a tree of bounding boxes.
 
 The shapes are those that the physics engine has. Everything is in the scene frame S (z up), metres, in plain arrays, so
 that kernels of many scenes can use it without Python's lock.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from itertools import groupby
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 from filters.engine.compiled.disk_cache import KEPT
 from filters.geometry.rotations import Three
 from filters.validation import BoolArray, FloatArray, IntArray
-from stereo_slam_env.world.scene import Box, Cylinder, Primitive
+from stereo_slam_env.world.scene import BOX, CYLINDER, Primitive, ShapeTable, TriangleMesh, table_of
 
 OPTIONS = {**KEPT, "error_model": "numpy", "nogil": True}
 """Of the compilation of all kernels of the simulation: IEEE arithmetic, in the order written."""
@@ -27,13 +28,16 @@ KERNEL = {**OPTIONS, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 """Of those that only other kernels call."""
 SURFACE_GAP = 0.05
 """A ray to a point on a surface stops this short of it, m, so that the surface itself does not hide it."""
-BOX, CYLINDER, BALL = 0.0, 1.0, 2.0
+TRIANGLE = 3.0
+"""Kind of a row beside `BOX`, `CYLINDER` and `BALL`."""
 _SKIN_OF_BALLS, _SKIN_OF_CYLINDERS = 5e-4, 2e-4
 """m by which curved shapes are larger: Bullet finds a hit by iteration, of some of what passes within a millimetre."""
 _MARGIN = 2e-3
 """m by which the boxes of the tree are larger: skins, and numbers of single precision."""
 _FAR_AWAY = 1e30
-_COLUMNS = 9
+COLUMNS = 10
+KIND = 9
+"""Columns of a solid, and which of them is its kind."""
 _DEEPEST = 16
 NOTHING = 2**31
 """Link of a branch that leads nowhere."""
@@ -43,8 +47,8 @@ class Obstacles(NamedTuple):
     """Solids of a scene and the tree of bounding boxes over them."""
 
     solids: FloatArray
-    """(N, 9): centre; of boxes half extents, cos and sin of the yaw; of cylinders the unit axis, radius, half length;
-    of balls the radius in column 6; and the kind."""
+    """(N, 10): centre; of boxes half extents, cos and sin of the yaw; of cylinders the unit axis, radius, half length;
+    of balls the radius in column 6; of triangles a corner and the edges to the others; and the kind, in column 9."""
     bounds: NDArray[np.float32]
     """Low corners (x, y, z), then high ones, of the up to eight branches of each node; (M, 6, 8)."""
     links: IntArray
@@ -53,13 +57,26 @@ class Obstacles(NamedTuple):
 
 def obstacles(solids: Iterable[Primitive]) -> Obstacles:
     """Solids as arrays."""
-    rows = np.array([_row(solid) for solid in solids]).reshape(-1, _COLUMNS)
+    rows = solid_rows(solids)
     return Obstacles(rows, *tree(rows))
+
+
+def solid_rows(solids: Iterable[Primitive]) -> FloatArray:
+    """A row of `Obstacles.solids` for each solid, or for each triangle of a mesh; (N, 10)."""
+    if isinstance(solids, ShapeTable):
+        return np.asarray(_converted(solids.table))
+    runs = [np.zeros((0, COLUMNS))]
+    for solid, run in groupby(solids, lambda solid: solid if isinstance(solid, TriangleMesh) else None):
+        if isinstance(solid, TriangleMesh):
+            runs.append(np.pad(solid.corners_and_edges, ((0, 0), (0, 1)), constant_values=TRIANGLE))
+        else:
+            runs.append(_converted(table_of(list(run))))
+    return np.concatenate(runs)
 
 
 def visible(obstacles: Obstacles, cameras: FloatArray, points: FloatArray) -> BoolArray:
     """Which points (N, 3) on surfaces are seen from one camera or two (C, 3); as `PhysicsWorld.visible`."""
-    return np.asarray(_visible(*obstacles, traversal(), cameras[[0, -1]], points), dtype=np.bool_)
+    return np.asarray(_visible(obstacles, traversal(), cameras[[0, -1]], points), dtype=np.bool_)
 
 
 def traversal() -> IntArray:
@@ -67,16 +84,25 @@ def traversal() -> IntArray:
     return np.zeros(8 * _DEEPEST, dtype=np.int64)
 
 
-def _row(solid: Primitive) -> list[float]:
-    if isinstance(solid, Box):
-        half = [0.5 * side for side in solid.size]
-        return [*solid.center, *half, math.cos(solid.yaw), math.sin(solid.yaw), BOX]
-    if isinstance(solid, Cylinder):
-        axis = [b - a for a, b in zip(solid.start, solid.end, strict=True)]
-        length = math.sqrt(sum(x * x for x in axis))
-        middle = [0.5 * (a + b) for a, b in zip(solid.start, solid.end, strict=True)]
-        return [*middle, *(x / length for x in axis), solid.radius, 0.5 * length, CYLINDER]
-    return [*solid.center, 0.0, 0.0, 0.0, solid.radius, 0.0, BALL]
+@njit(**OPTIONS)
+def _converted(table: FloatArray) -> FloatArray:
+    """Rows of `Obstacles.solids` from those of `scene.table_of`."""
+    rows = np.zeros((len(table), COLUMNS))
+    for shape, row in zip(table, rows):  # noqa: B905 (Numba knows no `strict`)
+        row[KIND] = shape[0]
+        row[:3] = shape[1:4]
+        if shape[0] == BOX:
+            row[3:6] = 0.5 * shape[4:7]
+            row[6], row[7] = math.cos(shape[7]), math.sin(shape[7])
+        elif shape[0] == CYLINDER:
+            axis = shape[4:7] - shape[1:4]
+            length = math.sqrt(axis[0] * axis[0] + axis[1] * axis[1] + axis[2] * axis[2])
+            row[:3] = 0.5 * (shape[1:4] + shape[4:7])
+            row[3:6] = axis / length
+            row[6], row[7] = shape[7], 0.5 * length
+        else:
+            row[6] = shape[4]
+    return rows
 
 
 @njit(**OPTIONS)
@@ -146,13 +172,17 @@ def _halved(own: FloatArray, order: IntArray, first: int, last: int, whole: int)
 def _bound(solid: FloatArray, bound: FloatArray) -> None:
     """Low and high corner of the box around a solid."""
     for k in range(3):
-        if solid[8] == BOX:
+        if solid[KIND] == TRIANGLE:
+            ends = min(0.0, solid[3 + k], solid[6 + k]), max(0.0, solid[3 + k], solid[6 + k])
+            bound[k], bound[3 + k] = solid[k] + ends[0] - _MARGIN, solid[k] + ends[1] + _MARGIN
+            continue
+        if solid[KIND] == BOX:
             reach = solid[5]
             if k == 0:
                 reach = abs(solid[6]) * solid[3] + abs(solid[7]) * solid[4]
             elif k == 1:
                 reach = abs(solid[7]) * solid[3] + abs(solid[6]) * solid[4]
-        elif solid[8] == CYLINDER:
+        elif solid[KIND] == CYLINDER:
             axis = solid[3 + k]
             reach = abs(axis) * solid[7] + solid[6] * math.sqrt(max(0.0, 1.0 - axis * axis))
         else:
@@ -217,6 +247,21 @@ def _hits_cylinder(solid: FloatArray, x: float, y: float, z: float, dx: float, d
     return enters <= leaves
 
 
+@njit(**OPTIONS)
+def _hits_triangle(solid: FloatArray, x: float, y: float, z: float, dx: float, dy: float, dz: float) -> bool:
+    """By Moeller and Trumbore, from either side."""
+    ax, ay, az, bx, by, bz = solid[3], solid[4], solid[5], solid[6], solid[7], solid[8]
+    px, py, pz = dy * bz - dz * by, dz * bx - dx * bz, dx * by - dy * bx
+    volume = ax * px + ay * py + az * pz
+    if volume == 0.0:
+        return False
+    x, y, z = x - solid[0], y - solid[1], z - solid[2]
+    first = (x * px + y * py + z * pz) / volume
+    qx, qy, qz = y * az - z * ay, z * ax - x * az, x * ay - y * ax
+    second, along = (dx * qx + dy * qy + dz * qz) / volume, (bx * qx + by * qy + bz * qz) / volume
+    return first >= 0.0 and second >= 0.0 and first + second <= 1.0 and 0.0 < along <= 1.0
+
+
 @intrinsic
 def _entered(typing_context: Any, bounds: Any, node: Any, starts: Any, inverses: Any) -> tuple[Any, Any]:
     """Which of the eight branches of a node two rays enter, as 16 bits: one vector operation a line.
@@ -278,17 +323,19 @@ def _inverse(x: float) -> np.float32:
 
 
 @njit(**KERNEL)
-def _hits(solid: FloatArray, at: Three, way: Three) -> bool:
+def hits(solid: FloatArray, at: Three, way: Three) -> bool:
     """Whether a ray hits a solid."""
-    if solid[8] == BOX:
+    if solid[KIND] == BOX:
         return _hits_box(solid, at[0], at[1], at[2], way[0], way[1], way[2])
-    if solid[8] == CYLINDER:
+    if solid[KIND] == CYLINDER:
         return _hits_cylinder(solid, at[0], at[1], at[2], way[0], way[1], way[2])
+    if solid[KIND] == TRIANGLE:
+        return _hits_triangle(solid, at[0], at[1], at[2], way[0], way[1], way[2])
     return _hits_ball(solid, at[0], at[1], at[2], way[0], way[1], way[2])
 
 
 @njit(**KERNEL)
-def _way(at: Three, to: Three) -> Three:
+def way_to(at: Three, to: Three) -> Three:
     """From a camera to just before a point."""
     dx, dy, dz = to[0] - at[0], to[1] - at[1], to[2] - at[2]
     share = 1.0 - SURFACE_GAP / math.sqrt(dx * dx + dy * dy + dz * dz)
@@ -307,7 +354,7 @@ def is_seen(
     to: Three,
 ) -> bool:
     """Whether nothing, the ground included, is between two cameras and a point on a surface; `waiting` is room."""
-    ways = _way(left, to), _way(right, to)
+    ways = way_to(left, to), way_to(right, to)
     for k in range(2):
         z = (left, right)[k][2]
         if z + ways[k][2] <= 0.0 < z:
@@ -334,22 +381,16 @@ def is_seen(
                 count += 1
             else:
                 solid = solids[-1 - link]
-                if (both >> branch) & 1 and _hits(solid, left, a):
+                if (both >> branch) & 1 and hits(solid, left, a):
                     return False
-                if (both >> (8 + branch)) & 1 and _hits(solid, right, b):
+                if (both >> (8 + branch)) & 1 and hits(solid, right, b):
                     return False
     return True
 
 
 @njit(**OPTIONS)
-def _visible(
-    solids: FloatArray,
-    bounds: NDArray[np.float32],
-    links: IntArray,
-    waiting: IntArray,
-    cameras: FloatArray,
-    points: FloatArray,
-) -> BoolArray:
+def _visible(obstacles: Obstacles, waiting: IntArray, cameras: FloatArray, points: FloatArray) -> BoolArray:
+    solids, bounds, links = obstacles
     seen = np.ones(len(points), dtype=np.bool_)
     left, right = (cameras[0, 0], cameras[0, 1], cameras[0, 2]), (cameras[1, 0], cameras[1, 1], cameras[1, 2])
     for i in range(len(points)):

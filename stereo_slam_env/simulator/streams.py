@@ -1,24 +1,27 @@
-"""Random numbers of many environments: those of their generators, drawn ahead in blocks, as the kernels need them."""
+"""Random numbers of B rows: those of their generators, drawn ahead in blocks, as the kernels need them."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from filters.validation import BoolArray, FloatArray, IntArray
-from stereo_slam_env.vector.motion import CHOICE
-from stereo_slam_env.vector.state import Fleet
+from stereo_slam_env.simulator.kept import Kept
+from stereo_slam_env.simulator.motion import CHOICE
+from stereo_slam_env.simulator.state import Fleet
 
 
-class Streams:
-    """Four streams for each environment: of the motion, the odometry, the noise, and the choice of landmarks.
+class Streams(Kept):
+    """Four streams for each row: of the motion, the odometry, the noise, and the choice of landmarks.
 
     Parameters
     ----------
     count : int
-        Number of environments.
+        Number of rows.
     needed : (4,)
         Most numbers of each stream that a frame can use.
     """
+
+    changes = ("needed", "_generators")
 
     def __init__(self, count: int, needed: IntArray) -> None:
         self.needed = needed
@@ -35,7 +38,8 @@ class Streams:
     def refill(self, fleet: Fleet, which: BoolArray) -> None:
         """Draw numbers for those that might run out of them in the next frame."""
         size = np.array([fleet.normals.shape[2]] * CHOICE + [fleet.exponentials.shape[1]])
-        for b, stream in np.argwhere((fleet.used + self.needed > size) & which[:, None]).tolist():
+        rows, streams = np.nonzero((fleet.used + self.needed > size) & which[:, None])
+        for b, stream in zip(rows.tolist(), streams.tolist(), strict=True):
             block, used = _block(fleet, b, stream), int(fleet.used[b, stream])
             block[: len(block) - used] = block[used:]
             block[len(block) - used :] = _drawn(self._generators[b][stream], stream, used)

@@ -1,4 +1,4 @@
-"""Many environments at once: scenes, cars, sensors and filters in arrays, stepped by compiled kernels."""
+"""The world in motion: B vehicles with stereo cameras as rows of arrays, stepped by compiled kernels."""
 
 from filters.extras import public_names, require_core
 

@@ -1,7 +1,8 @@
-"""State of many environments in arrays, and what is the same for all of them."""
+"""State of B vehicles in arrays, and what is the same for all of them."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -9,20 +10,25 @@ from numpy.typing import NDArray
 
 from filters.geometry.camera import StereoCamera
 from filters.validation import BoolArray, FloatArray, IntArray
-from stereo_slam_env.envs.options import DriveOptions, HeadOptions, StereoOptions
 from stereo_slam_env.sensing.rigs import CAMERA_HEIGHT
+from stereo_slam_env.sensing.tracking import TrackingPolicy
+from stereo_slam_env.simulator.rays import COLUMNS
 from stereo_slam_env.world.routes import FRAME_PERIOD, Route
-from stereo_slam_env.world.vehicle import Car, RouteDriver
+from stereo_slam_env.world.vehicle import Car, Head, Sway
 
 NOISE_KINDS = {"pixels": 0, "quantised": 1, "uvd": 2}
-"""Noise models that the kernels have; others are drawn one environment after the other."""
+"""Noise models that the kernels have; others are drawn one row after the other."""
 NO_NOISE = 3
 WEIGHTS = ("progress", "tracking", "collision", "goal", "time", "effort")
 """Terms of the reward, in the order of their columns."""
+ARENA = 60.0
+"""m from the route: what is farther away has left the arena."""
+ODOMETRY_SIGMAS = (0.1, 0.01)
+"""Usual standard deviations of the odometry, each axis, m/s and rad/s."""
 
 
 class Rules(NamedTuple):
-    """What is the same for all environments."""
+    """What is the same for all rows."""
 
     dt: float
     camera: tuple[float, ...]
@@ -35,6 +41,8 @@ class Rules(NamedTuple):
     revisit: bool
     noise: int
     sigma: float
+    exact: bool
+    """Whether rays and contacts are computed here; otherwise `Fleet.seen` and `Fleet.touching` have the answers."""
     odometry_sigmas: FloatArray
     positions: FloatArray
     """Of the route, (K, 3)."""
@@ -57,13 +65,12 @@ class Rules(NamedTuple):
     has_head: bool
     head: FloatArray
     """Largest angles and largest rates; (2, 2)."""
-    arena: float
     weights: FloatArray
     """Of `WEIGHTS`, (6,)."""
 
 
 class Fleet(NamedTuple):
-    """State of B environments; landmarks and solids have room for the largest scene."""
+    """State of B rows; landmarks, solids and moving bodies have room for the largest scene."""
 
     body: FloatArray
     """Position and orientation of the camera as if it looked straight ahead, (B, 7)."""
@@ -83,16 +90,34 @@ class Fleet(NamedTuple):
     farthest: FloatArray
     """How much of the route has been driven, m."""
     distance: FloatArray
+    turned: FloatArray
+    """By how much the head has turned in the last step, rad; (B, 2)."""
     lost: BoolArray
     """Landmarks that have been tracked and are not to be again, (B, L)."""
+    inside: NDArray[np.uint8]
+    """Landmarks within range and inside both images, (B, L)."""
+    seen: BoolArray
+    """Landmarks that nothing hides, where the rules are not exact; (B, L)."""
+    touching: BoolArray
+    """Whether the car touches something, where the rules are not exact; (B,)."""
     landmarks: FloatArray
     """In W, (B, 3, L)."""
     sizes: IntArray
-    """Landmarks of a scene, and nodes of the tree of its solids, (B, 2)."""
+    """Landmarks of a scene, nodes of the tree of its solids, moving bodies; (B, 3)."""
     solids: FloatArray
     bounds: NDArray[np.float32]
     links: IntArray
-    """See `world.rays.Obstacles`."""
+    """See `rays.Obstacles`."""
+    tracks: FloatArray
+    """Of moving bodies at each frame: place (x, y, z) in S, m, cosine and sine of the yaw; (B, M, K, 5)."""
+    shares: IntArray
+    """First part of each moving body, one past its last one, and its frames K; (B, M, 3)."""
+    balls: FloatArray
+    """Around each moving body: the ball in the frame of the body, then its centre now in S; (B, M, 7)."""
+    parts: FloatArray
+    """Solids of the moving bodies, in their frames, (B, P, 10)."""
+    parts_now: FloatArray
+    """The same in S, now."""
     normals: FloatArray
     """Random numbers of the three streams of motion, odometry and noise, (B, 3, n)."""
     exponentials: FloatArray
@@ -101,29 +126,65 @@ class Fleet(NamedTuple):
     """How many of each have been used, (B, 4)."""
 
 
-class Outcome(NamedTuple):
-    """What a frame of B environments brings."""
+class Sensed(NamedTuple):
+    """What a frame of B rows brings, in full precision."""
 
     ids: IntArray
     """Landmarks that are tracked, ascending; (B, N), -1 in padding."""
     uvd: FloatArray
     v_right: FloatArray
-    seen: IntArray
-    """Number of landmarks, (B,)."""
+    number: IntArray
+    """Of landmarks, (B,)."""
     odometry: FloatArray
     """(B, 6)."""
     terms: FloatArray
-    """Of the reward, without weights, (B, 6)."""
+    """Of the reward, with weights, (6, B)."""
+    reward: FloatArray
     collision: BoolArray
     failed: BoolArray
     success: BoolArray
 
 
-def rules_of(options: StereoOptions, route: Route, camera: StereoCamera, arena: float) -> Rules:
-    """What environments with these options do."""
-    car, tracking = Car(), options.tracking
-    driver = RouteDriver(route, options.perturbation, np.random.default_rng(0))
-    head = options.head(camera.baseline) if isinstance(options, HeadOptions) else None
+def make_rules(
+    route: Route,
+    camera: StereoCamera,
+    tracking: TrackingPolicy = TrackingPolicy(),  # noqa: B008 (frozen)
+    *,
+    noise: str = "pixels",
+    sigma: float = 1.0,
+    odometry_sigmas: tuple[float, float] = ODOMETRY_SIGMAS,
+    perturbation: float = 1.0,
+    steered: bool = False,
+    head: Head | None = None,
+    weights: Mapping[str, float] | None = None,
+    exact: bool = True,
+) -> Rules:
+    """Rules of vehicles on a route.
+
+    Parameters
+    ----------
+    route : Route
+        The nominal drive.
+    camera : StereoCamera
+        The rig.
+    tracking : TrackingPolicy
+        Of landmarks.
+    noise, sigma
+        Of landmarks, see `sensing.pixel_noise`.
+    odometry_sigmas : (2,) tuple
+        Standard deviations, each axis, m/s and rad/s.
+    perturbation : float
+        Scale of the sway of a scripted drive.
+    steered : bool
+        Whether commands drive the car, and not a script.
+    head : Head, optional
+        What carries the cameras; None: they are fixed to the car.
+    weights : mapping, optional
+        Of the terms of the reward `WEIGHTS`; 0 where there is none.
+    exact : bool
+        Whether rays and contacts are computed in closed form.
+    """
+    car, sway = Car(), Sway(perturbation)
     return Rules(
         dt=FRAME_PERIOD,
         camera=_numbers(camera, "fx", "fy", "cx", "cy", "disparity_constant", "baseline", "width", "height"),
@@ -132,26 +193,26 @@ def rules_of(options: StereoOptions, route: Route, camera: StereoCamera, arena: 
         most=tracking.max_landmarks,
         refill_below=tracking.refill_below,
         revisit=tracking.revisit,
-        noise=NOISE_KINDS.get(options.noise, NO_NOISE),
-        sigma=float(options.sigma),
-        odometry_sigmas=np.repeat([options.odometry_sigma_linear, options.odometry_sigma_angular], 3).astype(float),
+        noise=NOISE_KINDS.get(noise, NO_NOISE),
+        sigma=float(sigma),
+        exact=exact,
+        odometry_sigmas=np.repeat(odometry_sigmas, 3).astype(float),
         positions=route.positions,
         arc_length=route.arc_length,
         speeds=route.speeds,
         yaw_rates=route.yaw_rates,
         travel=route.travel.reshape(-1, 9),
         attitudes=route.attitudes.reshape(-1, 9),
-        sway=driver.sway,
-        pull=driver.PULL,
-        steered=isinstance(options, DriveOptions) and options.policy == "agent",
+        sway=sway.numbers,
+        pull=sway.PULL,
+        steered=steered,
         car=_numbers(
             car, "wheelbase", "camera_forward", "max_speed", "max_acceleration", "max_steering", "max_steering_rate"
         ),
         body=np.array([[0.5 * side for side in car.size], car.body_c]),
         has_head=head is not None,
         head=np.array([head.max_angles, head.max_rates]) if head else np.ones((2, 2)),
-        arena=arena,
-        weights=np.array([getattr(options, f"{name}_weight", 0.0) for name in WEIGHTS], dtype=np.float64),
+        weights=np.array([(weights or {}).get(name, 0.0) for name in WEIGHTS], dtype=np.float64),
     )
 
 
@@ -159,8 +220,8 @@ def _numbers(part: object, *names: str) -> tuple[float, ...]:
     return tuple(float(getattr(part, name)) for name in names)
 
 
-def empty_fleet(count: int, landmarks: int, solids: int, normals: int, exponentials: int) -> Fleet:
-    """State of environments before their first reset, with room for so much."""
+def empty_fleet(count: int, normals: int) -> Fleet:
+    """State of rows before their first reset, with room for so many random numbers and for nothing in the scene."""
     return Fleet(
         body=np.zeros((count, 7)),
         pose=np.zeros((count, 7)),
@@ -172,27 +233,37 @@ def empty_fleet(count: int, landmarks: int, solids: int, normals: int, exponenti
         nearest=np.zeros(count, dtype=np.int64),
         farthest=np.zeros(count),
         distance=np.zeros(count),
-        lost=np.zeros((count, landmarks), dtype=np.bool_),
-        landmarks=np.zeros((count, 3, landmarks)),
-        sizes=np.zeros((count, 2), dtype=np.int64),
-        solids=np.zeros((count, solids, 9)),
-        bounds=np.zeros((count, solids, 6, 8), dtype=np.float32),
-        links=np.zeros((count, solids, 8), dtype=np.int64),
+        turned=np.zeros((count, 2)),
+        lost=np.zeros((count, 0), dtype=np.bool_),
+        inside=np.zeros((count, 0), dtype=np.uint8),
+        seen=np.zeros((count, 0), dtype=np.bool_),
+        touching=np.zeros(count, dtype=np.bool_),
+        landmarks=np.zeros((count, 3, 0)),
+        sizes=np.zeros((count, 3), dtype=np.int64),
+        solids=np.zeros((count, 0, COLUMNS)),
+        bounds=np.zeros((count, 0, 6, 8), dtype=np.float32),
+        links=np.zeros((count, 0, 8), dtype=np.int64),
+        tracks=np.zeros((count, 0, 0, 5)),
+        shares=np.zeros((count, 0, 3), dtype=np.int64),
+        balls=np.zeros((count, 0, 7)),
+        parts=np.zeros((count, 0, COLUMNS)),
+        parts_now=np.zeros((count, 0, COLUMNS)),
         normals=np.zeros((count, 3, normals)),
-        exponentials=np.zeros((count, exponentials)),
+        exponentials=np.zeros((count, 0)),
         used=np.zeros((count, 4), dtype=np.int64),
     )
 
 
-def empty_outcome(count: int, most: int) -> Outcome:
+def empty_sensed(count: int, most: int) -> Sensed:
     """A frame that has brought nothing."""
-    return Outcome(
+    return Sensed(
         ids=np.full((count, most), -1),
         uvd=np.zeros((count, most, 3)),
         v_right=np.zeros((count, most)),
-        seen=np.zeros(count, dtype=np.int64),
+        number=np.zeros(count, dtype=np.int64),
         odometry=np.zeros((count, 6)),
-        terms=np.zeros((count, len(WEIGHTS))),
+        terms=np.zeros((len(WEIGHTS), count)),
+        reward=np.zeros(count),
         collision=np.zeros(count, dtype=np.bool_),
         failed=np.zeros(count, dtype=np.bool_),
         success=np.zeros(count, dtype=np.bool_),

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from filters.validation import FloatArray, IntArray
-from stereo_slam_env.vector.motion import CHOICE, NOISE, back, rotation_of
-from stereo_slam_env.vector.state import Fleet, Outcome, Rules
-from stereo_slam_env.world.rays import KERNEL, is_seen
+from filters.geometry.rotations import Three
+from filters.validation import BoolArray, FloatArray, IntArray
+from stereo_slam_env.simulator.motion import CHOICE, NOISE, back, rotation_of
+from stereo_slam_env.simulator.rays import KERNEL, is_seen
+from stereo_slam_env.simulator.state import Fleet, Rules, Sensed
+from stereo_slam_env.simulator.traffic import Bodies, bodies_of, is_behind_body
 
 
 @njit(**{**KERNEL, "fastmath": {"contract", "nnan"}})
@@ -37,36 +41,62 @@ def mark_in_view(rules: Rules, landmarks: FloatArray, count: int, pose: FloatArr
         )
 
 
+class RowView(NamedTuple):
+    """What is around the cameras of one row, in the scene frame, as the solids are."""
+
+    exact: bool
+    seen: BoolArray
+    height: float
+    left: Three
+    right: Three
+    points: FloatArray
+    """Landmarks, (3, L), in W."""
+    solids: FloatArray
+    bounds: NDArray[np.float32]
+    links: IntArray
+    nodes: int
+    bodies: Bodies
+
+
 @njit(**KERNEL)
-def is_visible(rules: Rules, fleet: Fleet, waiting: IntArray, b: int, landmark: int) -> bool:
-    """Whether nothing hides a landmark from both cameras; in the scene frame, as the solids are."""
-    pose, points = fleet.pose[b], fleet.landmarks[b]
-    R, baseline, height = rotation_of(pose), rules.camera[5], rules.camera_height
-    nodes, solids, bounds, links = fleet.sizes[b, 1], fleet.solids[b], fleet.bounds[b], fleet.links[b]
+def view_of(rules: Rules, fleet: Fleet, b: int) -> RowView:
+    """What is around the cameras of a row."""
+    pose, baseline, height = fleet.pose[b], rules.camera[5], rules.camera_height
+    R = rotation_of(pose)
     left = (pose[2], -pose[0], height - pose[1])
     right = (pose[2] + baseline * R[6], -pose[0] - baseline * R[0], height - pose[1] - baseline * R[3])
-    to = (points[2, landmark], -points[0, landmark], height - points[1, landmark])
-    return is_seen(solids, bounds, links, nodes, waiting, left, right, to)
+    solids, bounds, links, nodes = fleet.solids[b], fleet.bounds[b], fleet.links[b], fleet.sizes[b, 1]
+    bodies, points = bodies_of(fleet, b), fleet.landmarks[b]
+    return RowView(rules.exact, fleet.seen[b], height, left, right, points, solids, bounds, links, nodes, bodies)
+
+
+@njit(**{**KERNEL, "forceinline": True})  # called for each landmark, and its arguments are many
+def is_visible(around: RowView, waiting: IntArray, landmark: int) -> bool:
+    """Whether nothing hides a landmark from both cameras."""
+    if not around.exact:
+        return bool(around.seen[landmark])
+    points, left, right = around.points, around.left, around.right
+    to = (points[2, landmark], -points[0, landmark], around.height - points[1, landmark])
+    if not is_seen(around.solids, around.bounds, around.links, around.nodes, waiting, left, right, to):
+        return False
+    return around.bodies.number == 0 or not is_behind_body(around.bodies, left, right, to)
 
 
 @njit(**KERNEL)
 def observe(
-    rules: Rules,
-    fleet: Fleet,
-    out: Outcome,
-    waiting: IntArray,
-    b: int,
-    inside: NDArray[np.uint8],
-    fresh: IntArray,
-    keys: FloatArray,
+    rules: Rules, fleet: Fleet, sensed: Sensed, waiting: IntArray, b: int, fresh: IntArray, keys: FloatArray
 ) -> None:
-    """`LandmarkSensor.observe`: track to this frame and measure. The last three are room for all landmarks."""
-    count, points, pose, ids = fleet.sizes[b, 0], fleet.landmarks[b], fleet.pose[b], out.ids[b]
-    mark_in_view(rules, points, count, pose, inside)
-    kept = 0
-    for k in range(out.seen[b]):
+    """Track landmarks to this frame and measure them; `fleet.inside` says which are in view.
+
+    A landmark is kept as long as both cameras see it. New ones are drawn with a probability proportional to their
+    disparity: sorting by exponential variates over the weights is that draw, and only as many as needed are tested by
+    rays. The last two arguments are room for all landmarks.
+    """
+    count, points, pose, ids = fleet.sizes[b, 0], fleet.landmarks[b], fleet.pose[b], sensed.ids[b]
+    inside, kept, around = fleet.inside[b], 0, view_of(rules, fleet, b)
+    for k in range(sensed.number[b]):
         landmark = ids[k]
-        if inside[landmark] == 1 and is_visible(rules, fleet, waiting, b, landmark):
+        if inside[landmark] == 1 and is_visible(around, waiting, landmark):
             ids[kept] = landmark
             kept += 1
         elif not rules.revisit:
@@ -82,21 +112,19 @@ def observe(
                 number += 1
         fleet.used[b, CHOICE] = used + number
         wanted = rules.most - kept
-        drawn = draw(rules, fleet, waiting, b, fresh[:number], keys[:number], wanted, ids[kept:])
+        drawn = draw(around, waiting, fresh[:number], keys[:number], wanted, ids[kept:])
         ids[: kept + drawn] = np.sort(ids[: kept + drawn])
         kept += drawn
     ids[kept:] = -1
-    out.seen[b] = kept
-    project(rules, fleet, out, b, kept)
-    add_noise(rules, fleet, out, b, kept)
+    sensed.number[b] = kept
+    project(rules, fleet, sensed, b, kept)
+    add_noise(rules, fleet, sensed, b, kept)
 
 
 @njit(**KERNEL)
 def draw(
-    rules: Rules,
-    fleet: Fleet,
+    around: RowView,
     waiting: IntArray,
-    b: int,
     fresh: IntArray,
     keys: FloatArray,
     wanted: int,
@@ -107,7 +135,7 @@ def draw(
     for k in range(left // 2 - 1, -1, -1):
         _sift_down(keys, fresh, k, left)
     while left > 0 and number < wanted:
-        if is_visible(rules, fleet, waiting, b, fresh[0]):
+        if is_visible(around, waiting, fresh[0]):
             drawn[number] = fresh[0]
             number += 1
         left -= 1
@@ -132,34 +160,34 @@ def _sift_down(keys: FloatArray, values: IntArray, place: int, count: int) -> No
 
 
 @njit(**KERNEL)
-def project(rules: Rules, fleet: Fleet, out: Outcome, b: int, count: int) -> None:
+def project(rules: Rules, fleet: Fleet, sensed: Sensed, b: int, count: int) -> None:
     """True (u, v, d) of the tracked landmarks, and the row in the right image."""
     fx, fy, cx, cy, scale, _, _, _ = rules.camera
     points, pose = fleet.landmarks[b], fleet.pose[b]
     R = rotation_of(pose)
     for k in range(count):
-        i = out.ids[b, k]
+        i = sensed.ids[b, k]
         x, y, z = back(R, points[0, i] - pose[0], points[1, i] - pose[1], points[2, i] - pose[2])
         u, v, d = fx * x / z + cx, fy * y / z + cy, scale / z
-        out.uvd[b, k, 0], out.uvd[b, k, 1], out.uvd[b, k, 2], out.v_right[b, k] = u, v, d, v
+        sensed.uvd[b, k, 0], sensed.uvd[b, k, 1], sensed.uvd[b, k, 2], sensed.v_right[b, k] = u, v, d, v
 
 
 @njit(**KERNEL)
-def add_noise(rules: Rules, fleet: Fleet, out: Outcome, b: int, count: int) -> None:
+def add_noise(rules: Rules, fleet: Fleet, sensed: Sensed, b: int, count: int) -> None:
     """The noise models of `sensing.pixel_noise` that need only normal numbers."""
     normals, used, sigma = fleet.normals[b, NOISE], fleet.used[b, NOISE], rules.sigma
     if rules.noise == 2:  # u, v, d
         for k in range(count):
             for a in range(3):
-                out.uvd[b, k, a] += sigma * normals[used + 3 * k + a]
+                sensed.uvd[b, k, a] += sigma * normals[used + 3 * k + a]
         fleet.used[b, NOISE] = used + 3 * count
     elif rules.noise < 2:  # u, v of the left image, u, v of the right one
         for k in range(count):
             left, row = sigma * normals[used + k], sigma * normals[used + count + k]
             right, right_row = sigma * normals[used + 2 * count + k], sigma * normals[used + 3 * count + k]
-            u, v = out.uvd[b, k, 0] + left, out.uvd[b, k, 1] + row
-            d, v_right = out.uvd[b, k, 2] + (left - right), out.v_right[b, k] + right_row
+            u, v = sensed.uvd[b, k, 0] + left, sensed.uvd[b, k, 1] + row
+            d, v_right = sensed.uvd[b, k, 2] + (left - right), sensed.v_right[b, k] + right_row
             if rules.noise == 1:  # whole pixels
                 d, u, v, v_right = np.rint(u) - np.rint(u - d), np.rint(u), np.rint(v), np.rint(v_right)
-            out.uvd[b, k, 0], out.uvd[b, k, 1], out.uvd[b, k, 2], out.v_right[b, k] = u, v, d, v_right
+            sensed.uvd[b, k, 0], sensed.uvd[b, k, 1], sensed.uvd[b, k, 2], sensed.v_right[b, k] = u, v, d, v_right
         fleet.used[b, NOISE] = used + 4 * count

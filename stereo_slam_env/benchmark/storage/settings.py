@@ -1,0 +1,48 @@
+"""Settings of a run in its directory: what is a run, and what may change where it is resumed."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from stereo_slam_env.files.folders import is_occupied
+
+SETTINGS, STUDY = "settings.json", "study.json"
+
+
+def refuse_foreign(out: Path) -> None:
+    """Raise a `ValueError` where `out` holds something that is no run."""
+    if out.exists() and not out.is_dir():
+        raise ValueError(f"output {out} is a file: give a directory")
+    if out.is_dir() and not any((out / name).exists() for name in (SETTINGS, STUDY)) and is_occupied(out):
+        raise ValueError(f"output {out} is not empty and holds no run: choose another directory")
+
+
+def why_no_run(out: Path) -> str:
+    """Error message where there is no run to read, with a suggestion."""
+    if not out.is_dir():
+        what = "is a file" if out.exists() else "does not exist"
+        return f"{out} {what}: give the directory of a run"
+    inside = sorted({path.parent for name in (SETTINGS, STUDY) for path in out.glob(f"*/{name}")})
+    if inside:
+        return f"{out} holds no run itself, but {len(inside)}: give one of them, such as {inside[-1]}"
+    return f"{out} holds no run: it has no settings.json, give the directory of a run"
+
+
+def refuse_other_settings(out: Path, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
+    """Raise a `ValueError` where anything but seeds, filters or limits differs from the settings of the run."""
+    may_change = {"filters", "policies", "seeds", "divergence_percent", "frame_time_limit", "recording_time_limit"}
+    may_change |= {"kept_seeds"}
+    for key in sorted(before.keys() - may_change, key=lambda key: (key == "name", key)):
+        was, is_now = before[key], now[key]
+        if was == is_now:
+            continue
+        if isinstance(was, Mapping) and isinstance(is_now, Mapping):  # name the entry, not the lot
+            entry = min(entry for entry in {**was, **is_now} if was.get(entry) != is_now.get(entry))
+            key, was, is_now = f"{key}.{entry}", was.get(entry), is_now.get(entry)
+        raise ValueError(
+            f"output {out} holds a run with {key} = {json.dumps(was)}, now it is {json.dumps(is_now)}: "
+            f"choose another output directory"
+        )

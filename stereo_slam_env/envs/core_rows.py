@@ -1,0 +1,334 @@
+"""`CoreRows`: the simulator as rows of environments, with its observations, rewards and truth."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from gymnasium.utils.seeding import np_random
+
+from filters.contract.noise import StereoNoise
+from filters.contract.observation import StereoObservation
+from filters.contract.start import Start
+from filters.geometry.camera import StereoCamera
+from filters.geometry.poses import Pose
+from filters.validation import BoolArray, FloatArray
+from stereo_slam_env.envs.options import DriveOptions, HeadOptions, StereoOptions
+from stereo_slam_env.envs.pictures import Pictures
+from stereo_slam_env.envs.rows import Arrays, Measured, Rows, Seeds, Step
+from stereo_slam_env.frontend.image_sensor import ImageSensor
+from stereo_slam_env.frontend.recorder import TYPICAL_NOISE
+from stereo_slam_env.recording.recording import Frame, LandmarkTruth
+from stereo_slam_env.rendering.images import StereoImages
+from stereo_slam_env.sensing.padding import NO_LANDMARK, padded_extras
+from stereo_slam_env.sensing.pixel_noise import NOISE_MODELS
+from stereo_slam_env.simulator.motion import LOOK_AHEAD
+from stereo_slam_env.simulator.scenes import SceneArrays, scene_arrays
+from stereo_slam_env.simulator.show import MAX_VELOCITY
+from stereo_slam_env.simulator.simulator import Simulator
+from stereo_slam_env.simulator.state import ARENA, WEIGHTS, make_rules
+from stereo_slam_env.world.routes import FRAME_PERIOD, Route, named_route
+from stereo_slam_env.world.surroundings import build_scene
+from stereo_slam_env.world.vehicle import Car, Head
+
+_IMAGE_SLACK = 10.0
+"""px beyond the image that what is measured in it never is; disparities come out below 0 by less."""
+_POOL = 7
+"""Keeps the scenes of a pool apart from those of the episodes of the same seed."""
+
+
+class CoreRows(Rows):
+    """Cars with stereo cameras, one in each row.
+
+    Parameters
+    ----------
+    options : StereoOptions
+        Arguments of the environments.
+    count : int
+        Number of rows.
+    threads : int
+        Threads over which they are spread.
+    pool : int, optional
+        Take the scenes of all episodes from a pool of so many, which each `begin` with a seed builds anew.
+    draws : bool
+        Whether pictures will be asked for beyond those that the options need.
+    """
+
+    changes = ("generators", "simulator", "_pictures", "_image_sensors", "_seen", "_pool")
+
+    def __init__(
+        self, options: StereoOptions, count: int, *, threads: int = 1, pool: int | None = None, draws: bool = False
+    ) -> None:
+        self.options, self.count, self.world, self.threads = options, count, self, min(threads, count)
+        self.camera: StereoCamera = options.camera
+        self.route: Route = named_route(options.route)
+        self.head: Head | None = options.head(self.camera.baseline) if isinstance(options, HeadOptions) else None
+        self.generators: list[np.random.Generator | None] = [None] * count
+        self._pixel_noise = NOISE_MODELS[options.noise](options.sigma)
+        self._weights = {name: k for k, name in enumerate(WEIGHTS) if hasattr(options, f"{name}_weight")}
+        rules = make_rules(
+            self.route,
+            self.camera,
+            options.tracking,
+            noise=options.noise,
+            sigma=options.sigma,
+            odometry_sigmas=(options.odometry_sigma_linear, options.odometry_sigma_angular),
+            perturbation=options.perturbation,
+            steered=isinstance(options, DriveOptions) and options.policy == "agent",
+            head=self.head,
+            weights={name: getattr(options, f"{name}_weight") for name in self._weights},
+            exact=options.physics == "exact",
+        )
+        self._sees_images = options.sensor == "images"
+        self.simulator = Simulator(rules, count, self._pixel_noise, threads, senses=not self._sees_images)
+        self.observation_space = self._make_observation_space()
+        size = 2 * (isinstance(options, DriveOptions) + isinstance(options, HeadOptions))
+        self.action_space = spaces.Box(-1.0, 1.0, (size,), np.float32)
+        self._pictures = [Pictures(options, self.camera) for _ in range(count if draws or options.draws else 0)]
+        self._image_sensors: list[ImageSensor | None] = [None] * count
+        self._seen: list[StereoObservation | None] = [None] * count  # in images
+        self._pool: list[SceneArrays] = []
+        self._pool_size = pool
+
+    @property
+    def noise(self) -> StereoNoise:
+        """Covariance to assume of a measurement that does not come with its own."""
+        return TYPICAL_NOISE if self._sees_images else self._pixel_noise.stereo_noise
+
+    # --- episodes ---------------------------------------------------------------------------------------------------
+
+    def begin(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
+        """See `Rows`; `options={"scene": "keep"}` keeps the scene of the last episode of a row."""
+        keep = keeps_scene(options)
+        if any(seed is not None for seed in seeds):
+            self._pool = []  # episodes depend on their seeds alone
+        rows = np.flatnonzero(chosen).tolist()
+        for b in rows:
+            generator = self.generators[b]
+            if generator is None or seeds[b] is not None:
+                generator = self.generators[b] = np_random(seeds[b])[0]
+            scene_rng, motion, landmark, odometry, start, camera = generator.spawn(6)
+            kept = self.simulator.scenes[b]
+            scene = kept if keep and kept is not None else self._scene(scene_rng)
+            self.simulator.put(b, scene, [motion, landmark, odometry, start])
+            if self._pictures:
+                self._pictures[b].build(scene.scene, camera)
+            if self._sees_images:
+                self._image_sensors[b] = self._image_sensor(b)
+        self.simulator.begin(chosen)
+        self._take_pictures(rows)
+
+    def advance(self, actions: Any, going: BoolArray) -> Step:
+        """See `Rows`; actions are within -1..1."""
+        simulator, sensed = self.simulator, self.simulator.sensed
+        simulator.step(np.ascontiguousarray(actions, dtype=np.float64), going)
+        if self._pictures:
+            self._take_pictures(np.flatnonzero(going).tolist())
+        if self._sees_images:
+            simulator.judge()
+        terminated = going & (sensed.failed | sensed.success)
+        return np.where(going, sensed.reward, 0.0), terminated, np.zeros(self.count, dtype=np.bool_)
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """See `Rows`."""
+        if self._sees_images:
+            self._image_sensors = [self._image_sensor(b) for b in range(self.count)]
+        super().restore(state)
+
+    def close(self) -> None:
+        """Stop threads, engines and renderers; may be called twice."""
+        self.simulator.close()
+        for pictures in self._pictures:
+            pictures.close()
+
+    def _scene(self, rng: np.random.Generator) -> SceneArrays:
+        if self._pool_size is None:
+            return self._built(rng)
+        if not self._pool:
+            of_pool = np.random.default_rng([_POOL, int(rng.integers(2**31))]).spawn(self._pool_size)
+            self._pool = [self._built(each) for each in of_pool]
+        return self._pool[int(rng.integers(len(self._pool)))]
+
+    def _built(self, rng: np.random.Generator) -> SceneArrays:
+        options = self.options
+        scene = build_scene(
+            options.surroundings,
+            self.route,
+            rng,
+            moving_cars=options.moving_cars,
+            pedestrians=options.pedestrians,
+            randomise=options.randomise,
+        )
+        return scene_arrays(scene)
+
+    def _image_sensor(self, b: int) -> ImageSensor:
+        pictures = self._pictures[b]
+        return ImageSensor(self.camera, lambda: self.images(b), self.options.front_end, pictures.on_moving_body)
+
+    def _take_pictures(self, rows: list[int]) -> None:
+        """Go on to the next picture of some rows, and measure in it where landmarks are seen in images."""
+        for b in rows if self._pictures else ():
+            self._pictures[b].set_frame(int(self.simulator.fleet.step[b]))
+            sensor = self._image_sensors[b]
+            if sensor is not None:
+                seen = self._seen[b] = sensor.observe(self.simulator.pose(b))
+                self.simulator.sense(b, seen.ids, seen.uvd)
+
+    # --- what is said of them ---------------------------------------------------------------------------------------
+
+    def look(self) -> tuple[Arrays, Arrays]:
+        """See `Rows`."""
+        options, fleet, sensed, shown = self.options, self.simulator.fleet, self.simulator.sensed, self.simulator.show()
+        observation: Arrays = {"uvd": shown.uvd, "ids": shown.ids, "mask": shown.mask, "odometry": shown.odometry}
+        if not options.observe_ids:
+            del observation["ids"]
+        observation["progress"] = shown.progress
+        if self.simulator.rules.steered:
+            observation |= {"car": shown.car, "route": shown.route}
+        if self.head is not None:
+            observation["head"] = shown.head
+        if options.render_images:
+            pairs = [self.images(b) for b in range(self.count)]
+            observation |= {"left": np.stack([p.left for p in pairs]), "right": np.stack([p.right for p in pairs])}
+        info: Arrays = {
+            "truth_position": shown.position,
+            "truth_orientation": shown.orientation,
+            "truth_linear_velocity": shown.linear_velocity,
+            "truth_angular_velocity": shown.angular_velocity,
+            "time": shown.time,
+            "distance": fleet.distance.copy(),
+            "collision": sensed.collision.copy(),
+            "is_success": sensed.success.copy(),
+        }
+        terms = sensed.terms.copy()
+        for name, k in self._weights.items():
+            info[f"reward_{name}"] = terms[k]
+        return observation, info | self._extras(shown.v_right)
+
+    def _extras(self, v_right: FloatArray) -> Arrays:
+        """Measurements that not every sensor has, see `padded_extras`."""
+        rows = int(self.options.max_landmarks)
+        if self._sees_images:
+            each = [padded_extras(seen, rows) for seen in self._seen if seen is not None]
+            return {key: np.stack([extras[key] for extras in each]) for key in each[0]}
+        measured = self.simulator.measures_right
+        return {
+            "v_right": v_right if measured else np.zeros_like(v_right),
+            "v_right_measured": np.full(self.count, measured),
+            "R": np.zeros((self.count, rows, 3, 3)),
+            "R_measured": np.zeros(self.count, dtype=np.bool_),
+        }
+
+    def inner(self, name: str) -> Any:
+        """See `Rows`."""
+        return getattr(self, name)
+
+    def body(self, b: int) -> Pose:
+        """See `World`."""
+        return self.simulator.body(b)
+
+    def frame(self, b: int) -> Frame:
+        """See `World`."""
+        return self.simulator.frame(b, self._seen[b])
+
+    def start(self, b: int) -> Start:
+        """See `World`."""
+        return self.simulator.start(b)
+
+    def generator(self, b: int) -> np.random.Generator:
+        """See `World`."""
+        generator = self.generators[b]
+        assert generator is not None
+        return generator
+
+    def landmark_truth(self, b: int) -> LandmarkTruth:
+        """See `World`: those of the scene; where landmarks are seen in images those found so far."""
+        sensor, scene = self._image_sensors[b], self.simulator.scenes[b]
+        if sensor is not None:
+            return sensor.landmarks
+        assert scene is not None
+        return LandmarkTruth(np.arange(len(scene.landmarks)), scene.landmarks)
+
+    def angles(self) -> FloatArray:
+        """See `World`."""
+        return self.simulator.fleet.angles
+
+    def times(self) -> FloatArray:
+        """See `World`."""
+        return np.asarray(self.simulator.fleet.step * FRAME_PERIOD, dtype=np.float64)
+
+    def told(self, name: str) -> FloatArray:
+        """See `World`."""
+        if name == "distance":
+            return self.simulator.fleet.distance.copy()
+        return np.array(self.simulator.sensed.terms[self._weights[name.removeprefix("reward_")]], dtype=np.float64)
+
+    def measured(self, which: BoolArray) -> Measured:
+        """See `World`."""
+        sensed = self.simulator.sensed
+        there = (np.arange(sensed.ids.shape[1]) < sensed.number[:, None]) & which[:, None]
+        with_right = np.full(self.count, self.simulator.measures_right)
+        return Measured(
+            np.concatenate([[0], np.cumsum(there.sum(axis=1))]),
+            sensed.ids[there],
+            sensed.uvd[there],
+            sensed.v_right[there],
+            with_right,
+            None,
+            self.times(),
+            (sensed.odometry, self.simulator.odometry_covariance, self.simulator.fleet.step > 0),
+        )
+
+    def images(self, b: int) -> StereoImages:
+        """Both views of a row."""
+        return self._pictures[b].images(self.simulator.pose(b))
+
+    def image_sensor(self, b: int) -> ImageSensor:
+        """What measures in the images of a row; a `RuntimeError` where nothing does."""
+        sensor = self._image_sensors[b]
+        if sensor is None or self._seen[b] is None:
+            raise RuntimeError("nothing is seen in images: use sensor='images' and reset the environment first")
+        return sensor
+
+    def _make_observation_space(self) -> spaces.Dict:
+        options, camera, rows = self.options, self.camera, int(self.options.max_landmarks)
+        if self._sees_images:
+            largest, slack = float(camera.width), _IMAGE_SLACK
+        else:
+            largest = camera.disparity_constant / options.tracking.nearest
+            slack = self._pixel_noise.largest_error  # so the bounds hold without clipping
+        high = np.array([camera.width, camera.height, largest]) + slack
+        low = np.full(3, -slack)
+        velocity = MAX_VELOCITY.astype(np.float32)
+        shapes: dict[str, spaces.Space[Any]] = {
+            "uvd": spaces.Box(np.tile(low, (rows, 1)).astype(np.float32), np.tile(high, (rows, 1)).astype(np.float32)),
+            "ids": spaces.Box(NO_LANDMARK, np.iinfo(np.int32).max, (rows,), np.int64),
+            "mask": spaces.Box(0, 1, (rows,), np.int8),
+            "odometry": spaces.Box(-velocity, velocity),
+            "progress": spaces.Box(0.0, 1.0, (1,), np.float32),
+        }
+        if not options.observe_ids:
+            del shapes["ids"]
+        if self.simulator.rules.steered:
+            car = np.array([Car.max_speed, Car.max_steering], dtype=np.float32)
+            shapes["car"] = spaces.Box(-car, car)
+            shapes["route"] = spaces.Box(-ARENA, ARENA, (len(LOOK_AHEAD), 2), np.float32)
+        if self.head is not None:
+            most = np.array(self.head.max_angles, dtype=np.float32)
+            shapes["head"] = spaces.Box(-most, most)
+        if options.render_images:
+            for view in ("left", "right"):
+                shapes[view] = spaces.Box(0, 255, (camera.height, camera.width, 3), np.uint8)
+        return spaces.Dict(shapes)
+
+
+def keeps_scene(options: Mapping[str, Any]) -> bool:
+    """Whether the options of a reset keep the scene; a `ValueError` for what is none of them."""
+    if unknown := set(options) - {"scene"}:
+        names = ", ".join(map(repr, sorted(unknown)))
+        raise ValueError(f"reset takes no options but scene, and for vectors reset_mask, got {names}")
+    if "scene" in options and options["scene"] not in ("keep", "new"):
+        raise ValueError(f"scene must be 'keep' or 'new', got {options['scene']!r}")
+    return options.get("scene") == "keep"

@@ -1,0 +1,328 @@
+"""`Rows`: B environments of one kind in arrays, which everything that is an environment is made of.
+
+One environment is `Rows` with one row, `OneRow` makes such of any single environment, and what a wrapper does is a
+`RowsWrapper`, written once for one row and for many.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Collection, Mapping, Sequence
+from copy import deepcopy
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+
+from filters.contract.start import Start
+from filters.geometry.poses import Pose
+from filters.validation import BoolArray, FloatArray, IntArray
+from stereo_slam_env.recording.recording import Frame, LandmarkTruth
+from stereo_slam_env.simulator.kept import Kept, State
+
+Arrays = dict[str, Any]
+Step = tuple[FloatArray, BoolArray, BoolArray]
+"""Rewards, and which rows are terminated and truncated; each (B,)."""
+Seeds = Sequence[int | None]
+_NOT_STATE = ("env", "spec", "_cached_spec", "_saved_kwargs", "_metadata", "_render_mode")
+"""Attributes of other people's wrappers that their arguments have made."""
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """Measurements of some rows in full precision, one row after the other."""
+
+    offsets: IntArray
+    """(B + 1,): those of row b are offsets[b] to offsets[b + 1] - 1."""
+    ids: IntArray
+    """(M,): landmarks, ascending in each row."""
+    uvd: FloatArray
+    """(M, 3): measurements, px."""
+    v_right: FloatArray
+    """(M,): rows in the right image, px, where they are measured."""
+    with_right: BoolArray
+    """(B,): whether rows in the right image are measured."""
+    R: FloatArray | None
+    """(M, 3, 3): covariances. None: none came with the measurements."""
+    times: FloatArray
+    """(B,), s."""
+    odometry: tuple[FloatArray, FloatArray, BoolArray]
+    """Of each row: (B, 6) values, (6, 6) or (B, 6, 6) covariances, and whether there is one (B,)."""
+
+
+class World(Protocol):
+    """What wrappers may ask of the environments of rows."""
+
+    def measured(self, which: BoolArray) -> Measured:
+        """Measurements of the frames of some rows (B,); of the others there are none."""
+
+    def angles(self) -> FloatArray:
+        """Pan and tilt of the heads, rad; (B, 2)."""
+
+    def times(self) -> FloatArray:
+        """Times of the frames, s; (B,)."""
+
+    def told(self, name: str) -> FloatArray:
+        """A number of `info`, after the last step; (B,)."""
+
+    def frame(self, b: int) -> Frame:
+        """The frame in full precision."""
+
+    def start(self, b: int) -> Start:
+        """What a filter is told of the start of the episode."""
+
+    def body(self, b: int) -> Pose:
+        """Pose of the left camera if the head looked straight ahead."""
+
+    def generator(self, b: int) -> np.random.Generator:
+        """Random generator of the episodes."""
+
+    def landmark_truth(self, b: int) -> LandmarkTruth:
+        """True positions of all landmarks."""
+
+
+class Rows(Kept, ABC):
+    """B environments of one kind. Rows that are not asked to do something stay as they are."""
+
+    count: int
+    """B."""
+    observation_space: Any
+    """`gymnasium.spaces.Space` of one row."""
+    action_space: Any
+    """`gymnasium.spaces.Space` of one row."""
+    world: World
+    """What is behind the rows."""
+
+    @abstractmethod
+    def begin(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
+        """Begin an episode of the chosen rows (B,); a seed is None where the generator of the row goes on."""
+
+    @abstractmethod
+    def advance(self, actions: Any, going: BoolArray) -> Step:
+        """Step the rows that go on (B,), by actions (B, ...); the others get reward 0 and no flag."""
+
+    @abstractmethod
+    def look(self) -> tuple[Arrays, Arrays]:
+        """Observation and `info` of all rows, each key with a first axis of B; they are the caller's."""
+
+    @abstractmethod
+    def inner(self, name: str) -> Any:
+        """What all rows have in common, by the name that single environments have for it; or an `AttributeError`."""
+
+    def want(self, keys: Collection[str]) -> None:
+        """From now on only these keys of the observation are used; others may be left out."""
+
+    def close(self) -> None:
+        """Give back what was taken; may be called twice."""
+
+
+class RowsWrapper(Rows):
+    """Rows that pass on what the rows inside say; a subclass changes some of it."""
+
+    def __init__(self, rows: Rows) -> None:
+        self.rows, self.count, self.world = rows, rows.count, rows.world
+        self.observation_space, self.action_space = rows.observation_space, rows.action_space
+
+    def begin(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
+        """See `Rows`."""
+        self.rows.begin(chosen, seeds, options)
+
+    def advance(self, actions: Any, going: BoolArray) -> Step:
+        """See `Rows`."""
+        return self.rows.advance(actions, going)
+
+    def look(self) -> tuple[Arrays, Arrays]:
+        """See `Rows`."""
+        return self.rows.look()
+
+    def inner(self, name: str) -> Any:
+        """See `Rows`."""
+        return getattr(self, name) if hasattr(self, name) else self.rows.inner(name)
+
+    def want(self, keys: Collection[str]) -> None:
+        """See `Rows`."""
+        self.rows.want(keys)
+
+    def snapshot(self) -> State:
+        """See `Rows`; what is inside is part of it."""
+        return {**super().snapshot(), "rows": self.rows.snapshot()}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """See `Rows`."""
+        self.rows.restore(state["rows"])
+        super().restore(state)
+
+    def close(self) -> None:
+        """See `Rows`."""
+        self.rows.close()
+
+    def needed(self, name: str) -> Any:
+        """What the rows inside must have; a `ValueError` says what would offer it."""
+        try:
+            return self.rows.inner(name)
+        except AttributeError:
+            name, source = (
+                ("slam", "BeliefObservation") if name == "beliefs" else (name, "an environment StereoSlam/...")
+            )
+            raise ValueError(f"{self._label} needs {name!r}: wrap {source} with it") from None
+
+    def dict_space(self) -> dict[str, spaces.Space[Any]]:
+        """The spaces of the observation inside; a `ValueError` where it is no Dict."""
+        inside = self.rows.observation_space
+        if not isinstance(inside, spaces.Dict):
+            raise ValueError(f"{self._label} needs a Dict observation, got {inside}: put it inside FlattenUVD")
+        return dict(inside.spaces)
+
+    @property
+    def _label(self) -> str:
+        return type(self).__name__.removesuffix("Rows")
+
+
+class TimeLimitRows(RowsWrapper):
+    """Rows whose episodes are truncated after so many steps."""
+
+    changes = ("_steps",)
+
+    def __init__(self, rows: Rows, max_episode_steps: int) -> None:
+        super().__init__(rows)
+        self.max_episode_steps = max_episode_steps
+        self._steps = np.zeros(rows.count, dtype=np.int64)
+
+    def begin(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
+        """See `Rows`."""
+        self.rows.begin(chosen, seeds, options)
+        self._steps[chosen] = 0
+
+    def advance(self, actions: Any, going: BoolArray) -> Step:
+        """See `Rows`."""
+        rewards, terminated, truncated = self.rows.advance(actions, going)
+        self._steps[going] += 1
+        return rewards, terminated, truncated | (going & (self._steps >= self.max_episode_steps))
+
+
+class OneRow(Rows):
+    """A single environment as one row."""
+
+    changes = ("_said", "_looked")
+
+    def __init__(self, env: gym.Env[Any, Any]) -> None:
+        self.count, self.env, self.world = 1, env, self
+        self.observation_space, self.action_space = env.observation_space, env.action_space
+        self._said: tuple[Any, dict[str, Any]] = {}, {}
+        self._looked = False
+
+    def begin(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
+        """See `Rows`."""
+        self._said, self._looked = self.env.reset(seed=seeds[0], options=dict(options) or None), False
+
+    def advance(self, actions: Any, going: BoolArray) -> Step:
+        """See `Rows`."""
+        observation, reward, terminated, truncated, info = self.env.step(actions[0])
+        self._said, self._looked = (observation, info), False
+        return np.array([float(reward)]), np.array([bool(terminated)]), np.array([bool(truncated)])
+
+    def look(self) -> tuple[Arrays, Arrays]:
+        """See `Rows`; whatever is in `info` is passed on as it is."""
+        observation, info = deepcopy(self._said) if self._looked else self._said  # nothing is handed out twice
+        self._looked = True
+        batched: Any = np.asarray(observation)[None]
+        if isinstance(observation, Mapping):
+            batched = {key: np.asarray(value)[None] for key, value in observation.items()}
+        return batched, {key: [value] for key, value in info.items()}
+
+    def inner(self, name: str) -> Any:
+        """See `Rows`."""
+        return self.env.get_wrapper_attr(name)
+
+    def snapshot(self) -> State:
+        """See `Rows`; the environment is part of it."""
+        return {**super().snapshot(), "env": state_of(self.env)}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        """See `Rows`."""
+        put_state(self.env, state["env"])
+        super().restore(state)
+
+    def frame(self, b: int) -> Frame:
+        """See `World`."""
+        frame: Frame = self.inner("frame")
+        return frame
+
+    def start(self, b: int) -> Start:
+        """See `World`."""
+        start: Start = self.inner("start")
+        return start
+
+    def body(self, b: int) -> Pose:
+        """See `World`."""
+        body: Pose = self.inner("body")
+        return body
+
+    def generator(self, b: int) -> np.random.Generator:
+        """See `World`."""
+        return self.env.np_random
+
+    def landmark_truth(self, b: int) -> LandmarkTruth:
+        """See `World`."""
+        truth: LandmarkTruth = self.inner("landmark_truth")()
+        return truth
+
+    def angles(self) -> FloatArray:
+        """See `World`."""
+        if self.env.has_wrapper_attr("head_angles"):
+            return np.asarray(self.inner("head_angles"), dtype=np.float64)[None]
+        return np.asarray(self._said[0].get("head", np.zeros(2)), dtype=np.float64)[None]
+
+    def times(self) -> FloatArray:
+        """See `World`."""
+        return np.array([self.frame(0).timestamp])
+
+    def told(self, name: str) -> FloatArray:
+        """See `World`."""
+        return np.array([self._said[1][name]], dtype=np.float64)
+
+    def measured(self, which: BoolArray) -> Measured:
+        """See `World`."""
+        frame = self.frame(0)
+        seen, odometry = frame.observation.ordered(), frame.odometry
+        right = np.zeros(len(seen)) if seen.v_right is None else seen.v_right
+        values, covariance = np.zeros((1, 6)), np.zeros((6, 6))
+        if odometry is not None:
+            values[0, :3], values[0, 3:], covariance = odometry.linear, odometry.angular, odometry.covariance
+        return Measured(
+            np.array([0, len(seen)]),
+            seen.ids,
+            seen.uvd,
+            right,
+            np.array([seen.v_right is not None]),
+            seen.R,
+            np.array([frame.timestamp]),
+            (values, covariance, np.array([odometry is not None])),
+        )
+
+
+def state_of(env: Any) -> tuple[Any, ...]:
+    """The state of a stack of wrappers, layer by layer, down to the first one that knows those below it."""
+    layers: list[Any] = []
+    while not isinstance(env, Kept):
+        if not hasattr(env, "env"):
+            raise ValueError(f"snapshot needs an environment StereoSlam/... or its native vector, got {env}")
+        layers.append(deepcopy({name: value for name, value in vars(env).items() if _is_state(name, value)}))
+        env = env.env
+    return (*layers, env.snapshot())
+
+
+def put_state(env: Any, state: tuple[Any, ...]) -> None:
+    """Set a stack of wrappers back."""
+    *layers, inside = state
+    for layer in layers:
+        vars(env).update(deepcopy(layer))
+        env = env.env
+    env.restore(inside)
+
+
+def _is_state(name: str, value: Any) -> bool:
+    """Whether an attribute of somebody else's wrapper is state: not a space, a function or what it wraps."""
+    return name not in _NOT_STATE and not isinstance(value, gym.Space) and not callable(value)

@@ -1,0 +1,234 @@
+"""`RowsVectorEnv`: rows as a vector environment of Gymnasium."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from copy import deepcopy
+from operator import index
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from filters.validation import BoolArray, FloatArray, finite_array, whole_number
+from stereo_slam_env.envs.core_rows import CoreRows
+from stereo_slam_env.envs.options import StereoOptions
+from stereo_slam_env.envs.rows import Arrays, Rows, TimeLimitRows
+from stereo_slam_env.envs.stereo_env import row_of
+from stereo_slam_env.simulator.kept import Kept
+from stereo_slam_env.simulator.state import Sensed
+
+
+class RowsVectorEnv(gym.vector.VectorEnv[Arrays, NDArray[Any], NDArray[Any]], Kept):
+    """Many environments of one kind, each with a scene, a car, a head, a sensor and random generators of its own.
+
+    Made by `gymnasium.make_vec("StereoSlam/Gaze-v0", num_envs=256)`, for every id. The episode of a seed is that of the
+    single environment, bit by bit. `info` has the keys of the single environment, as arrays with one row for each.
+
+    Parameters
+    ----------
+    rows : Rows
+        The environments.
+    autoreset_mode : AutoresetMode
+        NEXT_STEP: the step after the end of an episode is its reset, without an action and a reward. SAME_STEP: the
+        reset happens in the last step; the last observation is in `info["final_obs"]`. DISABLED: by
+        `reset(options={"reset_mask": mask})`.
+    """
+
+    changes = ("rows", "_begun", "_over")
+
+    def __init__(self, rows: Rows, autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP) -> None:
+        self.rows, self.num_envs = rows, rows.count
+        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self.metadata = {"render_modes": [], "autoreset_mode": self.autoreset_mode}
+        self.single_observation_space, self.single_action_space = rows.observation_space, rows.action_space
+        self.observation_space = batch_space(rows.observation_space, self.num_envs)
+        self.action_space = batch_space(rows.action_space, self.num_envs)
+        self._begun = np.zeros(self.num_envs, dtype=np.bool_)
+        self._over = np.ones(self.num_envs, dtype=np.bool_)
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Arrays, Arrays]:
+        """Begin an episode in every environment, or in those of `options={"reset_mask": mask}`.
+
+        `seed` is one of the first environment, the others have the following ones, or one for each. With
+        `options={"scene": "keep"}` scenes stay.
+        """
+        given = dict(options or {})
+        everybody = np.ones(self.num_envs, dtype=np.bool_)
+        chosen = _mask(given.pop("reset_mask"), self._begun) if "reset_mask" in given else everybody
+        self._begin(chosen, _seeds_of(seed, self.num_envs), given)
+        return self._look()
+
+    def step(self, actions: NDArray[Any]) -> tuple[Arrays, FloatArray, BoolArray, BoolArray, Arrays]:
+        """Step every environment."""
+        command = self._command(actions)
+        over = self._over.copy()
+        if over.any():
+            if self.autoreset_mode != AutoresetMode.NEXT_STEP:
+                numbers = np.flatnonzero(over)[:5].tolist()
+                raise RuntimeError(f"the episodes of environments {numbers} are over: reset them")
+            self._begin(over)
+        rewards, terminated, truncated = self.rows.advance(command, ~over)
+        self._over = terminated | truncated
+        if self.autoreset_mode != AutoresetMode.SAME_STEP or not self._over.any():
+            observation, info = self._look()
+            return observation, rewards, terminated, truncated, info
+        last, ended = self._look(), self._over.copy()
+        self._begin(ended)
+        observation, info = self._look()
+        info["final_obs"], info["_final_obs"] = _singles(last[0], ended), ended
+        info["final_info"] = {**last[1], **{name: ended for name in last[1] if name.startswith("_")}}
+        info["_final_info"] = ended
+        return observation, rewards, terminated, truncated, info
+
+    def close_extras(self, **arguments: Any) -> None:
+        """Stop threads and engines."""
+        rows = getattr(self, "rows", None)  # Gymnasium closes what could not be made, too
+        if rows is not None:
+            rows.close()
+
+    @property
+    def filters(self) -> Any:
+        """The filters in the loop."""
+        try:
+            return self.rows.inner("beliefs").filters
+        except AttributeError:
+            raise RuntimeError("there is no filter in the loop: give belief={}") from None
+
+    @property
+    def episodes(self) -> Any:
+        """Consistency of the episodes that ended, see `RecordConsistency`."""
+        try:
+            return self.rows.inner("episodes")
+        except AttributeError:
+            raise RuntimeError("consistency is not recorded: give belief={} and consistency={}") from None
+
+    @property
+    def max_episode_steps(self) -> int | None:
+        """The time limit; None: there is none."""
+        try:
+            return int(self.rows.inner("max_episode_steps"))
+        except AttributeError:
+            return None
+
+    @property
+    def core(self) -> CoreRows:
+        """The simulator behind the environments."""
+        world = self.rows.world
+        assert isinstance(world, CoreRows)
+        return world
+
+    @property
+    def options(self) -> StereoOptions:
+        """Arguments of the environments."""
+        return self.core.options
+
+    @property
+    def outcome(self) -> Sensed:
+        """Measurements of the last frame in full precision; do not change them."""
+        return self.core.simulator.sensed
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of the state of all environments, without the filters."""
+        return self.core.simulator.nbytes
+
+    def _begin(self, chosen: BoolArray, seeds: Sequence[int | None] = (), options: Mapping[str, Any] = {}) -> None:
+        self.rows.begin(chosen, seeds or [None] * self.num_envs, options)
+        self._begun |= chosen
+        self._over[chosen] = False
+
+    def _look(self) -> tuple[Arrays, Arrays]:
+        """Observation and info; `_key` says whose rows are valid, which all are."""
+        observation, info = self.rows.look()
+        everybody = np.ones(self.num_envs, dtype=np.bool_)
+        return observation, {**info, **{f"_{key}": everybody for key in info}}
+
+    def _command(self, actions: Any) -> NDArray[Any]:
+        """The actions (B, ...), checked."""
+        if not self._begun.all():
+            raise RuntimeError("reset the environments before the first step")
+        if isinstance(self.single_action_space, gym.spaces.Box):
+            shape = self.single_action_space.shape
+            return np.clip(finite_array("actions", actions, (self.num_envs, *shape)), -1.0, 1.0)
+        if not self.action_space.contains(np.asarray(actions)):
+            last = getattr(self.single_action_space, "n", 1) - 1
+            raise ValueError(f"actions must be {self.num_envs} numbers from 0 to {last}, got {actions!r}")
+        return np.asarray(actions)
+
+
+def limited(rows: Rows, most: int | None) -> Rows:
+    """The rows with a time limit, as `gymnasium.make` has it: None and -1 are none."""
+    return rows if most is None or most == -1 else TimeLimitRows(rows, whole_number("max_episode_steps", most, 1))
+
+
+def core_rows(
+    kind: type[StereoOptions],
+    num_envs: int,
+    options: Mapping[str, Any],
+    *,
+    scenes: int | None = None,
+    threads: int = 1,
+) -> CoreRows:
+    """Rows of environments with these arguments.
+
+    Raises
+    ------
+    TypeError
+        There is no argument of that name.
+    ValueError
+        An argument is impossible, or only single environments have it.
+    """
+    given = dict(options)
+    if given.pop("render_mode", None) is not None:
+        raise ValueError("render_mode must be None in a native vector environment: use vectorization_mode='sync'")
+    checked = kind.checked(given)
+    for name, value in {"sensor": "landmarks", "render_images": False}.items():
+        if getattr(checked, name) != value:
+            raise ValueError(
+                f"{name} must be {value!r} in a native vector environment, got {getattr(checked, name)!r}: "
+                "use make_vec(..., vectorization_mode='async') for a process each"
+            )
+    pool = None if scenes is None else whole_number("scenes", scenes, 1)
+    count = whole_number("num_envs", num_envs, 1)
+    return CoreRows(checked, count, threads=whole_number("threads", threads, 1), pool=pool)
+
+
+def _mask(given: Any, begun: BoolArray) -> BoolArray:
+    """Environments to be reset; `begun` (B,) says which have been reset before."""
+    mask = np.asarray(given)
+    if mask.shape != begun.shape or mask.dtype != np.bool_ or not mask.any():
+        raise ValueError(f"reset_mask must be ({len(begun)},) bool with at least one True, got {mask!r}")
+    if not (mask | begun).all():
+        raise ValueError("reset_mask must be all True in the first reset")
+    return mask
+
+
+def _seeds_of(seed: int | Sequence[int | None] | None, count: int) -> list[int | None]:
+    """A seed for each environment: one counts up from the first of them on."""
+    each: list[int | None]
+    try:
+        if seed is None:
+            each = [None] * count
+        elif isinstance(seed, (Sequence, np.ndarray)):
+            each = [None if value is None else index(value) for value in seed]
+        else:
+            each = [index(seed) + b for b in range(count)]
+    except TypeError:
+        each = []
+    if len(each) != count:
+        raise ValueError(f"seed must be a whole number or {count} of them, got {seed!r}")
+    return each
+
+
+def _singles(observation: Any, which: BoolArray) -> NDArray[Any]:
+    """Observations of single environments, None where they are not asked for; (B,) objects."""
+    rows = np.full(len(which), None, dtype=object)
+    for b in np.flatnonzero(which).tolist():
+        rows[b] = deepcopy(row_of(observation, b))
+    return rows

@@ -1,0 +1,215 @@
+"""Score of a claimed covariance: NEES, coverage, log score, CRPS and energy score of the errors that it is of."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import chi2, norm, qmc
+
+from filters import nees
+from filters.consistency import are_definite
+from filters.motions.model import POSE_SIZE, POSITION, ROTATION
+from filters.validation import FloatArray
+from stereo_slam_env.evaluation.bootstrap import MeanInterval, mean_interval
+from stereo_slam_env.evaluation.consistency import DOF, mean_band
+from stereo_slam_env.recording.trajectory import Trajectory
+
+PARTS = {"pose": slice(0, POSE_SIZE), "position": POSITION, "rotation": ROTATION}
+"""What of an error each claim is of."""
+COVERED = (0.5, 0.9, 0.95)
+"""Probabilities of the ellipsoids whose coverage is counted."""
+_DRAWS = 256
+"""Points of the Gaussian that the energy score is a mean over; the same for every frame."""
+_PIECE = 2000
+"""Frames whose points are held at a time."""
+
+
+@dataclass(frozen=True)
+class ClaimScore:
+    """A claimed covariance against the errors: of the pose (6 numbers), the position or the rotation (3 each)."""
+
+    dof: int
+    """Numbers of an error."""
+    frames: int
+    """Scored: those with a covariance that is one."""
+    unusable: int
+    """Frames whose covariance is not positive definite: what is claimed of them has no score."""
+    nees: MeanInterval
+    """Over frames; `dof` is ideal; with the 95 % interval of the block bootstrap."""
+    median_nees: float
+    """Its median."""
+    band: tuple[float, float]
+    """Two-sided 95 % band of the mean of one run, as of one frame."""
+    scale_gap: float
+    """k, median NEES by that of chi-square: the factor by which the covariance is too small."""
+    claimed_scale_gap: float
+    """k of the covariances as they are claimed, not carried through the alignment: that of smfeval."""
+    coverage: Mapping[float, float]
+    """Share of frames inside the ellipsoid of each probability."""
+    log_score: MeanInterval
+    """-log density of the truth, nats: calibration + sharpness."""
+    calibration: float
+    """Mean of NEES / 2."""
+    sharpness: float
+    """Mean of (log det + dof log 2 pi) / 2."""
+    crps: float | None
+    """Continuous ranked probability score, mean over axes and frames, m; None but for the position."""
+    energy_score: float | None
+    """Energy score, mean over frames, m; None but for the position."""
+    obstacle: str
+    """Why the claim is not judged; empty where it is."""
+    of_a_pair: bool
+    """Whether the reference is an estimate, too: what both have in common is in no difference of theirs."""
+
+    @property
+    def verdict(self) -> str:
+        """What one run can tell of the claim, in words."""
+        if self.obstacle:
+            return f"not judged: {self.obstacle}"
+        if self.unusable:
+            return f"none: {self.unusable} of {self.frames + self.unusable} covariances are not positive definite"
+        if not self.of_a_pair:
+            return verdict_of(self.nees.mean, self.dof, self.band)
+        if self.nees.mean <= self.band[1]:
+            return "the two claims do not contradict each other"
+        return f"the two claims together are too tight, by at least {self.per_axis:.3g} per axis"
+
+    @property
+    def per_axis(self) -> float:
+        """Factor of the standard deviations, > 1, by the mean NEES."""
+        return per_axis(self.nees.mean, self.dof)
+
+
+def verdict_of(mean_nees: float, dof: int, band: tuple[float, float], runs: str = "one run") -> str:
+    """A mean NEES against its band, in words."""
+    low, high = band
+    if low <= mean_nees <= high:
+        return f"consistent, as far as {runs} can tell"
+    return f"too {'tight' if mean_nees > high else 'loose'}, by {per_axis(mean_nees, dof):.3g} per axis"
+
+
+def per_axis(mean_nees: float, dof: int) -> float:
+    """Factor of the standard deviations, > 1, that a mean NEES says."""
+    factor = float(np.sqrt(mean_nees / dof))
+    return max(factor, 1.0 / factor) if factor > 0 else float("inf")
+
+
+def claim_score(
+    values: FloatArray,
+    claimed: FloatArray,
+    sharpness: FloatArray,
+    dof: int,
+    unusable: int,
+    obstacle: str,
+    of_a_pair: bool,
+) -> ClaimScore:
+    """The score of NEES (K,) and half log volumes (K,) of usable frames; `claimed` is the NEES before an alignment."""
+    median, ideal = float(np.median(values)), float(chi2.ppf(0.5, dof))
+    return ClaimScore(
+        dof=dof,
+        frames=len(values),
+        unusable=unusable,
+        nees=mean_interval(values),
+        median_nees=median,
+        band=mean_band(dof, 1),
+        scale_gap=median / ideal,
+        claimed_scale_gap=float(np.median(claimed)) / ideal,
+        coverage={p: float(np.mean(values <= chi2.ppf(p, dof))) for p in COVERED},
+        log_score=mean_interval(0.5 * values + sharpness),
+        calibration=0.5 * float(values.mean()),
+        sharpness=float(sharpness.mean()),
+        crps=None,
+        energy_score=None,
+        obstacle=obstacle,
+        of_a_pair=of_a_pair,
+    )
+
+
+def crps(errors: FloatArray, covariances: FloatArray) -> FloatArray:
+    """Continuous ranked probability score (K,) of errors (K, n), mean over axes, of Gaussians (K, n, n).
+
+    Source: Gneiting and Raftery, "Strictly proper scoring rules, prediction, and estimation", JASA 102, 2007, eq. 21.
+    """
+    sigmas = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
+    z = errors / sigmas
+    axes = sigmas * (z * (2.0 * norm.cdf(z) - 1.0) + 2.0 * norm.pdf(z) - 1.0 / np.sqrt(np.pi))
+    return np.asarray(axes.mean(axis=1), dtype=np.float64)
+
+
+def energy_scores(errors: FloatArray, covariances: FloatArray) -> FloatArray:
+    """Energy score E|X - e| - E|X - X'| / 2 (K,) of errors (K, n) under Gaussians (K, n, n), by fixed points.
+
+    Source: Gneiting and Raftery, 2007, section 4.2.
+    """
+    n = errors.shape[1]
+    points = norm.ppf(qmc.Sobol(n, scramble=True, rng=np.random.default_rng(0)).random(_DRAWS)).T
+    scores = np.zeros(len(errors))
+    for at in range(0, len(errors), _PIECE):
+        rows = slice(at, at + _PIECE)
+        drawn = np.linalg.cholesky(covariances[rows]) @ points
+        far = np.linalg.norm(drawn - errors[rows, :, None], axis=1).mean(axis=1)
+        scores[rows] = far - 0.5 * np.sqrt(2.0) * np.linalg.norm(drawn, axis=1).mean(axis=1)
+    return scores
+
+
+@dataclass(frozen=True, eq=False)
+class ScoredClaims:
+    """What a trajectory claims of its pose, position and rotation, scored."""
+
+    claims: Mapping[str, ClaimScore]
+    """By name; empty where nothing is claimed."""
+    nees: Mapping[str, FloatArray]
+    """(K,) of each, NaN where a covariance is none."""
+    log_scores: Mapping[str, FloatArray]
+    """(K,) of each."""
+
+
+def score_claims(
+    estimate: Trajectory,
+    reference: Trajectory,
+    covariances: FloatArray | None,
+    as_claimed: FloatArray | None,
+    obstacles: Mapping[str, str],
+    of_a_pair: bool = False,
+) -> ScoredClaims:
+    """Score each part of the pose of paired trajectories in one world.
+
+    `covariances` (K, 6, 6) are of the errors of both, in the definition of the estimate, carried through the alignment;
+    `as_claimed` are the same before; `obstacles` say why a part is not judged; `of_a_pair` as of `ClaimScore`.
+
+    Raises
+    ------
+    ValueError
+        No covariance of the estimate is positive definite.
+    """
+    if covariances is None or as_claimed is None:
+        return ScoredClaims({}, {}, {})
+    assert estimate.covariances is not None
+    usable = are_definite(estimate.covariances)  # before what the reference claims is added, which would hide it
+    if not usable.any():
+        raise ValueError(
+            f"none of the covariances of {estimate.name} is positive definite: correct them, or leave them out"
+        )
+    errors = estimate.errors(reference.positions, reference.orientations)
+    claims: dict[str, ClaimScore] = {}
+    series: dict[str, FloatArray] = {}
+    scores: dict[str, FloatArray] = {}
+    for name, part in PARTS.items():
+        own = covariances[:, part, part]
+        values = np.where(usable, nees(errors[:, part], own), np.nan)
+        before = nees(errors[usable, part], as_claimed[usable][:, part, part])
+        sharpness = np.full(len(values), np.nan)
+        sharpness[usable] = 0.5 * (np.linalg.slogdet(own[usable])[1] + DOF[name] * np.log(2.0 * np.pi))
+        series[name], scores[name] = values, 0.5 * values + sharpness
+        none = int(np.count_nonzero(~usable))
+        claim = claim_score(values[usable], before, sharpness[usable], DOF[name], none, obstacles[name], of_a_pair)
+        if name == "position":
+            claim = replace(
+                claim,
+                crps=float(crps(errors[usable, part], own[usable]).mean()),
+                energy_score=float(energy_scores(errors[usable, part], own[usable]).mean()),
+            )
+        claims[name] = claim
+    return ScoredClaims(claims, series, scores)

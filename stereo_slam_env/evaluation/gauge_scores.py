@@ -1,0 +1,104 @@
+"""What is claimed of an aligned estimate: the covariances carried through an alignment, and the claim under each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from filters import nees
+from filters.consistency import are_definite
+from filters.validation import BoolArray, FloatArray
+from stereo_slam_env.evaluation import trajectory_metrics as metrics
+from stereo_slam_env.evaluation.claims import verdict_of
+from stereo_slam_env.evaluation.consistency import DOF, mean_band
+from stereo_slam_env.evaluation.gauges import (
+    Alignment,
+    AlignmentKind,
+    Correlation,
+    carried,
+    correlation_of,
+    find_alignment,
+    is_zero_at_start,
+)
+from stereo_slam_env.recording.trajectory import Trajectory, tangent_jacobian, transformed
+
+_LEFT = 1e-9
+"""A direction in which a carried covariance keeps a smaller share of what was claimed is fixed by the alignment."""
+
+
+@dataclass(frozen=True)
+class GaugeScore:
+    """What a claim would be found to be under an alignment."""
+
+    alignment: AlignmentKind
+    """How the world would be aligned, by all poses but for "start"."""
+    nees: float
+    """Mean NEES of the pose, 6 is ideal."""
+    position_rmse_m: float
+    """m."""
+    verdict: str
+    """In words."""
+
+
+def claimed_through(
+    aligned: Trajectory, reference: Trajectory, alignment: Alignment, correlation: Correlation
+) -> tuple[FloatArray | None, FloatArray | None]:
+    """Covariances of the errors of an aligned estimate against its reference: as claimed, and through the alignment."""
+    own = aligned.covariances
+    if own is None:
+        return None, None
+    through = carried(own, aligned, alignment, correlation)
+    if (doubt := reference.pose_covariances) is None:
+        return own, through
+    doubt = transformed(tangent_jacobian(aligned.tangent, aligned.positions, aligned.orientations), doubt)
+    return own + doubt, through + carried(doubt, aligned, alignment, correlation_of(reference))
+
+
+def scored_rows(
+    aligned: Trajectory, alignment: Alignment, as_claimed: FloatArray | None, covariances: FloatArray | None
+) -> BoolArray:
+    """Which poses are scored: not those that both have in common by the alignment, or from the start."""
+    scored = np.ones(len(aligned), dtype=bool)
+    if alignment.rows.sum() == 1:
+        scored &= ~alignment.rows
+    scored[0] &= alignment.kind != "none" and not is_zero_at_start(aligned)
+    if as_claimed is not None and covariances is not None and covariances is not as_claimed:
+        usable = are_definite(as_claimed)
+        L = np.linalg.inv(np.linalg.cholesky(as_claimed[usable]))
+        scored[usable] &= np.linalg.eigvalsh(transformed(L, covariances[usable]))[:, 0] > _LEFT
+    return scored
+
+
+def score_gauges(
+    estimate: Trajectory, reference: Trajectory, chosen: Alignment, correlation: Correlation
+) -> tuple[GaugeScore, ...]:
+    """The claim on the pose under every alignment; without those of a world or a scale that the chosen one denies."""
+    kinds: list[AlignmentKind] = ["start", "gravity-yaw", "rigid"]
+    if chosen.kind == "none":
+        kinds.insert(0, "none")
+    elif chosen.kind == "sim3":
+        kinds.append("sim3")
+    found = []
+    for kind in kinds:
+        try:
+            alignment = find_alignment(kind, estimate, reference, np.ones(len(estimate), dtype=bool), chosen.up)
+        except ValueError:
+            continue  # what the poses do not determine is no choice
+        aligned = alignment.apply(estimate)
+        as_claimed, covariances = claimed_through(aligned, reference, alignment, correlation)
+        assert as_claimed is not None
+        assert covariances is not None
+        scored = scored_rows(aligned, alignment, as_claimed, covariances)
+        errors = aligned.errors(reference.positions, reference.orientations)
+        values = nees(errors[scored], covariances[scored])
+        mean = float(np.nanmean(values)) if np.isfinite(values).any() else float("nan")
+        found.append(
+            GaugeScore(
+                alignment=kind,
+                nees=mean,
+                position_rmse_m=metrics.ate_unaligned(aligned.positions[scored], reference.positions[scored]),
+                verdict=verdict_of(mean, DOF["pose"], mean_band(DOF["pose"], 1)),
+            )
+        )
+    return tuple(found)

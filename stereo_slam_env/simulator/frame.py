@@ -1,0 +1,132 @@
+"""The kernel of a frame: rows move, measure and are judged, one after the other without Python in between."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from filters.validation import FloatArray, IntArray
+from stereo_slam_env.simulator.contacts import collides
+from stereo_slam_env.simulator.motion import (
+    MOTION,
+    measure_odometry,
+    move,
+    nearest_frame,
+    rotation_of,
+    route_velocity,
+    times,
+)
+from stereo_slam_env.simulator.rays import KERNEL, OPTIONS
+from stereo_slam_env.simulator.sensing import mark_in_view, observe
+from stereo_slam_env.simulator.state import ARENA, Fleet, Rules, Sensed
+from stereo_slam_env.simulator.traffic import bodies_of, move_bodies, touches_body
+
+WAIT, FIRST, STEP = 0, 1, 2
+"""What a row does in a frame: nothing, the first frame of an episode, or a step."""
+MOVE, SENSE, JUDGE = 1, 2, 4
+"""Parts of a frame, which may be asked for one by one: what is between them is then somebody else's."""
+
+
+@njit(**KERNEL)
+def _begin(rules: Rules, fleet: Fleet, b: int) -> None:
+    """The first pose and velocity of an episode."""
+    body, velocity = fleet.body[b], fleet.velocity[b]
+    body[:], velocity[:], fleet.angles[b, :], fleet.turned[b, :] = 0.0, 0.0, 0.0, 0.0
+    body[6] = 1.0
+    fleet.pose[b, :] = body
+    fleet.step[b], fleet.nearest[b], fleet.farthest[b], fleet.distance[b] = 0, 0, 0.0, 0.0
+    fleet.lost[b, :] = False
+    if rules.steered:
+        fleet.car[b, 0], fleet.car[b, 1], fleet.car[b, 2] = rules.speeds[0], 0.0, 0.0
+        velocity[2] = rules.speeds[0]
+        return
+    used = fleet.used[b, MOTION]
+    for i in range(6):
+        fleet.sway[b, i] = rules.sway[0, i] * fleet.normals[b, MOTION, used + i]
+    fleet.used[b, MOTION] = used + 6
+    route_velocity(rules, body, fleet.sway[b], 0, velocity)
+
+
+@njit(**KERNEL)
+def _touches(rules: Rules, fleet: Fleet, waiting: IntArray, b: int) -> bool:
+    """Whether the body of the car touches something; the ground is nothing."""
+    if not rules.exact:
+        return bool(fleet.touching[b])
+    body = fleet.body[b]
+    R = rotation_of(body)
+    centre, half = rules.body[1], (rules.body[0, 0], rules.body[0, 1], rules.body[0, 2])
+    o0, o1, o2 = times(R, centre[0], centre[1], centre[2])
+    x, y, z = body[0] + o0, body[1] + o1, body[2] + o2
+    # Columns of R_sb: the axes of the body (forward, left, up) are z, -x and -y of the camera; rows are those of S.
+    R_sb = (R[8], -R[6], -R[7], -R[2], R[0], R[1], -R[5], R[3], R[4])
+    at = (z, -x, rules.camera_height - y)
+    solids, bounds, links, nodes = fleet.solids[b], fleet.bounds[b], fleet.links[b], fleet.sizes[b, 1]
+    return collides(solids, bounds, links, nodes, waiting, R_sb, at, half) or touches_body(
+        bodies_of(fleet, b), R_sb, at, half
+    )
+
+
+@njit(**KERNEL)
+def _judge(rules: Rules, fleet: Fleet, sensed: Sensed, waiting: IntArray, b: int) -> None:
+    """Terms of the reward of a step, and whether it was the last one."""
+    body, terms = fleet.body[b], sensed.terms
+    nearest = nearest_frame(rules.positions, rules.arc_length, body[0], body[2], fleet.nearest[b])
+    fleet.nearest[b] = nearest
+    advanced = max(0.0, rules.arc_length[nearest] - fleet.farthest[b])
+    fleet.farthest[b] += advanced
+    collision = _touches(rules, fleet, waiting, b)
+    p = rules.positions[nearest]
+    away = math.sqrt((p[0] - body[0]) ** 2 + (p[1] - body[1]) ** 2 + (p[2] - body[2]) ** 2) > ARENA
+    failed = collision or away
+    last = nearest == len(rules.arc_length) - 1 if rules.steered else fleet.step[b] >= len(rules.speeds)
+    sensed.collision[b], sensed.failed[b], sensed.success[b] = collision, failed, last and not failed
+    terms[0, b], terms[1, b] = advanced, advanced * (sensed.number[b] / rules.most)
+    terms[2, b], terms[3, b], terms[4, b] = -1.0 * failed, 1.0 * sensed.success[b], -rules.dt
+    if rules.has_head:
+        pan = fleet.turned[b, 0] / (rules.head[1, 0] * rules.dt)
+        tilt = fleet.turned[b, 1] / (rules.head[1, 1] * rules.dt)
+        terms[5, b] = -0.5 * (pan * pan + tilt * tilt)
+    total = 0.0
+    for k in range(len(terms)):
+        terms[k, b] *= rules.weights[k]
+        total += terms[k, b]
+    sensed.reward[b] = total
+
+
+@njit(**OPTIONS)
+def run_frame(
+    rules: Rules,
+    fleet: Fleet,
+    sensed: Sensed,
+    waiting: IntArray,
+    doing: IntArray,
+    actions: FloatArray,
+    parts: int,
+    first: int,
+    last: int,
+) -> None:
+    """Parts of a frame of the rows from `first` to `last` - 1; `doing` (B,) is WAIT, FIRST or STEP."""
+    most = fleet.landmarks.shape[2]
+    fresh, keys = np.empty(most, dtype=np.int64), np.empty(most)
+    for b in range(first, last):
+        if doing[b] == WAIT:
+            continue
+        pose = fleet.pose[b]
+        if parts & MOVE:
+            sensed.terms[:, b], sensed.reward[b] = 0.0, 0.0
+            sensed.collision[b], sensed.failed[b], sensed.success[b] = False, False, False
+            if doing[b] == FIRST:
+                _begin(rules, fleet, b)
+                sensed.number[b] = 0
+            q0, q1, q2, q3 = pose[3], pose[4], pose[5], pose[6]
+            if doing[b] == STEP:
+                move(rules, fleet, b, actions[b])
+            measure_odometry(rules, fleet, b, q0, q1, q2, q3, sensed.odometry[b])
+            move_bodies(fleet, b)
+            mark_in_view(rules, fleet.landmarks[b], fleet.sizes[b, 0], pose, fleet.inside[b])
+        if parts & SENSE:
+            observe(rules, fleet, sensed, waiting, b, fresh, keys)
+        if parts & JUDGE and doing[b] == STEP:
+            _judge(rules, fleet, sensed, waiting, b)

@@ -1,0 +1,252 @@
+"""Filters in the loop of B rows, one for each: in lock-step where they can, else one after the other."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from typing import ClassVar
+
+import numpy as np
+
+from filters.contract.foreign_text import first_line, type_name
+from filters.contract.start import Start
+from filters.contract.stereo_filter import StereoFilter
+from filters.contract.update_report import UpdateReport
+from filters.engine.batch import FilterBatch, RelativeLandmarks, Reports, goes_in_a_batch
+from filters.engine.frames import Observations, Odometry
+from filters.validation import BoolArray, FloatArray, IntArray
+from stereo_slam_env.envs.rows import World
+from stereo_slam_env.loop import FilterLoop
+from stereo_slam_env.simulator.kept import Kept
+from stereo_slam_env.wrappers.belief import Belief
+
+
+class FilterRows(Kept, ABC):
+    """A filter for each row, all of one recipe."""
+
+    changes: ClassVar[tuple[str, ...]] = (
+        "poses",
+        "pose_covariances",
+        "nis",
+        "nis_dof",
+        "frames",
+        "_now",
+        "_maps",
+        "_reports",
+    )
+
+    def __init__(self, count: int, name: str) -> None:
+        self.poses = np.zeros((count, 7))
+        """(B, 7): position (W, m) and orientation (xyzw) of every filter."""
+        self.pose_covariances = np.zeros((count, 6, 6))
+        """(B, 6, 6), of the poses, as in `PoseBelief`."""
+        self.nis = np.zeros(count)
+        """(B,), of the last frame of each filter."""
+        self.nis_dof = np.zeros(count, dtype=np.int64)
+        """(B,), of `nis`."""
+        self.frames: IntArray = np.full(count, -1)
+        """(B,): number of the last frame of each filter."""
+        self._name, self._now = name, 0
+        self._maps: RelativeLandmarks | None = None
+
+    def use_frames(self, world: World, which: BoolArray, fresh: BoolArray) -> None:
+        """Let some filters (B,) use the frames of their rows, the `fresh` ones (B,) from a new start.
+
+        A `RuntimeError` names the filter, the frame and the cause where one fails, or its pose is not finite.
+        """
+        self.frames[which] += 1
+        self.frames[fresh] = 0
+        self._now, self._maps = int(which.argmax()), None
+        try:
+            for b in np.flatnonzero(fresh).tolist():
+                self._now = b
+                self._reset(b, world.start(b))
+            self._use(world, which)
+            self.poses, self.pose_covariances = poses, P = self._read_poses()
+            for name, values in (("position", poses[:, :3]), ("orientation", poses[:, 3:]), ("covariance", P)):
+                finite = np.isfinite(values).reshape(len(P), -1).all(axis=1)
+                if not finite.all():
+                    self._now = int(finite.argmin())
+                    raise ArithmeticError(f"the filter returned NaN or infinity in its {name} of the pose")
+        except Exception as error:  # a third-party filter may raise anything; the episode cannot go on without it
+            what = f"{type_name(error)}: {first_line(error, empty='no message')}"
+            row = "" if len(self.frames) == 1 else f" of environment {self._now}"
+            raise RuntimeError(
+                f"filter {self._name!r} failed in frame {self.frames[self._now]}{row}: {what}"
+            ) from error
+
+    @property
+    @abstractmethod
+    def filters(self) -> FilterBatch | list[StereoFilter]:
+        """All filters."""
+
+    @abstractmethod
+    def report(self, b: int) -> UpdateReport:
+        """Report of the last update of a filter."""
+
+    @abstractmethod
+    def _read_poses(self) -> tuple[FloatArray, FloatArray]: ...
+
+    @property
+    @abstractmethod
+    def map_sizes(self) -> IntArray:
+        """Number of landmarks in each map, (B,)."""
+
+    @property
+    def maps(self) -> RelativeLandmarks:
+        """The maps as the cameras see them, read once a frame."""
+        if self._maps is None:
+            self._maps = self._read_maps()
+        return self._maps
+
+    @abstractmethod
+    def _read_maps(self) -> RelativeLandmarks: ...
+
+    def belief(self, b: int) -> Belief:
+        """Pose and map of a filter."""
+        return Belief.of(self.filters[b], self.report(b))
+
+    @abstractmethod
+    def _reset(self, b: int, start: Start) -> None: ...
+
+    @abstractmethod
+    def _use(self, world: World, which: BoolArray) -> None:
+        """Let some filters use their frames."""
+
+
+def filter_rows(
+    make: Callable[[], StereoFilter], name: str, R: FloatArray, count: int, threads: int, *, use_odometry: bool
+) -> FilterRows:
+    """Filters of one recipe.
+
+    Parameters
+    ----------
+    make : callable
+        Makes one.
+    name : str
+        Of the recipe.
+    R : (3, 3)
+        Noise of measurements that come without one.
+    count, threads : int
+        Number of filters, and threads over which they are spread.
+    use_odometry : bool
+        Whether they are given the odometry.
+    """
+    first = make()
+    if goes_in_a_batch(first):
+        return _Lockstep(make, name, R, count, threads, use_odometry=use_odometry)
+    return _OneByOne([first, *(make() for _ in range(count - 1))], name, use_odometry=use_odometry)
+
+
+class _Lockstep(FilterRows):
+    """Filters of the engine, all in one call."""
+
+    changes = (*FilterRows.changes, "_batch", "_times")
+
+    def __init__(
+        self,
+        make: Callable[[], StereoFilter],
+        name: str,
+        R: FloatArray,
+        count: int,
+        threads: int,
+        *,
+        use_odometry: bool,
+    ) -> None:
+        super().__init__(count, name)
+        self._batch = FilterBatch(make, count, threads)  # type: ignore[arg-type]
+        self._R, self._use_odometry, self._times = R, use_odometry, np.zeros(count)
+        self._reports: list[Reports | None] = [None] * count
+
+    @property
+    def filters(self) -> FilterBatch:
+        """See `FilterRows`."""
+        return self._batch
+
+    def report(self, b: int) -> UpdateReport:
+        """See `FilterRows`."""
+        reports = self._reports[b]
+        if reports is None:
+            raise RuntimeError("there is no belief yet: reset the environment first")
+        return reports[b]
+
+    def _read_poses(self) -> tuple[FloatArray, FloatArray]:
+        return self._batch.poses, self._batch.pose_covariances
+
+    @property
+    def map_sizes(self) -> IntArray:
+        """See `FilterRows`."""
+        return self._batch.engine.storage.counts[:, 0].copy()
+
+    def _read_maps(self) -> RelativeLandmarks:
+        return self._batch.relative_landmarks()
+
+    def _reset(self, b: int, start: Start) -> None:
+        self._batch[b].reset(start)
+
+    def _use(self, world: World, which: BoolArray) -> None:
+        seen = world.measured(which)
+        moved = which & (self.frames > 0)
+        values, covariances, there = seen.odometry
+        fused = moved & there & self._use_odometry
+        if moved.any() and not fused.any():
+            self._batch[0].options.motion.check_odometry(None)
+        dt = np.where(moved, seen.times - self._times, 0.0)
+        R = self._R if seen.R is None else seen.R
+        right = which & seen.with_right
+        observations = Observations(which, seen.offsets, seen.ids, seen.uvd, R, right, seen.v_right)
+        outcome = self._batch.engine.step(dt, observations, Odometry(fused, values, covariances))
+        self._times[which] = seen.times[which]
+        self.nis[which], self.nis_dof[which] = outcome.nis[which], outcome.dof[which]
+        reports = Reports(seen.offsets, seen.ids, outcome)
+        for b in np.flatnonzero(which).tolist():
+            self._reports[b] = reports
+
+
+class _OneByOne(FilterRows):
+    """Any filters, by what all of them have in common."""
+
+    changes = (*FilterRows.changes, "_loops")
+
+    def __init__(self, slams: list[StereoFilter], name: str, *, use_odometry: bool) -> None:
+        super().__init__(len(slams), name)
+        self._loops = [FilterLoop(slam, use_odometry=use_odometry) for slam in slams]
+        self._reports: list[UpdateReport | None] = [None] * len(slams)
+
+    @property
+    def filters(self) -> list[StereoFilter]:
+        """See `FilterRows`."""
+        return [loop.slam for loop in self._loops]
+
+    def report(self, b: int) -> UpdateReport:
+        """See `FilterRows`."""
+        report = self._reports[b]
+        if report is None:
+            raise RuntimeError("there is no belief yet: reset the environment first")
+        return report
+
+    def _read_poses(self) -> tuple[FloatArray, FloatArray]:
+        poses = [loop.slam.pose for loop in self._loops]
+        values = np.array([np.append(pose.position, pose.orientation) for pose in poses])
+        return values, np.array([pose.covariance for pose in poses])
+
+    @property
+    def map_sizes(self) -> IntArray:
+        """See `FilterRows`."""
+        return np.array([len(loop.slam.landmarks.ids) for loop in self._loops])
+
+    def _read_maps(self) -> RelativeLandmarks:
+        beliefs = [self.belief(b) for b in range(len(self._loops))]
+        offsets = np.concatenate([[0], np.cumsum([len(belief) for belief in beliefs])])
+        ids, points_c = (np.concatenate([getattr(belief, name) for belief in beliefs]) for name in ("ids", "points_c"))
+        covariances = np.concatenate([belief.relative_covariances for belief in beliefs])
+        return RelativeLandmarks(offsets, ids, points_c, covariances, np.ones(len(ids), dtype=np.bool_))
+
+    def _reset(self, b: int, start: Start) -> None:
+        self._loops[b].reset(start)
+
+    def _use(self, world: World, which: BoolArray) -> None:
+        for b in np.flatnonzero(which).tolist():
+            self._now = b
+            report = self._reports[b] = self._loops[b].step(world.frame(b)).report
+            self.nis[b], self.nis_dof[b] = report.nis, report.nis_dof
