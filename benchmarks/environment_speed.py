@@ -201,6 +201,8 @@ NATIVE = {
     "Gaze, scenes from a pool": ("Gaze", 256, {"scenes": 64}),
     "Gaze, a new scene for every episode": ("Gaze", 256, {}),
     "Drive on its route, 100 landmarks": ("Drive", 64, {**DENSE, "scenes": 8}),
+    "Drive by an agent that crashes, scenes from a pool": ("Drive", 64, {"scenes": 64}),
+    "Drive by an agent that crashes, new scenes": ("Drive", 64, {}),
     "ActiveGaze, scenes from a pool": ("ActiveGaze", 64, {"scenes": 64}),
     "ActiveGaze, a new scene for every episode": ("ActiveGaze", 64, {}),
 }

@@ -7,7 +7,8 @@
 The yardstick is Cholesky + triangular solve + symmetric rank-k update of the whole frame's measurement in one batch,
 by scipy's BLAS and LAPACK, at the sizes of the shared-anchor state. Everything is measured in turns, some frames of
 each at a time, in one process with one BLAS thread, so the ratios hold on a noisy machine; times are this machine's
-processor time, 20 % quantile. "Own" parts are a stranger's: their numbers come from NumPy. filterpy's EKF gets H for
+processor time, 20 % quantile. "Own" parts are a stranger's: their numbers come from NumPy, or from
+kernels of their own. filterpy's EKF gets H for
 nothing, at the sizes of the shared-anchor and of the six-dimensional state: it has no shared anchors, so the latter is
 the same problem as a user would write it. "Turnover" is the share of a frame that goes into landmarks leaving and
 entering the map, 3 % of them a frame as on the reference drive: frames with and without it, in turns on the same map.
@@ -20,6 +21,7 @@ import argparse
 import json
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -32,6 +34,7 @@ from threadpoolctl import threadpool_limits
 from filters import (
     CalibratedPair,
     ConstantVelocity,
+    MeasurementKernels,
     MeasurementModel,
     Start,
     StereoCamera,
@@ -62,8 +65,60 @@ class OwnCamera(MeasurementModel):
         return np.column_stack([camera.ray(uvd), uvd[:, 2] / camera.disparity_constant])
 
 
+def _predict(settings, camera, points, values, numbers, J, J_values, in_front) -> None:  # type: ignore[no-untyped-def]
+    fx, fy, fb = camera[0], camera[1], camera[0] * camera[4]
+    for i in range(len(points)):
+        inverse = 1.0 / points[i, 2]
+        u, v, d = fx * points[i, 0] * inverse, fy * points[i, 1] * inverse, fb * points[i, 3] * inverse
+        numbers[i, 0], numbers[i, 1], numbers[i, 2] = u + camera[2], v + camera[3], d
+        J[i, 0, 0], J[i, 1, 1], J[i, 2, 3] = fx * inverse, fy * inverse, fb * inverse
+        J[i, 0, 2], J[i, 1, 2], J[i, 2, 2] = -u * inverse, -v * inverse, -d * inverse
+        in_front[i] = points[i, 2] > 0.0
+
+
+def _backproject(settings, camera, uvd, values, points, J, J_values) -> None:  # type: ignore[no-untyped-def]
+    fx, fy, fb = camera[0], camera[1], camera[0] * camera[4]
+    for i in range(len(uvd)):
+        points[i, 0], points[i, 1] = (uvd[i, 0] - camera[2]) / fx, (uvd[i, 1] - camera[3]) / fy
+        points[i, 2], points[i, 3] = 1.0, uvd[i, 2] / fb
+        J[i, 0, 0], J[i, 1, 1], J[i, 3, 2] = 1.0 / fx, 1.0 / fy, 1.0 / fb
+
+
+class OwnCompiledCamera(OwnCamera):
+    """The same with kernels."""
+
+    kernels = MeasurementKernels(_predict, _backproject)
+
+
 class OwnMotion(ConstantVelocity):
-    """A motion that has no kernel: its numbers come from NumPy."""
+    """A motion that has no kernels: its numbers come from NumPy."""
+
+
+def _own_step(settings, state, dt, odometry, moved, F, Q) -> None:  # type: ignore[no-untyped-def]
+    """Eq. 6 without rotation matrices: q' = q x q(w dt), J_r to second order."""
+    moved[:] = state
+    half = 0.5 * dt
+    x, y, z, w = state[3], state[4], state[5], state[6]
+    a, b, c = half * state[10], half * state[11], half * state[12]
+    moved[3], moved[4] = w * a + x + y * c - z * b, w * b - x * c + y + z * a
+    moved[5], moved[6] = w * c + x * b - y * a + z, w - x * a - y * b - z * c
+    moved[3:7] /= np.sqrt(np.sum(moved[3:7] ** 2))
+    variances = np.repeat((settings * dt) ** 2, 3)
+    for i in range(3):
+        moved[i] += dt * state[7 + i]
+        F[i, 6 + i] = F[3 + i, 9 + i] = dt
+    for i in range(12):
+        F[i, i] = 1.0
+    F[3, 4], F[3, 5], F[4, 5] = 2.0 * c, -2.0 * b, 2.0 * a
+    F[4, 3], F[5, 3], F[5, 4] = -2.0 * c, 2.0 * b, -2.0 * a
+    G = np.ascontiguousarray(F[:, 6:])
+    Q[:] = (G * variances) @ np.ascontiguousarray(G.T)
+
+
+class OwnCompiledMotion(ConstantVelocity):
+    """The same with kernels."""
+
+    kernels = replace(ConstantVelocity.kernels, step=_own_step)  # type: ignore[type-var]
 
 
 CHOICES: dict[str, dict[str, object]] = {
@@ -76,7 +131,9 @@ CHOICES: dict[str, dict[str, object]] = {
     "right-invariant": {"error": "right-invariant"},
     "calibration considered": {"measurement": CalibratedPair(0.25, 3e-3, 2e-3, 5e-3, considered=True)},
     "own camera": {"measurement": OwnCamera()},
+    "own camera, compiled": {"measurement": OwnCompiledCamera()},
     "own motion": {"motion": OwnMotion()},
+    "own motion, compiled": {"motion": OwnCompiledMotion()},
     "hybrid": {"landmark": "hybrid"},
     "unscented": {"update": "unscented"},
     "one clone": {},

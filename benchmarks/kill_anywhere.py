@@ -77,7 +77,7 @@ def results(out: Path) -> dict[Path, bytes]:
 
 def positions(out: Path) -> dict[str, np.ndarray]:
     """What the filters estimated; raises where a file is damaged."""
-    return {str(path.relative_to(out)): load_run(path)[0].positions for path in sorted(out.glob("trials/*/*.npz"))}
+    return {str(path.relative_to(out)): load_run(path).run.positions for path in sorted(out.glob("trials/*/*.npz"))}
 
 
 def check_finished(out: Path, expected: dict[str, np.ndarray]) -> None:

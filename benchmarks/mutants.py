@@ -1,33 +1,41 @@
 """Share of small faults in the code that the tests nearest to it find (mutation testing, by Cosmic Ray's operators).
 
-    pip install cosmic-ray
-    python benchmarks/mutants.py                          # 300 mutants of all rooms; about an hour of one core
-    python benchmarks/mutants.py --rooms statistics --count 40 --seed 3
+    pip install cosmic-ray coverage
+    python benchmarks/mutants.py                          # 300 mutants of all rooms; an hour or two of one core
+    python benchmarks/mutants.py --rooms statistics --count 40 --seed 3 --results statistics.jsonl
     python benchmarks/mutants.py --list                   # the sample alone
 
 A sample with a seed of the mutants of each room, in proportion to how many there are. Each is written into a copy of
-the project, and the tests of its room are run until one fails; kernels are run as plain Python, so that a change of
-them needs no compiling. What survives is printed as a diff: it is to be read, and to be killed by a test or judged to
-make no difference. Annotations and texts are not mutated. Ends with 1 where a smaller share than `--least` was killed.
+the project. There, those tests of its room that reach the changed statement are run, quick ones first, until one fails
+or they take three times the processor time that they take without it. Kernels are mutated where they run as plain
+Python, so that no change needs compiling. What survives is printed as a diff: it is to be read, and to be killed by a
+test or judged to make no difference. Annotations and texts are not mutated. `--results` keeps what was found: the same
+command goes on where it was ended. Ends with 1 where a smaller share than `--least` was killed.
 """
 
 from __future__ import annotations
 
 import argparse
+import ast
 import difflib
+import json
 import os
 import random
+import resource
 import shutil
 import subprocess
 import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Generator, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from queue import SimpleQueue
+from typing import Any
+
+import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 COPIED = ("filters", "stereo_slam_env", "tests", "examples", "docs", "benchmarks", "templates", "pyproject.toml")
@@ -40,7 +48,7 @@ class Room:
     files: tuple[str, ...]
     """Patterns, from the root of the project."""
     tests: tuple[str, ...]
-    """Files and folders of tests; first those that are quick."""
+    """Files and folders of tests."""
     compiled: bool = True
     """Whether the tests use compiled kernels, none of which is mutated."""
 
@@ -73,6 +81,7 @@ ROOMS = {
         (
             *(f"tests/filters/{room}" for room in ("landmarks", "measurements", "motions", "updates", "errors")),
             "tests/filters/test_jacobians.py",
+            "tests/filters/state/test_joint_jacobians.py",
             "tests/filters/engine/test_exact_numbers.py",
             "tests/filters/engine/test_textbook.py",
         ),
@@ -89,8 +98,8 @@ OPERATORS = (
     *("core/NumberReplacer", "core/ReplaceBreakWithContinue", "core/ReplaceContinueWithBreak"),
 )
 """One or two changes a place, of those that a person could make by mistake."""
-SIGNATURES = ("parameters", "param", "argument", "annassign", "tfpdef")
-"""What stands where an operator would and is none: the star of a signature, the bar of an annotation."""
+NO_OPERATORS = ("parameters", "param", "argument", "annassign", "tfpdef", "dictorsetmaker", "star_expr")
+"""Where what looks like an operator is none: the star of a signature or of a list, the bar of an annotation."""
 
 
 @dataclass(frozen=True)
@@ -100,13 +109,12 @@ class Mutant:
     room: str
     path: str
     operator: str
+    line: int
     content: str
 
-    @property
-    def diff(self) -> str:
-        """The lines that differ."""
+    def __str__(self) -> str:
         lines = difflib.unified_diff((ROOT / self.path).read_text().splitlines(), self.content.splitlines(), n=0)
-        return "\n".join(list(lines)[2:])
+        return "\n".join([f"{self.path} {self.operator}", *list(lines)[2:]])
 
 
 def sample(rooms: Sequence[str], count: int, seed: int) -> list[Mutant]:
@@ -116,14 +124,14 @@ def sample(rooms: Sequence[str], count: int, seed: int) -> list[Mutant]:
     from cosmic_ray.plugins import get_operator
 
     operators = {name: get_operator(name)() for name in OPERATORS}
-    places: dict[tuple[str, object], list[tuple[str, str, int]]] = {}
+    places: dict[tuple[str, Any], list[tuple[str, str, int]]] = {}
     for room in rooms:
         for path in sorted(path for pattern in ROOMS[room].files for path in ROOT.glob(pattern)):
             nodes, file = list(ast_nodes(get_ast(path.read_text()))), path.relative_to(ROOT).as_posix()
             for name, operator in operators.items():
                 found_by = ((node, position) for node in nodes for position in operator.mutation_positions(node))
                 for occurrence, (node, position) in enumerate(found_by):
-                    if node.parent is None or node.parent.type not in SIGNATURES:
+                    if node.parent is None or node.parent.type not in NO_OPERATORS:
                         places.setdefault((file, position), []).append((room, name, occurrence))
     random.seed(seed)
     order = random.sample(sorted(places, key=str), len(places))
@@ -132,28 +140,160 @@ def sample(rooms: Sequence[str], count: int, seed: int) -> list[Mutant]:
         code, (room, name, occurrence) = (ROOT / file).read_text(), random.choice(places[file, position])
         content = mutate_code(code, operators[name], occurrence)
         if content is not None and content != code:
-            found.append(Mutant(room, file, name, content))
+            found.append(Mutant(room, file, name, position[0][0], content))
         if len(found) == count:
             break
     return found
 
 
-def survives(mutant: Mutant, copy: Path, limit: float) -> bool:
-    """Whether all tests pass with the mutant in the copy of the project; what takes too long does not."""
-    target, room = copy / mutant.path, ROOMS[mutant.room]
-    original = target.read_text()
-    own = sorted((copy / "tests").rglob(f"test_{target.stem}*.py"))
-    tests = [*(path.relative_to(copy).as_posix() for path in own), *room.tests]
-    pytest = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:randomly", "-m", "not slow", *dict.fromkeys(tests)]
-    environment = {**os.environ, "PYTHONPATH": str(copy), "PYTHONDONTWRITEBYTECODE": "1"}
+@dataclass(frozen=True)
+class Clean:
+    """The tests of a room without a mutant."""
+
+    seconds: dict[str, float]
+    """Processor time of each test; under "" that of starting and collecting."""
+    reach: dict[str, dict[int, set[str]]]
+    """Tests that run a line of a file, or the file or folder of tests whose fixture does."""
+
+    def nearest(self, mutant: Mutant) -> list[str]:
+        """Tests that run the changed statement, in the order in which to run them; all tests, if it runs on import."""
+        lines, on_call = statement((ROOT / mutant.path).read_text(), mutant.line)
+        reach = self.reach.get(mutant.path, {})
+        by_statement = tuple(set().union(*(reach.get(line, ()) for line in lines)))
+        by_file = tuple(set().union(*reach.values()) - {""})
+        tests = [test for test in self.seconds if test]
+        if on_call and by_statement:
+            tests = [test for test in tests if test.startswith(by_statement)]
+        file = {test: test.partition("::")[0] for test in tests}
+        seconds: Counter[str] = Counter()
+        for test in tests:
+            seconds[file[test]] += self.seconds[test]
+        return sorted(
+            tests, key=lambda test: (not test.startswith(by_file), seconds[file[test]], file[test], self.seconds[test])
+        )
+
+
+def statement(code: str, line: int) -> tuple[range, bool]:
+    """Lines of the innermost statement at a line, without its body, and whether it is run in calls of a function."""
+    around = [
+        node
+        for node in ast.walk(ast.parse(code))
+        if isinstance(node, ast.stmt) and node.lineno <= line <= (node.end_lineno or node.lineno)
+    ]
+    inner = around[-1]
+    last = inner.body[0].lineno - 1 if hasattr(inner, "body") else inner.end_lineno or inner.lineno
+    functions = (node for node in around if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef))
+    return range(inner.lineno, max(last, line) + 1), any(node.body[0].lineno <= line for node in functions)
+
+
+class Recording:
+    """Plugin of pytest: which test runs which lines of `files`, and for how long, is written to `out`."""
+
+    def __init__(self, files: Sequence[str], out: str) -> None:
+        from coverage import Coverage
+
+        self.out, self.test, self.seconds = Path(out), "", dict[str, float]()
+        self.coverage = Coverage(data_file=None, include=list(files))
+        self.coverage.start()
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtest_protocol(self, item: pytest.Item) -> Generator[None, object, object]:
+        """Of one test."""
+        began = time.process_time()
+        self.seconds.setdefault("", began)
+        self.test = item.nodeid
+        self.coverage.switch_context(self.test)
+        try:
+            return (yield)
+        finally:
+            self.seconds[self.test] = time.process_time() - began
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_fixture_setup(self, request: pytest.FixtureRequest) -> Generator[None, object, object]:
+        """Of what tests share: all of them reach it."""
+        self.coverage.switch_context(request.node.nodeid)
+        try:
+            return (yield)
+        finally:
+            self.coverage.switch_context(self.test)
+
+    def pytest_sessionfinish(self) -> None:
+        """Write it."""
+        self.coverage.stop()
+        data = self.coverage.get_data()
+        reach = {file: data.contexts_by_lineno(file) for file in data.measured_files()}
+        self.out.write_text(json.dumps({"seconds": self.seconds, "reach": reach}))
+
+
+class Choice:
+    """Plugin of pytest: the chosen tests in their order, after those that there are only with the mutant."""
+
+    def __init__(self, chosen: Sequence[str], known: Iterable[str], seconds: int) -> None:
+        self.order, self.known = {test: k for k, test in enumerate(chosen)}, set(known)
+        resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds))
+
+    def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
+        """Take the others out."""
+        taken = [item for item in items if item.nodeid in self.order or item.nodeid not in self.known]
+        items[:] = sorted(taken, key=lambda item: self.order.get(item.nodeid, -1))
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Register the plugin that `MUTANTS_TASK` asks for, where pytest loads this file as one."""
+    task = json.loads(Path(os.environ["MUTANTS_TASK"]).read_text())
+    config.pluginmanager.register(Recording(**task) if "out" in task else Choice(**task))
+
+
+def copied(folder: Path) -> Path:
+    """Make the folder a copy of what is tested."""
+    folder.mkdir()
+    for name in COPIED:
+        copy = shutil.copytree if (ROOT / name).is_dir() else shutil.copy2
+        copy(ROOT / name, folder / name)
+    return folder
+
+
+def run_tests(copy: Path, room: Room, tests: Iterable[str], task: dict[str, Any], limit: float) -> int:
+    """Exit code of pytest in a copy of the project, with one of the plugins; 1 where the limit of time was reached."""
+    note = copy / "task.json"
+    note.write_text(json.dumps(task))
+    options = ["-x", "-q", "-p", "mutants", "-p", "no:randomly", "-m", "not slow"]
+    command = [sys.executable, "-m", "pytest", *options, *tests]
+    path = os.pathsep.join([str(copy), str(copy / "benchmarks"), *filter(None, [os.environ.get("PYTHONPATH")])])
+    environment = {**os.environ, "PYTHONPATH": path, "PYTHONDONTWRITEBYTECODE": "1", "MUTANTS_TASK": str(note)}
     if not room.compiled:
         environment["NUMBA_DISABLE_JIT"] = "1"
     try:
-        target.write_text(mutant.content)
-        run = subprocess.run(pytest, cwd=copy, env=environment, capture_output=True, timeout=limit, check=False)
-        return run.returncode == 0
+        run = subprocess.run(command, cwd=copy, env=environment, capture_output=True, timeout=limit, check=False)
     except subprocess.TimeoutExpired:
-        return False
+        return 1
+    if run.returncode and "out" in task:
+        sys.exit(f"the tests fail without a mutant:\n{run.stdout.decode()[-3000:]}")
+    return run.returncode
+
+
+def clean(copy: Path, room: Room, limit: float) -> Clean:
+    """What the tests of a room reach, and their times."""
+    out = copy / "clean.json"
+    run_tests(copy, room, room.tests, {"files": [str(copy / files) for files in room.files], "out": str(out)}, limit)
+    found = json.loads(out.read_text())
+    reach = {
+        Path(file).relative_to(copy).as_posix(): {int(line): set(tests) for line, tests in lines.items()}
+        for file, lines in found["reach"].items()
+    }
+    return Clean(found["seconds"], reach)
+
+
+def tried(mutant: Mutant, copy: Path, known: Clean, limit: float) -> int:
+    """Exit code of the tests that reach the mutant, in a copy of the project; 0 where it survives."""
+    target, tests = copy / mutant.path, known.nearest(mutant)
+    seconds = 10 + round(3.0 * sum(known.seconds[test] for test in ("", *tests)))
+    task = {"chosen": tests, "known": list(known.seconds), "seconds": seconds}
+    files = dict.fromkeys(test.partition("::")[0] for test in tests)
+    original = target.read_text()
+    try:
+        target.write_text(mutant.content)
+        return run_tests(copy, ROOMS[mutant.room], files, task, limit)
     finally:
         target.write_text(original)
 
@@ -165,43 +305,46 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=300)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--least", type=float, default=85.0, help="percent that must be killed")
-    parser.add_argument("--limit", type=float, default=600.0, help="seconds for the tests of one mutant")
+    parser.add_argument("--limit", type=float, default=1200.0, help="seconds of wall clock for one run of tests")
     parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--results", type=Path, help="file to which each result is added, and where known ones are")
     parser.add_argument("--list", action="store_true", help="print the sample and test nothing")
     arguments = parser.parse_args()
     chosen = sample(arguments.rooms, arguments.count, arguments.seed)
     if arguments.list:
-        print("\n".join(f"{mutant.path} {mutant.operator}\n{mutant.diff}" for mutant in chosen))
+        print("\n".join(map(str, chosen)))
         return
-    began, survivors, total = time.perf_counter(), Counter[str](), Counter(mutant.room for mutant in chosen)
-    with tempfile.TemporaryDirectory() as folder:
+    known: dict[str, int] = {}
+    if arguments.results and arguments.results.exists():
+        results = map(json.loads, arguments.results.read_text().splitlines())
+        known = {result["mutant"]: result["code"] for result in results}
+    untested = [mutant for mutant in chosen if str(mutant) not in known]
+    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(arguments.jobs) as pool:
         copies: SimpleQueue[Path] = SimpleQueue()
         for job in range(arguments.jobs):
-            copy = Path(folder, str(job))
-            for name in COPIED:
-                place = shutil.copytree if (ROOT / name).is_dir() else shutil.copy2
-                copy.mkdir(exist_ok=True)
-                place(ROOT / name, copy / name)
-            copies.put(copy)
+            copies.put(copied(Path(folder, str(job))))
+        rooms = {mutant.room for mutant in untested}
+        without = {room: clean(Path(folder, "0"), ROOMS[room], arguments.limit) for room in sorted(rooms)}
 
-        def tested(mutant: Mutant) -> bool:
-            copy = copies.get()
+        def tested(mutant: Mutant) -> tuple[int, float]:
+            copy, began = copies.get(), time.perf_counter()
             try:
-                return survives(mutant, copy, arguments.limit)
+                return tried(mutant, copy, without[mutant.room], arguments.limit), time.perf_counter() - began
             finally:
                 copies.put(copy)
 
-        with ThreadPoolExecutor(arguments.jobs) as pool:
-            for k, (mutant, survived) in enumerate(zip(chosen, pool.map(tested, chosen), strict=True), 1):
-                if survived:
-                    survivors[mutant.room] += 1
-                    print(
-                        f"survived ({k} of {len(chosen)}): {mutant.path} {mutant.operator}\n{mutant.diff}", flush=True
-                    )
-    for room, count in total.items():
-        print(f"{room}: {count - survivors[room]} of {count} killed")
-    share = 100.0 * (1.0 - survivors.total() / max(1, len(chosen)))
-    print(f"{share:.1f} % of {len(chosen)} killed in {time.perf_counter() - began:.0f} s (seed {arguments.seed})")
+        for mutant, (code, seconds) in zip(untested, pool.map(tested, untested), strict=True):
+            known[str(mutant)] = code
+            if arguments.results:
+                with arguments.results.open("a") as file:
+                    print(json.dumps({"mutant": str(mutant), "code": code, "seconds": seconds}), file=file)
+    for mutant in chosen:
+        if known[str(mutant)] == 0:
+            print(f"survived: {mutant}")
+    for room, count in Counter(mutant.room for mutant in chosen).items():
+        print(f"{room}: {sum(known[str(mutant)] != 0 for mutant in chosen if mutant.room == room)} of {count} killed")
+    share = 100.0 * sum(known[str(mutant)] != 0 for mutant in chosen) / max(1, len(chosen))
+    print(f"{share:.1f} % of {len(chosen)} killed (seed {arguments.seed})")
     sys.exit(share < arguments.least)
 
 

@@ -76,7 +76,7 @@ class Ours:
         self.slam.reset(Start(linear_velocity=(0, 0, SPEED)))
 
     def step(self, observation: StereoObservation) -> dict[str, float]:
-        """Seconds."""
+        """Do a frame; the seconds of processor that it took."""
         began = time.process_time()
         self.slam.predict(DT)
         report = self.slam.update(observation)
@@ -100,7 +100,7 @@ class Isam2:
         self.pose = gtsam.Pose3()
 
     def step(self, observation: StereoObservation) -> dict[str, float]:
-        """Seconds."""
+        """Do a frame; the seconds of processor that it took."""
         began = time.process_time()
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         if self.frame == 0:

@@ -47,24 +47,16 @@ SLOPE_WANTED, SLOWER_WANTED = 1.0, 1.05
 
 @dataclass
 class Log:
-    """What was seen, look by look.
-
-    Attributes
-    ----------
-    done : list of int
-        Updates or steps before each look.
-    held : list of float
-        MB.
-    seconds : list of float
-        Processor time since the look before.
-    worst : dict of str to float
-        The worst of each invariant.
-    """
+    """What was seen, look by look."""
 
     done: list[int] = field(default_factory=list)
+    """Updates or steps before each look."""
     held: list[float] = field(default_factory=list)
+    """MB."""
     seconds: list[float] = field(default_factory=list)
+    """Processor time since the look before."""
     worst: dict[str, float] = field(default_factory=dict)
+    """The worst of each invariant."""
 
     def note(self, **invariants: float) -> None:
         """Keep the largest of each."""

@@ -39,25 +39,18 @@ _SPARSE = 1 << 40
 
 @dataclass(frozen=True)
 class Finding:
-    """An input that did what none may do.
-
-    Attributes
-    ----------
-    target, file : str
-        What was read, and which of its files was changed.
-    what : str
-        In one line.
-    trace : str
-        Where.
-    data : bytes
-        The input.
-    """
+    """An input that did what none may do."""
 
     target: str
+    """What was read."""
     file: str
+    """Which of its files was changed."""
     what: str
+    """What went wrong, in one line."""
     trace: str
+    """Where it was raised."""
     data: bytes
+    """The input."""
 
     @property
     def key(self) -> tuple[str, str]:

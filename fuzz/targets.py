@@ -27,24 +27,16 @@ Read = Callable[[Path], object]
 
 @dataclass(frozen=True)
 class Target:
-    """A reader and files that it reads.
-
-    Attributes
-    ----------
-    name : str
-        For reports.
-    files : mapping of str to bytes
-        A valid folder.
-    read : callable
-        Reads that folder; only a `ValueError` of one line may come out of it.
-    follows_links : bool
-        Whether what is read was named by the user, one file, so that it may be a link to anywhere.
-    """
+    """A reader and files that it reads."""
 
     name: str
+    """For reports."""
     files: seeds.Files
+    """A valid folder."""
     read: Read
+    """Reads that folder; only a `ValueError` of one line may come out of it."""
     follows_links: bool = False
+    """Whether what is read was named by the user, one file, so that it may be a link to anywhere."""
 
 
 @cache

@@ -1,10 +1,14 @@
 """What holds for every test: it leaves nothing behind in the packages."""
 
+import signal
 import sys
 
 import pytest
 
 PACKAGES = ("filters", "stereo_slam_env")
+
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as a shell leaves it to what it starts in the background
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(autouse=True)

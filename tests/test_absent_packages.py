@@ -147,6 +147,12 @@ def test_a_page_of_a_score_needs_the_charts_and_keeps_the_figures(files, tmp_pat
     assert (tmp_path / "score.json").is_file()
 
 
+def test_a_bag_names_its_extra(tmp_path):
+    (tmp_path / "drive.mcap").touch()
+    code, _, error = command_without("rosbags", "evaluate", tmp_path / "drive.mcap", tmp_path / "drive.mcap")
+    assert (code, error) == (2, f"error: rosbags is missing: {install_command('bags')}\n")
+
+
 def test_pictures_of_a_drive_name_their_extra():
     _, _, error = without("matplotlib", "from stereo_slam_env.viewer import save_still")
     assert error.splitlines()[-1] == f"ImportError: matplotlib is missing: {install_command('pictures')}"

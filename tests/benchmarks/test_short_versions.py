@@ -131,7 +131,7 @@ def test_memory_of_an_environment_does_not_grow() -> None:
 def test_bare_calls_and_a_filter_in_the_loop_are_a_part_of_a_step() -> None:
     """Two rounds of 5 steps; the benchmark has seven of 200."""
     speed = script("environment_speed")
-    options = {"route": "right-turn", "rig": "qvga", "policy": "route"}
+    options = {"route": "right-turn", "rig": "qvga", "policy": "route", "physics": "bullet"}
     alone, with_filter = (speed.made("StereoSlam/Drive-v0", options, w) for w in ((), (speed.FilterInTheLoop,)))
     times = [speed.measure_steps(env, steps=5, rounds=2) for env in (alone, with_filter)]
     for env in (alone, with_filter):

@@ -24,7 +24,6 @@ from filters import (
 from filters.geometry import rotations
 from filters.geometry.retractions import AdditiveQuaternion, RotationVector
 from filters.landmarks.inverse_depth import angles_jacobian, angles_of, ray_direction
-from filters.measurements.rectified_pair import RIGHT
 from filters.state.joint_state import world_rotation_of_variables
 from filters.state.layout import Layout
 from filters.updates.extended import chain_rule
@@ -203,7 +202,7 @@ class TestMeasurements:
         seen = InverseDepth().relative_to(state.position, a, y)
         R = state.R_wc
         h_c = seen.homogeneous[:, :3] @ R
-        T = RIGHT
+        T = np.array([[1.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
         C = CAMERA.project_scaled_jacobian(h_c[0], seen.homogeneous[0, 3])
         C_h, C_s = C[:, :3], C[:, 3:]
         points_c = np.hstack([h_c, seen.homogeneous[:, 3:]])
@@ -279,7 +278,7 @@ def _times(p, q):
 def test_the_code_points_at_its_derivation(path):
     """Each page names its code in its first line, and that code names the page."""
     line = next(line for line in path.read_text(encoding="utf-8").splitlines() if line.startswith("Code:"))
-    named = re.findall(r"`(filters/[\w/]+\.py)`", line.split("Tests:")[0])
+    named = re.findall(r"`((?:filters|stereo_slam_env)/[\w/]+\.py)`", line.split("Tests:")[0])
     assert named
     for name in named:
         assert f"docs/derivations/{path.name}" in (ROOT / name).read_text(encoding="utf-8"), name

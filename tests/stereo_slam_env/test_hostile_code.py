@@ -215,7 +215,7 @@ def test_results_do_not_name_files_outside_their_folder(tmp_path):
     (directory,) = open_study(tmp_path / "run", Study.of(scenario)).cells
     run = run_filter(short_turn(seed=0, frames=3), "inverse-depth", label="../../../evil", seed=0)
     directory.save_trial(0, scenario.filters[0], packed_run(run, {"recording": {}, "code": "none"}))
-    assert load_run(directory.trial_path(0, scenario.filters[0]))[0].filter_name == "../../../evil"
+    assert load_run(directory.trial_path(0, scenario.filters[0])).run.filter_name == "../../../evil"
     with pytest.raises(ValueError, match="holds a run of"):
         read_study(tmp_path / "run").write_results()
     written = {"run", "study.json", "settings.json", "trials", "seed-0000", "paper.npz"}

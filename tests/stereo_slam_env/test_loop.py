@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from filters import InverseDepthStereoEKF, StereoNoise, StereoObservation, make_filter
 from stereo_slam_env.loop import FilterLoop, run
@@ -46,6 +47,17 @@ def test_the_first_frame_updates_and_every_later_one_predicts_first(use_odometry
         slam.calls.clear()
 
 
+def test_odometry_is_used_unless_it_is_withheld():
+    slam = Noted(CAMERA, RECORDING.noise)
+    list(run(slam, RECORDING))
+    loop = FilterLoop(slam)
+    loop.reset(RECORDING.start)
+    for frame in RECORDING.frames:
+        loop.step(frame)
+    predicted = [call for call in slam.calls if call[0] == "predict"]
+    assert predicted == [("predict", DT, True)] * (2 * (len(RECORDING) - 1))
+
+
 @pytest.mark.parametrize("slam", ["inverse-depth", InverseDepthStereoEKF])
 def test_a_name_a_class_and_an_instance_are_the_same_filter(slam):
     made = make_filter("inverse-depth", camera=CAMERA, noise=RECORDING.noise, gate=0.95)
@@ -76,6 +88,25 @@ def test_the_error_of_a_moment_is_that_of_the_filter_and_needs_an_independent_tr
         assert np.isnan([moment.nees, moment.position_error]).all()
 
 
+@pytest.mark.parametrize("filter_name", ["inverse-depth", "right-invariant"])
+def test_stated_errors_of_the_truth_are_added_in_the_error_definition_of_the_filter(filter_name):
+    """By differences of the filter's own error about its pose."""
+    stated = Reference("surveyed", "By hand.", position_jitter=0.02, rotation_jitter=0.003, misalignment=0.002)
+    first, step = RECORDING.frames[0].truth, 1e-5
+    for moment in run(filter_name, replace(RECORDING, truth_from=stated)):
+        position, turn = moment.pose.position, Rotation.from_quat(moment.pose.orientation)
+        J = np.zeros((6, 6))
+        for k, e in enumerate(step * np.eye(6)):
+            ends = [(position + s * e[:3], (turn * Rotation.from_rotvec(s * e[3:])).as_quat()) for s in (1.0, -1.0)]
+            plus, minus = (moment.slam.pose_error(*end)[0] for end in ends)
+            J[:, k] = (plus - minus) / (2.0 * step)
+        error, claimed = moment.pose_error
+        wanted = claimed + J @ stated.covariance(first, moment.truth) @ J.T
+        np.testing.assert_array_equal(moment.scored_error[0], error)
+        np.testing.assert_allclose(moment.scored_error[1], wanted, rtol=1e-6, atol=1e-12)
+        assert moment.nees == pytest.approx(error @ np.linalg.solve(wanted, error), rel=1e-6)
+
+
 def test_a_held_moment_stays_when_the_filter_goes_on():
     held = [moment.hold() for moment in run("inverse-depth", RECORDING)]
     for kept, moment in zip(held, run("inverse-depth", RECORDING), strict=True):
@@ -94,6 +125,14 @@ def test_measuring_may_be_guided_by_the_filter_and_is_not_timed():
     assert [number for number, _ in seen] == list(range(len(RECORDING)))
     assert len(moments[3].observation) == len(moments[3].landmarks.ids) == 0
     assert seen[4] == (4, 0)
+
+
+def test_a_filter_that_is_started_already_needs_no_reset():
+    slam = Noted(CAMERA, RECORDING.noise)
+    loop, (first, second) = FilterLoop(slam, use_odometry=False), RECORDING.frames[:2]
+    slam.calls.clear()
+    assert [loop.step(first).number, loop.step(second).number] == [0, 1]
+    assert [call[0] for call in slam.calls] == ["update", "predict", "update"]
 
 
 def test_after_a_refused_time_the_next_frame_is_predicted_from_the_last_good_one():

@@ -2,6 +2,8 @@
 
 import errno
 import json
+import sqlite3
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,8 +13,9 @@ import pytest
 from stereo_slam_env.benchmark import FilterChoice, Scenario, campaign, run_benchmark
 from stereo_slam_env.benchmark.recordings.sources import DatasetSource, FactorySource, ReferenceSource
 from stereo_slam_env.benchmark.scenarios.scenario import filter_choice
-from stereo_slam_env.benchmark.scenarios.study import study_from
-from stereo_slam_env.benchmark.storage.store import read_study
+from stereo_slam_env.benchmark.scenarios.study import Study, study_from
+from stereo_slam_env.benchmark.storage.store import prepared_study, read_study
+from stereo_slam_env.evaluation.trial import Trial
 
 from ..third_party import install
 
@@ -55,12 +58,14 @@ def test_every_filter_hears_exactly_the_same(tmp_path):
 
 def test_an_interrupted_run_goes_on_where_it_stopped(tmp_path, monkeypatch):
     made = []
-    run_trial, make = campaign.run_trial, campaign.make
-    monkeypatch.setattr(campaign, "make", lambda task, **how: made.append(task.seed) or make(task, **how))
+    run, make = campaign.run_all_trials, campaign.make_all
+    monkeypatch.setattr(
+        campaign, "make_all", lambda tasks, **how: made.extend(t.seed for t in tasks) or make(tasks, **how)
+    )
     monkeypatch.setattr(
         campaign,
-        "run_trial",
-        lambda task, **how: made.append((task.seed, task.choice.label)) or run_trial(task, **how),
+        "run_all_trials",
+        lambda tasks, **how: made.extend((t.seed, t.choice.label) for t in tasks) or run(tasks, **how),
     )
 
     def stop_in_the_fifth_trial(done, total):
@@ -231,3 +236,56 @@ def test_a_benchmark_is_named_by_its_preset_or_its_file(tmp_path):
 def test_no_jobs_is_refused(tmp_path):
     with pytest.raises(ValueError, match="jobs must be >= 1"):
         run_benchmark(SHORT, tmp_path, jobs=0)
+
+
+def test_of_more_seeds_than_are_kept_the_figures_are_kept(tmp_path):
+    """The same figures, summaries and table, bit for bit, from files of which most have no trajectory."""
+    three = replace(SHORT, seeds=(0, 1, 2), metrics=("map", "bound"))
+    whole = run_benchmark(three, tmp_path / "whole", jobs=1)
+    thin = run_benchmark(replace(three, kept_seeds=1), tmp_path / "thin", jobs=1)
+    timed = {"ms_per_frame", "ms_predict", "ms_update", "memory_mb"}
+    for label in whole.figures:
+        for key, figures in whole.figures[label].of_run.items():
+            again = thin.figures[label].of_run[key]
+            assert {k: v for k, v in again.items() if k not in timed} == {
+                k: v for k, v in figures.items() if k not in timed
+            }
+    for a, b in zip(whole.summaries, thin.summaries, strict=True):
+        a_row, b_row = ({k: v for k, v in s.as_dict().items() if k not in timed} for s in (a, b))
+        assert json.dumps(a_row) == json.dumps(b_row)
+    assert {run.seed for run in thin.runs} == {0}
+    kept = {path.name for path in (tmp_path / "thin").rglob("seed-*")}
+    assert "seed-0000.npz" in kept  # recordings and bounds
+    assert "seed-0001.npz" not in kept
+    sizes = [path.stat().st_size for path in sorted((tmp_path / "thin").glob("trials/*/euclidean.npz"))]
+    assert sizes[1] < 0.5 * sizes[0]
+    with closing(sqlite3.connect(tmp_path / "thin" / "trials.sqlite")) as table:
+        assert table.execute("select count(*) from trials").fetchone() == (9,)
+
+
+def test_to_keep_more_seeds_runs_those_again_and_a_filter_that_joins_hears_the_same(tmp_path):
+    thin = replace(SHORT, seeds=(0, 1, 2), kept_seeds=1, filters=SHORT.filters[:1])
+    run_benchmark(thin, tmp_path / "out", jobs=1)
+    more = read_study(tmp_path / "out").cells[0]
+    assert more.missing() == []
+    joined = run_benchmark(replace(thin, filters=SHORT.filters[:2]), tmp_path / "out", jobs=1)
+    assert [len(figures.of_run) for figures in joined.figures.values()] == [3, 3]  # or it would be refused
+    kept = replace(thin, kept_seeds=2, filters=SHORT.filters[:2])
+    (directory,) = prepared_study(tmp_path / "out", Study.of(kept)).cells
+    assert {seed for seed, _ in directory.missing()} == {1}
+
+
+def test_figures_are_computed_with_the_trial_and_not_with_the_report(tmp_path, monkeypatch):
+    run_benchmark(SHORT, tmp_path / "out", jobs=1)
+    monkeypatch.setattr(Trial, "alarm", property(lambda trial: pytest.fail("the monitor is replayed")))
+    (result,) = read_study(tmp_path / "out").write_results()
+    assert len(result.figures) == len(SHORT.filters)
+
+
+def test_trajectories_are_those_of_the_first_ten_recordings_and_on_demand_of_all(tmp_path):
+    one = replace(SHORT, seeds=tuple(range(11)), filters=(filter_choice("euclidean"),), metrics=())
+    run_benchmark(one, tmp_path / "out", jobs=1)
+    names = [f"seed-{seed:04d}" for seed in range(11)]
+    assert sorted(path.name for path in (tmp_path / "out" / "trajectories").iterdir()) == names[:10]
+    read_study(tmp_path / "out").write_trajectories()
+    assert sorted(path.name for path in (tmp_path / "out" / "trajectories").iterdir()) == names

@@ -195,9 +195,11 @@ def test_a_kept_recording_is_a_recording_like_any_other(finished):
 
 def test_an_interrupted_run_goes_on_where_it_stopped(tmp_path, monkeypatch):
     made = []
-    run_trial = campaign.run_trial
+    run = campaign.run_all_trials
     monkeypatch.setattr(
-        campaign, "run_trial", lambda task, **how: made.append((task.seed, task.choice.label)) or run_trial(task, **how)
+        campaign,
+        "run_all_trials",
+        lambda tasks, **how: made.extend((t.seed, t.choice.label) for t in tasks) or run(tasks, **how),
     )
 
     def stop_in_the_third_trial(done, total):
@@ -221,7 +223,7 @@ def test_processes_change_nothing(finished, tmp_path):
         np.testing.assert_allclose(a.positions, b.positions, atol=1e-12)
 
 
-@pytest.mark.usefixtures("third_party")
+@pytest.mark.usefixtures("third_party", "finished")  # after the latter nothing has to be compiled within the limit
 def test_policies_that_raise_crash_or_hang_never_take_the_run_down(tmp_path):
     scenario = dataclasses.replace(SHORT, frame_time_limit=2.0, seeds=(0,))
     result = run_benchmark(scenario, tmp_path / "out", policies=["raises", "crashes", "hangs", "fixed"], jobs=1)

@@ -11,13 +11,14 @@ from stereo_slam_env.datasets.known_recordings import KNOWN, KnownRecording, dig
 from stereo_slam_env.recording.recording import Reference
 
 from ..real_data import real_data
-from .small_folders import kitti00, kitti07, starry_night
+from .small_folders import R_CI, kitti00, kitti07, starry_night
 from .small_image_folders import FRAMES, kitti06, kitti_odometry, kitti_raw
 from .small_image_folders import karlsruhe as karlsruhe_folder
 from .test_euroc import euroc
 
 MAKERS = re.compile(r"KITTI|GPS|\bINS\b|RTK|[Mm]otion capture|[Ll]aser|EuRoC|no camera")
 TRACKS = {"kitti07_tracks": kitti07, "kitti00_stereo_tracks": kitti00, "starry_night": starry_night}
+SIZES = {"kitti07_tracks": (1226, 370), "kitti00_stereo_tracks": (1241, 376), "starry_night": (646, 480)}
 IMAGES = {
     "kitti_odometry": kitti_odometry,
     "kitti_raw": kitti_raw,
@@ -173,3 +174,56 @@ def test_what_cannot_be_stated_is_refused_in_one_line(stated, complaint):
 def test_what_each_kind_is_good_for(kind, independent, truth):
     reference = Reference(kind, "By hand.")
     assert (reference.is_independent, reference.counts_as_truth) == (independent, truth)
+
+
+@pytest.mark.parametrize("layout", TRACKS)
+def test_a_strangers_recording_has_neither_the_image_size_nor_the_noise_of_a_public_one(tmp_path, layout, caplog):
+    recording = load(TRACKS[layout](tmp_path / "our_car"))
+    seen = np.vstack([frame.observation.uvd for frame in recording.frames])
+    assert (recording.camera.width, recording.camera.height) != SIZES[layout]
+    assert recording.camera.width - 1 >= seen[:, 0].max() > recording.camera.width - 60  # the smallest that hold all
+    assert recording.camera.height - 1 >= seen[:, 1].max() > recording.camera.height - 60
+    np.testing.assert_allclose(np.sqrt(np.diag(recording.noise.R)), [2.0, 2.0, 2.0 * np.sqrt(2.0)])
+    if recording.frames[1].odometry is not None:
+        np.testing.assert_allclose(np.diag(recording.frames[1].odometry.covariance)[3:], 0.05**2)
+    (told,) = (record.getMessage() for record in caplog.records if "does not hold" in record.getMessage())
+    assert "\n" not in told
+    assert "image_size=" in told
+    assert "our_car" in told
+
+
+@pytest.mark.parametrize("layout", TRACKS)
+def test_what_is_said_of_a_strangers_recording_holds(tmp_path, layout, caplog):
+    noise = {"sigma_u": 1.0, "sigma_v": 1.0, "sigma_d": 1.5} if layout == "starry_night" else {"sigma_px": 1.0}
+    velocities = {} if layout == "kitti00_stereo_tracks" else {"sigma_linear": 0.2, "sigma_angular": 0.01}
+    folder = TRACKS[layout](tmp_path / "our_car")
+    recording = load(folder, image_size=(800, 600), **noise, **velocities)
+    assert (recording.camera.width, recording.camera.height) == (800, 600)
+    assert recording.noise.R[0, 0] == 1.0
+    assert not [record for record in caplog.records if "does not hold" in record.getMessage()]
+    with pytest.raises(ValueError, match="image_size must be"):
+        load(folder, image_size=800)
+
+
+@pytest.mark.parametrize("layout", TRACKS)
+def test_a_known_recording_keeps_its_image_size(tmp_path, layout, monkeypatch, caplog):
+    folder = TRACKS[layout](tmp_path / "known")
+    if layout == "starry_night":
+        positions = np.load(folder / "starry_night.npz")["r_i_vk_i"].T
+    else:
+        positions = np.loadtxt(folder / "poses.txt")[:, 3::4]
+    known_as(monkeypatch, positions, 0)
+    recording = load(folder)
+    assert (recording.camera.width, recording.camera.height) == SIZES[layout]
+    assert not [record for record in caplog.records if "does not hold" in record.getMessage()]
+
+
+def test_angular_velocities_of_a_stranger_are_read_at_their_time(tmp_path):
+    """The delay is one of the gyro of a public recording."""
+    with np.load(starry_night(tmp_path / "steady") / "starry_night.npz") as archive:
+        rate = archive["w_vk_vk_i"] * np.linspace(1.0, 2.0, 12)
+    folder = starry_night(tmp_path / "faster", w_vk_vk_i=rate)
+    at_once, late = load(folder), load(folder, gyro_delay=0.1)
+    mean = -0.5 * (rate[:, 4] + rate[:, 5])
+    np.testing.assert_allclose(at_once.frames[5].odometry.angular, R_CI @ mean, atol=1e-12)
+    np.testing.assert_allclose(late.frames[4].odometry.angular, R_CI @ mean, atol=1e-9)

@@ -62,7 +62,7 @@ def test_check_env_passes_without_a_warning(policy, render_images):
 
 
 def test_registration_is_idempotent_and_json_able():
-    stereo_slam_env._register(ID, "somewhere:Else", 1)
+    stereo_slam_env._register(ID, "envs.somewhere", "Else", 1)
     spec = gym.spec(ID)
     assert spec.entry_point == "stereo_slam_env.envs.drive:StereoDriveEnv"
     assert spec.max_episode_steps == 1200
@@ -193,7 +193,7 @@ def test_an_unknown_argument_is_a_type_error_too():
 
 
 def test_reset_options_are_refused(make):
-    with pytest.raises(ValueError, match="reset takes no options, got 'seed'"):
+    with pytest.raises(ValueError, match="reset takes no options but scene, and for vectors reset_mask, got 'seed'"):
         make(**QUICK).reset(options={"seed": 3})
 
 

@@ -55,3 +55,9 @@ def test_a_whole_route_is_recorded_with_progress():
 def test_wrong_arguments(kwargs, frames, message):
     with pytest.raises(ValueError, match=message):
         record(kwargs, frames=frames)
+
+
+@pytest.mark.parametrize("arguments", [{}, {"physics": "bullet"}])
+def test_a_recording_says_which_physics_it_was_made_with(arguments):
+    recording = record({"route": "right-turn", "rig": "qvga", "max_landmarks": 5, **arguments}, frames=3)
+    assert recording.source["arguments"]["physics"] == arguments.get("physics", "exact")

@@ -6,10 +6,11 @@ from contextlib import closing
 import numpy as np
 import pytest
 
+from filters import StereoNoise, make_filter
 from stereo_slam_env.datasets import load, open_for_front_end, write_kitti_sequence
 from stereo_slam_env.envs.drive import StereoDriveEnv
 from stereo_slam_env.envs.recorder import RenderedDrive
-from stereo_slam_env.frontend.recorder import record_tracks
+from stereo_slam_env.frontend.recorder import ActiveSearch, record_tracks
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.rendering.backends import image_quality, renderer_identity
 from stereo_slam_env.rendering.images import grey
@@ -81,7 +82,7 @@ def test_settings_of_the_sensor_do_no_harm():
 def test_through_a_kitti_folder_the_tracks_stay_the_same(drive, tmp_path):
     """A perfect rig is left alone by the calibration, so not even the last bit changes."""
     write_kitti_sequence(drive, tmp_path, "00")
-    direct, replayed = record_tracks(drive), load(tmp_path)
+    direct, replayed = record_tracks(drive, TrackerSettings()), load(tmp_path)
     assert replayed.source["front_end"]["disparity_offset"] == 0.0
     assert len(replayed) == FRAMES
     for one, two in zip(direct.frames, replayed.frames, strict=True):
@@ -99,6 +100,42 @@ def test_the_front_end_is_told_what_the_renderer_says_of_its_images(renderer):
     assert drive.front_end.max_landmarks == 40
     with closing(StereoDriveEnv(**DRIVE, renderer=renderer, sensor="images", max_landmarks=40)) as env:
         assert env.options.front_end == drive.front_end
+
+
+@pytest.mark.parametrize("renderer", ["tiny", "gl"])
+def test_without_settings_tracks_are_recorded_with_those_of_who_drew_the_pictures(renderer, drive):
+    quality = image_quality(renderer)
+    drawn = _Drawn(drive, RenderedDrive({**DRIVE, "renderer": renderer}, seed=2, frames=2).front_end)
+    settings = record_tracks(drawn, frames=2).source["front_end"]
+    assert settings["image_blur"] == quality.blur
+    assert settings["sigma_floor"] == max(quality.texture_sigma, TrackerSettings.sigma_floor)
+    given = record_tracks(drawn, TrackerSettings(image_blur=0.3), frames=2).source["front_end"]
+    assert given["image_blur"] == 0.3
+
+
+class _Drawn:
+    """The pictures of a drive, said to be drawn by another renderer: so no test needs EGL."""
+
+    def __init__(self, drive, front_end):
+        self._drive, self.front_end = drive, front_end
+
+    def __getattr__(self, name):
+        return getattr(self._drive, name)
+
+    def __len__(self):
+        return len(self._drive)
+
+
+def test_a_guided_search_without_settings_is_that_of_who_drew_the_pictures(drive):
+    """The same measurements as with the settings given."""
+    coarse = _Drawn(drive, TrackerSettings(max_landmarks=12, refill_below=10))
+    camera, noise = drive.camera, StereoNoise.independent_pixels(0.5)
+    seen = []
+    for arguments in [(coarse,), (coarse, coarse.front_end)]:
+        search, slam = ActiveSearch(*arguments), make_filter("inverse-depth", camera=camera, noise=noise)
+        seen.append(search.observe(0, slam))
+    np.testing.assert_array_equal(seen[0].ids, seen[1].ids)
+    assert len(seen[0].ids) <= 12
 
 
 def test_nothing_is_said_of_a_camera_that_nobody_has_measured(tmp_path):

@@ -1,4 +1,4 @@
-"""Vectors of environments: the same bits as single ones stepped by hand, over the ends of episodes too."""
+"""Vectors of all kinds: the same bits as single environments stepped by hand, over the ends of episodes too."""
 
 from __future__ import annotations
 
@@ -73,14 +73,12 @@ def stepped_by_hand(name: str, mode: AutoresetMode) -> list[list[Result | None]]
 def stepped_as_vector(name: str, mode: AutoresetMode, **how: Any) -> list[tuple[Any, ...]]:
     """The same calls of a vector: observations, rewards, terminations, truncations, infos of each."""
     context = {"context": how["context"]} if "context" in how else {}
-    vector = gym.make_vec(
-        name,
-        num_envs=len(SEEDS),
-        vectorization_mode=how["vectorization_mode"],
-        vector_kwargs={"autoreset_mode": mode, **context},
-        max_episode_steps=EPISODE,
-        **QUICK,
-    )
+    usual = {"num_envs": len(SEEDS), "max_episode_steps": EPISODE, **QUICK}
+    if how["vectorization_mode"] == "native":
+        vector = gym.make_vec(name, autoreset_mode=mode, **usual)
+    else:
+        kwargs = {"autoreset_mode": mode, **context}
+        vector = gym.make_vec(name, vectorization_mode=how["vectorization_mode"], vector_kwargs=kwargs, **usual)
     nothing = (np.zeros(2), np.zeros(2, dtype=bool), np.zeros(2, dtype=bool))
 
     def reset(seed: Any, mask: np.ndarray | None = None) -> tuple[Any, ...]:
@@ -135,8 +133,9 @@ def same_as_by_hand(request: pytest.FixtureRequest) -> Callable[..., None]:
 
 
 @pytest.mark.parametrize("mode", list(AutoresetMode), ids=lambda mode: mode.name)
-def test_in_one_process(same_as_by_hand: Callable[..., None], mode: AutoresetMode) -> None:
-    same_as_by_hand(mode, vectorization_mode="sync")
+@pytest.mark.parametrize("kind", ["native", "sync"])
+def test_in_one_process(same_as_by_hand: Callable[..., None], mode: AutoresetMode, kind: str) -> None:
+    same_as_by_hand(mode, vectorization_mode=kind)
 
 
 @pytest.mark.slow

@@ -44,4 +44,5 @@ def test_nees_is_unknown_where_the_covariance_is_no_covariance():
 
 def test_share_inside_counts_finite_values_only():
     assert share_inside(np.array([1.0, 2.0, 3.0, np.nan]), (1.5, 3.0)) == pytest.approx(2 / 3)
+    assert share_inside(np.array([np.nan, 0.5]), (0.0, 1.0)) == 1.0
     assert np.isnan(share_inside(np.array([np.nan]), (0.0, 1.0)))

@@ -166,7 +166,9 @@ def test_a_start_that_is_exact_is_legal(recording, name):
     run = run_filter(dataclasses.replace(recording, start=start), name)
     assert run.failure is None
     assert (run.pose_covariances[0] == 0.0).all()
+    assert np.isnan(run.pose_nees[0])
     assert np.isfinite(run.pose_nees[1:]).all()
+    assert summary_of(run).frames_not_scored == 0
 
 
 @pytest.mark.parametrize("name", NAMES)

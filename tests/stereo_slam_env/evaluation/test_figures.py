@@ -51,10 +51,15 @@ def test_the_row_has_the_documented_columns_of_the_documented_kinds(plain):
 
 
 def test_its_figures_are_those_of_the_run(plain):
-    off = replace(plain, positions=plain.true_positions + np.array([0.3, 0.0, 0.4]))
+    off = replace(
+        plain,
+        positions=plain.true_positions + np.array([0.3, 0.0, 0.4]),
+        linear_velocities=plain.true_linear_velocities + np.array([0.0, 0.5, 1.2]),
+    )
     row = row_of(off, divergence_percent=10.0)
     assert row["position_rmse_m"] == pytest.approx(0.5)
     assert row["end_error_m"] == pytest.approx(0.5)
+    assert row["velocity_rmse_m_s"] == pytest.approx(1.3)
     assert row["path_m"] == pytest.approx(0.5 * 28, rel=1e-3)
     assert row["end_drift_percent"] == pytest.approx(100 * 0.5 / row["path_m"])
     assert row["position_anees"] == pytest.approx(plain.position_nees[1:].mean())
@@ -165,3 +170,26 @@ def test_what_a_consistent_filter_has_is_shown_as_one_and_twice_that_as_two(figu
     assert figure.of({figure.name: 2.0 * figure.ideal}) == 2.0
     assert figure.text(figure.ideal).startswith("1")
     assert figure.ideal == 1.0 or figure.label.endswith(f" / {figure.ideal:g}")
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "text"),
+    [
+        ("position_rmse_m", 0.000312, "0.000312"),
+        ("position_rmse_m", 0.0312, "0.0312"),
+        ("position_rmse_m", 0.155, "0.155"),
+        ("position_rmse_m", 3.25, "3.250"),
+        ("position_rmse_m", 0.0000031, "3.10e-06"),
+        ("position_rmse_m", 0.0, "0.000"),
+        ("position_rmse_m", 31250.0, "3.1e+04"),
+        ("pose_anees", 6.3, "1.05"),
+        ("pose_anees", 0.12, "0.020"),
+        ("efficiency_percent", 93.4, "93"),
+        ("efficiency_percent", 0.42, "0.4"),
+        ("rejected", 3, "3"),
+        ("rejected", 0, "0"),
+        ("position_rmse_m", None, "–"),
+    ],
+)
+def test_figures_have_digits_that_count(name, value, text):
+    assert FIGURES[name].text(value) == text

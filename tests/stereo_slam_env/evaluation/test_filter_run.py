@@ -1,6 +1,9 @@
 """One filter on one recording (2 s)."""
 
+import re
 from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,13 +11,15 @@ from threadpoolctl import threadpool_limits
 
 from filters import ConstantVelocity, StereoEKF, StereoNoise, make_filter
 from stereo_slam_env.evaluation.filter_run import run_filter
-from stereo_slam_env.evaluation.results import COUNTS
+from stereo_slam_env.evaluation.results import COUNTS, peak_memory_mb
 from stereo_slam_env.evaluation.windows import WINDOW_SERIES
 from stereo_slam_env.recording.recording import Reference
 
 from ...filters.delayed import DelayedEKF
 from ...synthetic_runs import summary_of
 from ..benchmark.small_recordings import CAMERA, DT, SPEED, small_recording
+
+STATUS = Path("/proc/self/status")
 
 
 @pytest.mark.usefixtures("third_party")
@@ -176,12 +181,16 @@ def test_common_options_go_to_the_filters_that_know_them():
 class _ItsOwnWay(StereoEKF):
     """Has a motion model of its own, passed on beside the others' options."""
 
+    open_options = StereoEKF.open_options - {"motion"}
+
     def __init__(self, camera, noise, **options):
         super().__init__(camera, noise, motion=ConstantVelocity(2.0, 0.4), **options)
 
 
 class _Particular(StereoEKF):
     """Has a gate, but will not take any."""
+
+    open_options = StereoEKF.open_options
 
     def __init__(self, camera, noise, *, gate=0.99, **options):
         if gate < 0.95:
@@ -248,3 +257,36 @@ def test_landmarks_believed_beyond_infinity_are_counted_while_they_are_seen():
     first = recording.frames[0].observation
     assert behind["inverse-depth"][0] == np.count_nonzero(first.uvd[:, 2] <= 0) > 0
     assert behind["euclidean"][0] == 0
+
+
+def test_times_are_those_of_the_two_calls_in_milliseconds(monkeypatch):
+    """By a clock that only the filter moves."""
+    clock = SimpleNamespace(now=100.0, perf_counter=lambda: clock.now)
+
+    class Slow(StereoEKF):
+        def predict(self, *arguments):
+            clock.now += 0.25
+            super().predict(*arguments)
+
+        def update(self, observation):
+            clock.now += 0.5
+            return super().update(observation)
+
+    monkeypatch.setattr("stereo_slam_env.loop.time", clock)
+    run = run_filter(small_recording(frames=4), Slow)
+    assert run.failure is None
+    np.testing.assert_allclose(run.predict_milliseconds, [0.0, 250.0, 250.0, 250.0])
+    np.testing.assert_allclose(run.update_milliseconds, 500.0)
+    np.testing.assert_allclose(run.milliseconds, [500.0, 750.0, 750.0, 750.0])
+
+
+@pytest.mark.skipif(not STATUS.exists(), reason="needs /proc/self/status")
+def test_the_largest_memory_is_that_which_the_system_tells():
+    told = re.search(r"VmHWM:\s+(\d+) kB", STATUS.read_text())
+    assert peak_memory_mb() == pytest.approx(int(told[1]) / 1024.0, rel=0.05)
+
+
+def test_the_memory_of_a_run_is_what_it_added():
+    """A short drive after a run of the same filter; the process itself has hundreds of MB."""
+    runs = [run_filter(small_recording(frames=4), "inverse-depth") for _ in range(2)]
+    assert 0.0 <= runs[1].memory_mb < 0.5 * peak_memory_mb()

@@ -1,5 +1,7 @@
 """Errors of the map by range and by age, against errors put in (0.3 s)."""
 
+from dataclasses import fields, replace
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,7 @@ from stereo_slam_env.evaluation.landmark_statistics import (
     depth_convergence,
     range_errors,
 )
-from stereo_slam_env.evaluation.map_scoring import MapView, score_map
+from stereo_slam_env.evaluation.map_scoring import MapScore, MapView, score_maps
 
 from ..benchmark.small_recordings import CAMERA
 
@@ -26,13 +28,17 @@ def scored(points, estimated, ids=None, variance=1.0):
     """Score of a map whose points are believed elsewhere, by (u, v, d) with this variance each."""
     ids = np.arange(len(points)) if ids is None else np.asarray(ids)
     uvd = CAMERA.project(np.asarray(estimated, dtype=float))
-    return score_map(MapView(ids, uvd, np.tile(variance * np.eye(3), (len(ids), 1, 1)), points), CAMERA)
+    covariance = np.tile(variance * np.eye(3), (len(ids), 1, 1))
+    return score_maps(MapView(np.zeros(len(ids), dtype=int), ids, uvd, covariance, points), CAMERA)
 
 
-def statistics(*frames):
-    scorer = LandmarkScorer(CAMERA)
-    for frame in frames:
-        scorer.add(frame)
+def statistics(*frames, at_once=1):
+    """Statistics of maps of one frame each, so many of them scored together."""
+    scorer, numbered = LandmarkScorer(CAMERA), [replace(f, frames=f.frames + k) for k, f in enumerate(frames)]
+    for first in range(0, len(frames), at_once):
+        some = numbered[first : first + at_once]
+        columns = (np.concatenate([getattr(one, field.name) for one in some]) for field in fields(MapScore))
+        scorer.add(MapScore(*columns), range(first, first + len(some)))
     return scorer.statistics
 
 
@@ -78,6 +84,19 @@ def test_convergence_is_by_class_at_entry_and_by_frames_since():
     assert first.sigma_m == pytest.approx((near**2 / F_B * 2.0, (near - 8) ** 2 / F_B, (near - 9) ** 2 / F_B))
     assert second.sigma_m == pytest.approx((far**2 / F_B * 2.0, (far - 8) ** 2 / F_B))
     assert second.rmse_m == pytest.approx((0.0, 0.0), abs=1e-9)
+
+
+@pytest.mark.parametrize("at_once", [2, 3, 40])
+def test_frames_that_are_scored_together_count_as_one_after_the_other(at_once):
+    """Landmarks come, stay over the ends of what is scored together, are away for a frame, and come again."""
+    rng = np.random.default_rng(0)
+    frames = []
+    for _ in range(40):
+        ids = rng.permutation(12)[: rng.integers(0, 13)]
+        points = ahead(rng.choice([12.0, 20.0, 64.0, 90.0], len(ids)))
+        frames.append(scored(points, points + rng.normal(0.0, 0.1, points.shape), ids))
+    for name, wanted in vars(statistics(*frames)).items():
+        np.testing.assert_allclose(getattr(statistics(*frames, at_once=at_once), name), wanted, err_msg=name)
 
 
 def test_the_order_of_the_map_does_not_matter_and_nonsense_spoils_nothing():

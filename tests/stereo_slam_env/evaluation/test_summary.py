@@ -54,9 +54,10 @@ def test_nis_is_per_degree_of_freedom(plain):
     assert row.nis == pytest.approx(3.0)
 
 
-def test_gated_is_a_share_of_the_known_measurements(plain):
-    counts = dict(plain.counts, updated=np.full(len(plain), 9), gated=np.full(len(plain), 1))
-    assert summary_of([replace(plain, counts=counts)]).gated_percent == pytest.approx(10.0)
+@pytest.mark.parametrize(("updated", "gated", "percent"), [(9, 1, 10.0), (5, 5, 50.0), (0, 4, 100.0), (0, 0, None)])
+def test_gated_is_a_share_of_the_known_measurements(plain, updated, gated, percent):
+    counts = dict(plain.counts, updated=np.full(len(plain), updated), gated=np.full(len(plain), gated))
+    assert summary_of([replace(plain, counts=counts)]).gated_percent == percent
 
 
 def test_a_failed_run_counts_as_diverged_and_spoils_nothing(plain):

@@ -1,9 +1,11 @@
 """Which landmarks are traced, and what is noted of them (0.3 s)."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from filters import Start, StereoNoise, StereoObservation, make_filter
-from stereo_slam_env.evaluation.map_scoring import TraceRecorder, choose_landmarks, view_map
+from stereo_slam_env.evaluation.map_scoring import FrameMap, TraceRecorder, choose_landmarks, view_maps
 from stereo_slam_env.recording.recording import Frame, Recording
 
 from ..benchmark.small_recordings import CAMERA, small_recording
@@ -42,6 +44,12 @@ def test_where_truth_is_known_the_noise_does_not_choose():
     assert choose_landmarks(quiet) == choose_landmarks(noisy)
 
 
+def test_landmarks_with_truth_seen_from_where_nobody_knows_are_chosen_by_what_was_measured():
+    recording = small_recording()
+    blind = replace(recording, frames=tuple(replace(frame, truth=None) for frame in recording.frames))
+    assert choose_landmarks(blind) == choose_landmarks(replace(blind, landmarks=None)) != {}
+
+
 def test_a_trace_is_the_depth_in_the_current_camera():
     recording = small_recording(sigma=0.01)
     estimator = make_filter("inverse-depth", camera=CAMERA, noise=recording.noise)
@@ -51,7 +59,8 @@ def test_a_trace_is_the_depth_in_the_current_camera():
         if k:
             estimator.predict(0.1)
         estimator.update(frame.observation)
-        recorder.add(k, view_map(estimator, frame.truth, recording.landmarks), frame.observation)
+        maps = [FrameMap(k, frame, estimator.forecast(), estimator.noise.R)]
+        recorder.add(view_maps(maps, recording.landmarks), maps)
     near, far = recorder.traces()
     assert (near.label, far.label) == ("near", "far")
     for trace in (near, far):

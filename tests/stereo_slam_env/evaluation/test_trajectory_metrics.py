@@ -88,6 +88,9 @@ def test_lengths_are_those_of_kitti_where_they_fit_and_shorter_ones_elsewhere():
     assert metrics.segment_lengths(350.0) == (100.0, 200.0, 300.0)
     assert metrics.segment_lengths(115.0) == (5.0, 10.0, 25.0, 50.0)
     assert metrics.segment_lengths(7.0) == ()
+    assert metrics.segment_lengths(metrics.SHORT_PATH) == (100.0,)
+    assert metrics.segment_lengths(0.99 * metrics.SHORT_PATH) == (5.0, 10.0, 25.0, 50.0)
+    assert metrics.segment_lengths(20.0) == (5.0, 10.0)
 
 
 def test_a_scale_error_and_a_steady_turn_have_their_relative_errors():

@@ -87,7 +87,7 @@ def test_scoring_windows_changes_no_other_figure():
     plain, with_windows = (run_filter(recording, "shared-anchor", windows=windows) for windows in (False, True))
     assert np.isnan(plain.window_nees_1s).all()
     assert np.isfinite(with_windows.window_nees_1s).sum() == 2
-    for name in ("positions", "pose_covariances", "pose_nees", "landmark_nees", "nis"):
+    for name in ("positions", "pose_covariances", "pose_nees", "landmark_nees", "nis", "state_size"):
         np.testing.assert_array_equal(getattr(with_windows, name), getattr(plain, name))
 
 

@@ -92,7 +92,7 @@ def pages(path):
 
 
 def trials(out):
-    return {path.relative_to(out): load_run(path)[0].positions for path in sorted(out.glob("trials/*/*.npz"))}
+    return {path.relative_to(out): load_run(path).run.positions for path in sorted(out.glob("trials/*/*.npz"))}
 
 
 def test_a_folder_in_use_is_refused_until_its_owner_is_done(tmp_path):

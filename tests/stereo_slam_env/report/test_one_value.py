@@ -162,29 +162,6 @@ def test_a_comparison_in_code_says_so_too():
         assert FIGURES["position_rmse_m"].text(side.position_rmse_m) in str(result)
 
 
-@pytest.mark.parametrize(
-    ("name", "value", "text"),
-    [
-        ("position_rmse_m", 0.000312, "0.000312"),
-        ("position_rmse_m", 0.0312, "0.0312"),
-        ("position_rmse_m", 0.155, "0.155"),
-        ("position_rmse_m", 3.25, "3.250"),
-        ("position_rmse_m", 0.0000031, "3.10e-06"),
-        ("position_rmse_m", 0.0, "0.000"),
-        ("position_rmse_m", 31250.0, "3.1e+04"),
-        ("pose_anees", 6.3, "1.05"),
-        ("pose_anees", 0.12, "0.020"),
-        ("efficiency_percent", 93.4, "93"),
-        ("efficiency_percent", 0.42, "0.4"),
-        ("rejected", 3, "3"),
-        ("rejected", 0, "0"),
-        ("position_rmse_m", None, "–"),
-    ],
-)
-def test_figures_have_digits_that_count(name, value, text):
-    assert FIGURES[name].text(value) == text
-
-
 # ---- a comparison fits a screen --------------------------------------------------------------------------------------
 
 

@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 import stereo_slam_env as sse
+from filters.geometry import rotations
+from stereo_slam_env.evaluation.trajectory_runs import score_runs
 from stereo_slam_env.report import write_trajectory_report
-from stereo_slam_env.report.charts.trajectories import plot_errors, plot_nees_over_time, plot_paths
+from stereo_slam_env.report.charts.trajectories import plot_calibration, plot_errors, plot_nees_over_time, plot_paths
 
 SIGMA = 0.02  # m, rad
 
@@ -81,9 +83,37 @@ def test_the_verdict_comes_first(tmp_path):
     text = text_of(page)
     assert text.index("its covariance is too tight, by 2") < text.index("<figure")
     assert {path.name for path in (tmp_path / "figures").iterdir()} == {
-        f"{name}.{ending}" for name in ("path", "errors_0", "nees") for ending in ("png", "svg")
+        f"{name}.{ending}"
+        for name in ("path", "errors_0", "nees", "calibration", "windows")
+        for ending in ("png", "svg")
     }
     assert "pose NEES / 6" in text
+
+
+def test_runs_are_judged_together_before_one_by_one(tmp_path):
+    scores = [score(name=f"run {k}", seed=k) for k in range(6)]
+    runs = score_runs(scores)
+    text = text_of(write_trajectory_report(tmp_path, scores, runs=runs))
+    assert text.index("6 runs together: pose ANEES / 6") < text.index("<figure")
+    assert (tmp_path / "figures" / "runs.svg").is_file()
+    assert (tmp_path / "figures" / "errors_3.svg").is_file()
+    assert not (tmp_path / "figures" / "errors_4.svg").exists()
+
+
+def test_a_right_claim_has_the_calibration_of_the_diagonal():
+    estimate, truth = straight(count=4000)
+    rng = np.random.default_rng(4)
+    turned = rotations.exp_quaternion(SIGMA * rng.normal(size=(4000, 3)))
+    chart = plot_calibration([sse.evaluate_trajectory(replace(estimate, orientations=turned), truth)])
+    inside, density = lists(chart, "mine")[0], lists(chart, "mine")[-1]
+    assert np.array(inside["y"]) == pytest.approx(np.array(inside["x"]), abs=4.0)
+    assert np.array(density["y"]) == pytest.approx(1.0, abs=0.4)
+
+
+def test_the_claim_under_each_alignment_is_in_a_table(tmp_path):
+    text = text_of(write_trajectory_report(tmp_path, [score()]))
+    assert "Alignments" in text
+    assert {"none", "start"} <= set(re.findall(r"<td[^>]*>\s*([\w-]+)\s*<", text))
 
 
 def test_two_estimates_and_the_verdict_on_both(tmp_path):

@@ -19,7 +19,8 @@ from ..benchmark.small_recordings import small_recording
 def stored(directory, name, seed):
     (run,) = read_study(directory).cells
     (choice,) = (choice for choice in run.scenario.competitors if choice.label == name)
-    return run.trial_path(seed, choice), load_run(run.trial_path(seed, choice))
+    found = load_run(run.trial_path(seed, choice))
+    return run.trial_path(seed, choice), (found.run, found.provenance)
 
 
 def test_a_drive_is_what_the_benchmark_makes_of_the_recording():

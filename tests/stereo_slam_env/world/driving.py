@@ -7,7 +7,9 @@ from filters.geometry import rotations
 from stereo_slam_env.world.frames import R_SW, WorldFrame
 from stereo_slam_env.world.physics import PhysicsWorld
 from stereo_slam_env.world.routes import FRAME_PERIOD
-from stereo_slam_env.world.vehicle import Car, RouteDriver, advance
+from stereo_slam_env.world.vehicle import Car
+
+from ..simulator.vehicles import drive, vehicle
 
 FRAME = WorldFrame(1.65)
 
@@ -20,13 +22,8 @@ def nominal_poses(route):
 
 
 def swaying_poses(route, seed):
-    driver = RouteDriver(route, 1.0, np.random.default_rng(seed))
-    pose, _ = driver.start()
-    poses = [pose]
-    while not driver.finished:
-        pose = advance(pose, driver.drive(pose, np.zeros(2)), FRAME_PERIOD)
-        poses.append(pose)
-    return poses
+    simulator = vehicle(route=route, seed=seed, perturbation=1.0)
+    return [frame.truth for frame in drive(simulator, [[0, 0]] * (route.frames - 1))]
 
 
 def collisions(scene, poses):

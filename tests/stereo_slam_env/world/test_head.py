@@ -5,7 +5,7 @@ import pytest
 
 from filters import Pose
 from filters.geometry import rotations
-from stereo_slam_env.world.vehicle import Head, advance, head_turn, velocity_between
+from stereo_slam_env.world.vehicle import Head, head_turn
 
 HEAD = Head(0.5, max_angles=(2.0, 0.4), max_rates=(1.5, 1.0))
 BODY = Pose(np.array([1.0, -2.0, 3.0]), rotations.exp_quaternion(np.array([0.1, 0.7, -0.2])))
@@ -51,10 +51,3 @@ def test_the_head_stays_within_its_limits():
     for _ in range(30):
         angles = HEAD.turned(angles, np.array([1.0, -1.0]), 0.1)
     np.testing.assert_array_equal(angles, [2.0, -0.4])
-
-
-def test_the_velocity_between_two_poses_leads_from_one_to_the_other():
-    after = HEAD.camera_pose(BODY, ANGLES)
-    there = advance(BODY, velocity_between(BODY, after, 0.1), 0.1)
-    np.testing.assert_allclose(there.position, after.position, atol=1e-14)
-    np.testing.assert_allclose(there.orientation, after.orientation, atol=1e-14)

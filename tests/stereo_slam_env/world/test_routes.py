@@ -1,11 +1,9 @@
-"""Scripted routes: how far, how fast, which way; and that the motion obeys Eq. 6."""
+"""Scripted routes: how far, how fast, which way."""
 
 import numpy as np
 import pytest
 
-from filters.geometry import rotations
-from stereo_slam_env.world.routes import FRAME_PERIOD, ROUTES, loop, right_turn, straight, town
-from stereo_slam_env.world.vehicle import AgentDriver, Car, RouteDriver, advance
+from stereo_slam_env.world.routes import loop, right_turn, straight, town
 
 
 def test_town_is_the_reference_drive():
@@ -36,38 +34,6 @@ def test_straight_stays_on_the_axis():
     assert (np.diff(positions[:, 2]) > 0).all()
 
 
-@pytest.mark.parametrize("name", ROUTES)
-def test_without_perturbation_the_driver_follows_the_nominal_poses(name):
-    route = ROUTES[name]()
-    driver = RouteDriver(route, 0.0, np.random.default_rng(0))
-    pose, _ = driver.start()
-    for step in range(1, route.frames):
-        pose = advance(pose, driver.drive(pose, np.zeros(2)), FRAME_PERIOD)
-        np.testing.assert_allclose(pose.position, route.positions[step], atol=1e-9)
-    assert driver.finished
-    np.testing.assert_allclose(rotations.matrix(pose.orientation), rotations.exp([0, route.headings[-1], 0]), atol=1e-9)
-
-
-def test_perturbations_are_there_and_stay_bounded():
-    route = town()
-    for seed in range(5):
-        driver = RouteDriver(route, 1.0, np.random.default_rng(seed))
-        pose, velocity = driver.start()
-        offsets, tilts, speeds = [], [], []
-        for step in range(1, route.frames):
-            velocity = driver.drive(pose, np.zeros(2))
-            pose = advance(pose, velocity, FRAME_PERIOD)
-            offsets.append(pose.position - route.positions[step])
-            R_nominal = rotations.exp([0, route.headings[step], 0])
-            tilts.append(rotations.log(R_nominal.T @ rotations.matrix(pose.orientation)))
-            speeds.append(np.linalg.norm(velocity.linear) - route.speeds[step - 1])
-        assert np.abs(offsets).max() < 1.0
-        assert np.abs(tilts).max() < 0.06
-        assert np.std(offsets, axis=0).min() > 0.02
-        assert np.std(tilts, axis=0).min() > 0.002
-        assert np.std(speeds) == pytest.approx(0.15, rel=0.5)
-
-
 def test_the_loop_closes_and_goes_on_along_its_first_metres():
     route = loop()
     closed = 740
@@ -87,11 +53,3 @@ def test_where_a_route_repeats_itself_the_nearest_frame_is_that_of_the_same_pass
     there = route.positions[10]
     assert route.nearest(there, around=5) == 10
     assert route.nearest(there, around=735) == pytest.approx(750, abs=1)
-
-
-def test_an_agent_at_the_start_of_the_loop_has_not_finished():
-    driver = AgentDriver(Car(), loop())
-    pose, _ = driver.start()
-    for _ in range(45):
-        pose = advance(pose, driver.drive(pose, np.zeros(2)), FRAME_PERIOD)
-        assert not driver.finished

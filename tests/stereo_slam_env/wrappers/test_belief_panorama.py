@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from filters import StereoNoise
+from filters.engine.batch import RelativeLandmarks
 from filters.geometry import rotations
 from stereo_slam_env.training.task import GazeTask
 from stereo_slam_env.wrappers import BeliefObservation, BeliefPanorama
-from stereo_slam_env.wrappers.belief_observation import Belief
-from stereo_slam_env.wrappers.belief_panorama import around, share_in_view
+from stereo_slam_env.wrappers.belief_panorama import panoramas, share_in_view
 
 from ..benchmark.small_recordings import CAMERA
 from .replayed import ROWS, ReplayEnv, episode
@@ -20,6 +20,14 @@ def looking(head=None, sectors=SECTORS, **belief):
     """The wrapped environment after a few frames, and its last observation."""
     env = BeliefPanorama(BeliefObservation(ReplayEnv(head=head), **belief), sectors)
     return env, episode(env, steps=6)[0][-1]
+
+
+def around(points_c, covariances, noise):
+    """What a map shows of a car that looks straight ahead."""
+    count = len(points_c)
+    ids, located = np.arange(count), np.ones(count, dtype=bool)
+    maps = RelativeLandmarks(np.array([0, count]), ids, points_c, covariances, located)
+    return panoramas(maps, np.zeros((1, 2)), CAMERA, noise, SECTORS, ROWS, np.inf)[0]
 
 
 def one_by_one(belief, pan, tilt, sectors):
@@ -104,11 +112,8 @@ def test_what_was_in_view_is_remembered_for_some_seconds():
 
 def test_a_landmark_to_the_right_and_up_is_in_a_high_sector_with_a_high_elevation():
     env, _ = looking()
-    belief = env.get_wrapper_attr("belief")
-    one = Belief(
-        belief.slam, belief.report, belief.pose, belief.ids[:1], belief.points_w[:1], np.array([[5.0, -5.0, 0.1]]), 1
-    )
-    seen = around(one, CAMERA, env.get_wrapper_attr("noise"), 0.0, 0.0, SECTORS, ROWS)
+    covariances = env.get_wrapper_attr("belief").relative_covariances[:1]
+    seen = around(np.array([[5.0, -5.0, 0.1]]), covariances, env.get_wrapper_attr("noise"))
     assert np.flatnonzero(seen[:, 0]).tolist() == [SECTORS * 3 // 4 - 1]
     assert seen[SECTORS * 3 // 4 - 1, 2] == pytest.approx(0.5, abs=1e-3)
 
@@ -141,7 +146,7 @@ def test_a_sharper_camera_has_more_to_tell_and_what_is_known_relative_to_it_litt
     env, _ = looking()
     belief = env.get_wrapper_attr("belief")
     rough, fine = (
-        around(belief, CAMERA, StereoNoise.independent_pixels(sigma), 0.0, 0.0, SECTORS, ROWS)[:, 1].sum()
+        around(belief.points_c, belief.relative_covariances, StereoNoise.independent_pixels(sigma))[:, 1].sum()
         for sigma in (100.0, 1.0)
     )
     assert fine > 2 * rough > 0

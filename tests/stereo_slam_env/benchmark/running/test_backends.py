@@ -115,15 +115,28 @@ def lost_always(number):
 
 
 @pytest.mark.slow
-def test_what_a_lost_worker_of_ray_had_is_done_once_more(tmp_path, caplog):
-    pytest.importorskip("ray", reason="needs the extra ray")
-    with Backend("ray", jobs=2).started() as run_all:
+@pytest.mark.timeout(60)
+@pytest.mark.parametrize("name", ["ray", "dask"])
+def test_what_a_lost_worker_of_a_cluster_had_is_done_once_more(name, tmp_path, caplog):
+    pytest.importorskip("dask.distributed" if name == "dask" else name, reason=f"needs the extra {name}")
+    with Backend(name, jobs=2).started() as run_all:
         assert sorted(run_all(partial(lost_once, tmp_path), range(4))) == [0, 1, 2, 3]
         assert "a worker was lost" in caplog.text
         with pytest.raises(
             ChildProcessError, match=r"\Aworkers were lost twice \([^\n]*\): what is finished is kept\Z"
         ):
             list(run_all(lost_always, range(4)))
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(60)
+def test_what_dask_has_not_finished_is_given_up_with_the_run():
+    pytest.importorskip("dask.distributed", reason="needs the extra dask")
+    with Backend("dask", jobs=2).started() as run_all:
+        assert sorted(number for number, _ in run_all(where_i_am, range(5))) == [0, 1, 2, 3, 4]
+        results = run_all(time.sleep, [0.0, 3600.0, 3600.0])
+        assert next(results) is None
+        results.close()
 
 
 def test_what_a_task_raises_is_no_lost_worker():

@@ -105,6 +105,6 @@ def test_an_early_interruption_shows_no_traceback(run, seconds):
     """While modules are imported, and while the processes start."""
     time.sleep(seconds)
     told = run.end_by(signal.SIGINT, group=True)
-    assert run.process.returncode == 130, told
+    assert run.process.returncode in (130, -signal.SIGINT), told  # the latter before the interpreter listens
     assert "Traceback" not in told
     assert run.left() == []

@@ -142,15 +142,20 @@ def test_what_the_work_has_started_ends_with_it(end):
 
 
 def test_a_process_that_leaves_a_child_with_its_connection_is_told_at_once():
+    """The child is in a session of its own, so that it does not end with the process."""
+
     def work(tell):
         if os.fork() == 0:
-            time.sleep(60)
+            os.setsid()
+            tell(0, 1)
+            time.sleep(40)
             os._exit(0)
+        time.sleep(1.0)
         os._exit(3)
 
     began = time.monotonic()
     with pytest.raises(WorkDied, match="ended with code 3"):
-        run_isolated(work, silence_limit=60.0)
+        run_isolated(work, silence_limit=30.0)
     assert time.monotonic() - began < 15
 
 
@@ -186,6 +191,8 @@ def test_nobody_suffers_from_what_another_does_to_the_server(by):
         except Exception as error:
             answers[work.__name__] = error
 
+    run_isolated(lambda tell: None, silence_limit=LIMIT)  # the server is there
+    began = time.monotonic()
     threads = [threading.Thread(target=ask, args=given) for given in ((innocent, True), (guilty, False))]
     for thread in threads:
         thread.start()
@@ -193,6 +200,7 @@ def test_nobody_suffers_from_what_another_does_to_the_server(by):
         thread.join(LIMIT * 2)
     assert answers["innocent"] == "innocent"
     assert run_isolated(lambda tell: "later", silence_limit=LIMIT) == "later"
+    assert time.monotonic() - began < LIMIT  # a server that was stopped is told to go on
     if by == signal.SIGKILL and isinstance(answers["guilty"], Exception):
         assert "the server of processes has ended, twice" in str(answers["guilty"])
 

@@ -45,6 +45,7 @@ def test_the_choices_that_matter_are_found_with_their_factors():
     left, euclidean, so3 = (contrast(attribution, level) for level in ("left", "euclidean", "so3"))
     assert left.difference.percent == pytest.approx(110.0, abs=10.0)
     assert left.difference.interval_percent[0] < 110.0 < left.difference.interval_percent[1]
+    assert (left.instead_of, euclidean.instead_of, so3.instead_of) == ("joint", "inverse-depth", "quaternion")
     assert (left.finding, euclidean.finding) == (Finding.WORSE, Finding.WORSE)
     assert so3.finding is Finding.NOT_SHOWN
     assert re.search(r"'left' instead of 'joint' makes it 1\d\d % larger \(", attribution.conclusion)
@@ -122,6 +123,15 @@ def test_runs_that_diverged_are_left_out_and_counted():
     )
     assert "Runs that diverged are left out, which flatters hybrid+joint+quaternion (1 of 10)." in attribution.notes
     assert attribution.diverged_percent["landmark", "euclidean"] == pytest.approx(17.5)
+
+
+@pytest.mark.parametrize(("lost", "end"), [(6, "so3 (1 of 10)."), (8, "so3 (1 of 10) and 2 more.")])
+def test_of_many_combinations_six_are_named(lost, end):
+    diverged = np.zeros((12, 10), dtype=bool)
+    diverged[:lost, 0] = True
+    (note,) = attributed(logarithms(), diverged=diverged.reshape(3, 2, 2, 10)).notes
+    assert note.count("(1 of 10)") == 6
+    assert note.endswith(end)
 
 
 def test_a_level_that_always_diverges_is_left_out():

@@ -79,6 +79,15 @@ def test_only_what_was_changed_is_said_to_have_changed():
     assert back.headline.startswith("Better after than before, run by run: position error of dual-bearing")
 
 
+def test_times_that_changed_too_leave_the_other_changes_as_sure_as_they_were():
+    before = make_runs(THREE, seeds=range(8), frames=60)
+    after = worsened(before, "dual-bearing", 1.3)
+    slower = [replace(run, milliseconds=(1.5 + 0.01 * run.seed) * run.milliseconds) for run in after]
+    wanted = {"filter_name": "dual-bearing", "measure": "position error"}
+    ((alone,), (beside,)) = (changes_of(compare(result(before), result(runs)), **wanted) for runs in (after, slower))
+    assert (beside.interval_percent, beside.p_value) == (alone.interval_percent, alone.p_value)
+
+
 def test_a_change_in_one_run_of_eight_is_not_shown():
     runs = make_runs(THREE[:1], seeds=range(8), frames=40)
     worse = worsened(runs, "inverse-depth", 3.0)
@@ -130,6 +139,7 @@ def test_the_same_run_has_not_changed(stored):
     assert comparison.shown == ()
     assert comparison.headline == "Nothing has changed but perhaps the time."
     assert str(stored) in (comparison.before, comparison.after)
+    assert not any("code" in warning for warning in comparison.warnings)
 
 
 def test_stored_runs_are_paired_by_the_digest_of_their_measurements(stored, tmp_path):

@@ -2,6 +2,7 @@
 
 import math
 import re
+from itertools import product
 
 import numpy as np
 import pytest
@@ -50,6 +51,18 @@ def test_an_interval_is_halls_symmetric_studentised_one(confidence):
     low, high = mean_interval(data[:, None], confidence)
     assert float(high[0] + low[0]) / 2 == pytest.approx(data.mean(), rel=1e-12)
     assert float(high[0] - low[0]) / 2 == pytest.approx(half, rel=0.03)  # without ddof: 0.06 less
+
+
+def test_resamples_of_a_single_row_count_as_no_shift():
+    """Of the 27 equally likely resamples of three rows, three: the others are enumerated."""
+    data = np.array([0.0, 1.0, 4.0])
+    resamples = data[np.array(list(product(range(3), repeat=3)))]
+    errors = resamples.std(axis=1, ddof=0) / np.sqrt(2.0)
+    shifts = np.abs(resamples.mean(axis=1) - data.mean())
+    ratios = np.divide(shifts, errors, out=np.zeros(27), where=errors > 1e-9)
+    low, high = mean_interval(data[:, None], 0.9)
+    wanted = np.quantile(ratios, 0.9, method="inverted_cdf") * data.std(ddof=1) / np.sqrt(3.0)
+    assert float(high[0] - low[0]) / 2 == pytest.approx(wanted, rel=1e-6)
 
 
 def test_an_interval_for_many_comparisons_holds_for_all_of_them_together():

@@ -34,6 +34,12 @@ def test_shares_are_those_of_the_analysis_of_variance():
     assert fit.rest == pytest.approx(0.0, abs=1e-12)
 
 
+def test_shares_do_not_depend_on_how_large_the_effects_are():
+    whole, small = fit_factorial(values(scatter=0.3)), fit_factorial(1e-3 * values(scatter=0.3))
+    assert small.shares == pytest.approx(whole.shares, rel=1e-9)
+    assert small.rest == pytest.approx(whole.rest, rel=1e-9)
+
+
 def test_with_all_values_a_block_is_fitted_by_itself():
     data = values(scatter=0.3)
     together, alone = fit_factorial(data), [fit_factorial(data[..., s : s + 1]) for s in range(8)]

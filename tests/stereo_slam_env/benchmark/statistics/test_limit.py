@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stereo_slam_env.benchmark.statistics.remarks import Reach, limit_reached
+from stereo_slam_env.benchmark.statistics.remarks import LimitReached, Reach, limit_reached
 from stereo_slam_env.benchmark.statistics.verdict import judge
 
 from ....synthetic_runs import THREE, changed, make_runs, scored
@@ -42,6 +42,14 @@ def test_an_interval_with_100_percent_in_it_is_at_the_limit(efficiencies, reach,
     assert found.reach is reach
     assert pytest.approx(found.percent) == reached(efficiencies).efficiency_percent
     assert re.fullmatch(words, found.words)
+
+
+@pytest.mark.parametrize(
+    ("percent", "interval", "reach"),
+    [(90.0, (80.0, 100.0), Reach.OPEN), (90.0, (80.0, 99.9), Reach.SHORT), (110.0, (100.0, 120.0), Reach.AT)],
+)
+def test_an_interval_that_ends_at_100_percent_has_it_in_it(percent, interval, reach):
+    assert LimitReached(percent, interval, 8).reach is reach
 
 
 def test_an_interval_that_only_reaches_100_percent_leaves_it_open():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stereo_slam_env.benchmark.statistics.differences import Difference
+from stereo_slam_env.benchmark.statistics.differences import Difference, signed
 from stereo_slam_env.benchmark.statistics.policy_verdict import Agreement, _agreement, judge_policies
 from stereo_slam_env.benchmark.statistics.verdict import Consistency
 from stereo_slam_env.report.overview import policy_overview
@@ -43,7 +43,9 @@ def test_a_policy_that_claims_less_and_is_no_better_is_not():
     found = verdict.comparisons["boasts"]
     assert (found.agreement, found.consistency) == (Agreement.DISAGREE, Consistency.OVERCONFIDENT)
     assert "claims 50 % less uncertainty" in found.words
-    assert "no difference of the true position error is shown" in found.words
+    open_ones = {"along the drive": found.path, "at the end": found.final}
+    said = "; ".join(f"{where} {signed(d.percent)} %, {d.interval_words}" for where, d in open_ones.items())
+    assert f"no difference of the true position error is shown ({said}): " in found.words
     assert "claim and truth disagree; and it is overconfident, by the mean of 24 runs: pose NEES / 6" in found.words
     assert "Claim and truth disagree." in verdict.headline
     assert "Not to be taken at its word: boasts;" in verdict.headline
@@ -92,6 +94,8 @@ def test_few_runs_show_nothing():
     found = judged(BETTER, seeds=range(3))[0].comparisons["greedy"]
     assert found.agreement is Agreement.NOTHING_SHOWN
     assert "neither claim nor truth shows a difference, for 3 paired runs are too few, 6 are needed" in found.words
+    no_interval = f"along the drive {signed(found.path.percent)} %; at the end {signed(found.final.percent)} %):"
+    assert no_interval in found.words
 
 
 def test_intervals_grow_with_the_number_of_policies():
@@ -125,7 +129,11 @@ def test_the_first_screen_has_a_row_a_policy_and_a_sentence_for_each():
 
 def test_the_headline_holds_the_best_against_the_baseline_and_no_other():
     verdict, summaries = judged(BETTER, WORSE)
-    account = {s.filter_name: f"true error {s.end_error_m:.3g} m" for s in summaries}
+    account = {
+        s.filter_name: f"σ {s.final_position_sigma_m:.3g} m, log det {s.final_pose_logdet:.1f}, "
+        f"true error {s.end_error_m:.3g} m".replace("-", "−")
+        for s in summaries
+    }
     first = verdict.headline.split(". ")[0]
     assert first.startswith("greedy leaves the pose least uncertain")
     assert first.index(account["greedy"]) < first.index("; fixed: ") < first.index(account["fixed"])

@@ -39,9 +39,9 @@ def same(a, b):
 
 def test_a_run_comes_back_as_it_was(tmp_path, run):
     (tmp_path / "run.npz").write_bytes(packed_run(run, {"from": "here", "n": 3}))
-    loaded, provenance = load_run(tmp_path / "run.npz")
-    same(run, loaded)
-    assert provenance == {"from": "here", "n": 3}
+    loaded = load_run(tmp_path / "run.npz")
+    same(run, loaded.run)
+    assert loaded.provenance == {"from": "here", "n": 3}
 
 
 def test_a_run_kept_before_it_said_what_its_truth_is_has_a_true_one(tmp_path, run):
@@ -51,7 +51,7 @@ def test_a_run_kept_before_it_said_what_its_truth_is_has_a_true_one(tmp_path, ru
     about = json.loads(str(arrays["about"]))
     assert about.pop("truth_from")["kind"] == "odometry"
     np.savez(tmp_path / "old.npz", **arrays | {"about": np.array(json.dumps(about))})
-    assert load_run(tmp_path / "old.npz")[0].reference == GIVEN_TRUTH
+    assert load_run(tmp_path / "old.npz").run.reference == GIVEN_TRUTH
 
 
 @pytest.mark.parametrize("keep", [0, 100, -200])
@@ -63,11 +63,33 @@ def test_a_truncated_run_is_named_with_the_remedy(tmp_path, run, keep):
     assert "\n" not in str(e.value)
 
 
+@pytest.mark.parametrize("frames", [2**57, -1, 3.5, None])
+def test_a_number_of_frames_that_cannot_be_is_damage(tmp_path, run, frames):
+    (tmp_path / "run.npz").write_bytes(packed_run(run, {}, whole=False))
+    with np.load(tmp_path / "run.npz") as archive:
+        arrays = {name: archive[name] for name in archive.files}
+    about = json.loads(str(arrays["about"])) | {"frames": frames, "series": []}
+    np.savez(tmp_path / "run.npz", **arrays | {"about": np.array(json.dumps(about))})
+    with pytest.raises(ValueError, match=r"damaged \(frames must be 0 to 10000000, got "):
+        load_run(tmp_path / "run.npz")
+
+
+@pytest.mark.parametrize("count", [2**57, -1])
+def test_a_number_of_measurements_that_cannot_be_is_damage(tmp_path, run, count):
+    (tmp_path / "run.npz").write_bytes(packed_run(run, {}))
+    with np.load(tmp_path / "run.npz") as archive:
+        arrays = {name: archive[name] for name in archive.files}
+    arrays["count.used"] = np.full(len(run), count)
+    np.savez(tmp_path / "run.npz", **arrays)
+    with pytest.raises(ValueError, match=r"damaged \(counts must be integers from 0 to 1000000\)"):
+        load_run(tmp_path / "run.npz")
+
+
 def test_a_run_of_an_older_format_is_named_with_the_remedy(tmp_path, run, monkeypatch):
     monkeypatch.setattr(run_archive, "FORMAT", 1)
     (tmp_path / "run.npz").write_bytes(packed_run(run, {}))
     monkeypatch.undo()
-    with pytest.raises(ValueError, match=r"damaged \(format 1, this version reads 3\): delete it and run the same"):
+    with pytest.raises(ValueError, match=r"damaged \(format 1, this version reads 4\): delete it and run the same"):
         load_run(tmp_path / "run.npz")
 
 

@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 
 from stereo_slam_env.sensing.rigs import CAMERA_HEIGHT
+from stereo_slam_env.simulator.rays import obstacles, visible
 from stereo_slam_env.world.frames import WorldFrame
 from stereo_slam_env.world.physics import PhysicsWorld
-from stereo_slam_env.world.rays import obstacles, visible
 from stereo_slam_env.world.routes import named_route
 from stereo_slam_env.world.scene import Box, Cylinder, Ground, Material, Scene, Sphere
 from stereo_slam_env.world.surroundings import build_scene
 from stereo_slam_env.world.vehicle import Car
 
 SURROUNDINGS = ["street", "groves", "field", "corridor"]
-GRAZING = 0.003
+GRAZING = 0.002
 """m; Bullet finds a hit by iteration, of what passes within about a millimetre."""
 MOST_DIFFERENT = 1e-3
 NEAREST, FARTHEST = 4.0, 150.0

@@ -183,7 +183,7 @@ def test_threads_do_not_change_results():
 def test_a_pool_has_so_many_scenes():
     vector = vector_of("StereoSlam/Gaze-v0", 8, scenes=2)
     vector.reset(seed=0)
-    assert len({row.tobytes() for row in vector.unwrapped._fleet.landmarks}) == 2
+    assert len({row.tobytes() for row in vector.unwrapped.core.simulator.fleet.landmarks}) == 2
     name = "StereoSlam/Gaze-v0"
     assert_equal(run(vector_of(name, 3, scenes=2), name, 8), run(vector_of(name, 3, scenes=2), name, 8))
 
@@ -271,7 +271,7 @@ class TestWrongInput:
             vector.reset(seed=seed)
 
     def test_options(self, vector):
-        with pytest.raises(ValueError, match="reset takes no options but reset_mask, got 'low'"):
+        with pytest.raises(ValueError, match="reset takes no options but scene, and for vectors reset_mask, got 'low'"):
             vector.reset(options={"low": 1})
 
     def test_a_step_before_the_first_reset(self):
@@ -286,8 +286,6 @@ class TestWrongInput:
         ("options", "error", "message"),
         [
             ({"rout": "loop"}, TypeError, "unexpected keyword argument 'rout', did you mean 'route'"),
-            ({"moving_cars": 1}, ValueError, "moving_cars must be 0 in a native vector environment, got 1"),
-            ({"pedestrians": 1}, ValueError, "pedestrians must be 0"),
             ({"sensor": "images"}, ValueError, "sensor must be 'landmarks'"),
             ({"render_images": True}, ValueError, "render_images must be False"),
             ({"render_mode": "human"}, ValueError, "render_mode must be None"),
@@ -359,7 +357,7 @@ class TestWrappers:
 
 def test_names_and_closing():
     vector = vector_of("StereoSlam/Gaze-v0", 3, threads=2)
-    assert str(vector) == "GazeVectorEnv(StereoSlam/Gaze-v0, num_envs=3)"
+    assert str(vector) == "RowsVectorEnv(StereoSlam/Gaze-v0, num_envs=3)"
     vector.reset(seed=0)
     vector.close()
     vector.close()

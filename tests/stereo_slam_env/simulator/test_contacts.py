@@ -5,9 +5,9 @@ import pytest
 from numba import njit
 
 from filters.geometry import rotations
-from stereo_slam_env.world.collisions import collides, touches
+from stereo_slam_env.simulator.contacts import collides, touches
+from stereo_slam_env.simulator.rays import obstacles, traversal
 from stereo_slam_env.world.physics import PhysicsWorld
-from stereo_slam_env.world.rays import obstacles, traversal
 from stereo_slam_env.world.scene import Box, Cylinder, Ground, Material, Scene, Sphere
 from stereo_slam_env.world.vehicle import Car
 
@@ -105,3 +105,42 @@ def test_a_solid_inside_a_box_touches_it(kind):
 def test_nothing_is_touched_where_nothing_is():
     shapes = obstacles([])
     assert not touches_any(*shapes, traversal(), tuple(np.eye(3).ravel()), (0.0, 0.0, 1.0), HALF)
+
+
+def separation(one, other):
+    """Largest gap between two boxes along any axis that could separate them, m; below 0 where they touch."""
+    (A, a, at), (B, b, to) = one, other
+    axes = [*A.T, *B.T, *(np.cross(x, y) for x in A.T for y in B.T)]
+    axes = [axis / np.linalg.norm(axis) for axis in axes if np.linalg.norm(axis) > 1e-9]
+    return max(abs(n @ (to - at)) - a @ np.abs(A.T @ n) - b @ np.abs(B.T @ n) for n in axes)
+
+
+def test_boxes_touch_where_no_axis_separates_them():
+    """By the separating axis theorem, 20,000 pairs that nearly touch or nearly do not."""
+    rng, wrong, touching_ones = np.random.default_rng(5), 0, 0
+    for _ in range(20_000):
+        size = rng.uniform(0.1, 5.0, 3)
+        box = Box(tuple(rng.uniform(-100, 100, 3)), tuple(size), rng.uniform(-3, 3), GREY)
+        R = rotations.exp(rng.normal(size=3) * (0.05, 0.05, 3.0))
+        A = rotations.exp([0.0, 0.0, box.yaw])
+        at = np.array(box.center) + A @ rng.uniform(-1, 1, 3) * (0.5 * size + 1.5)
+        gap = separation((A, 0.5 * size, np.array(box.center)), (R, np.array(HALF), at))
+        found = touches_one(obstacles([box]).solids[0], tuple(R.ravel()), tuple(at), HALF)
+        touching_ones += found
+        wrong += found != (gap < 0) and abs(gap) > 1e-9
+    assert 2000 < touching_ones < 18_000
+    assert wrong == 0
+
+
+def test_a_gap_between_boxes_is_no_contact():
+    """6 mm between an edge of the car and the roof of another; a search that goes in a circle takes it for contact."""
+    box = Box((120.5, 6.45, 0.56), (4.622178013502352, 1.76, 0.62), np.pi, GREY)
+    R = [
+        [0.7898050683216187, 0.6133518038861736, -0.002742029004238585],
+        [-0.6133275450143663, 0.789802546640238, 0.006423382850592535],
+        [0.006105454948971474, -0.003391458413640312, 0.9999756104174214],
+    ]
+    at = np.array([116.5490355120795, 8.344332611822733, 1.4150266141117827])
+    A, half = rotations.exp([0.0, 0.0, box.yaw]), 0.5 * np.array(box.size)
+    assert separation((A, half, np.array(box.center)), (np.array(R), np.array(HALF), at)) > 5e-3
+    assert not touches_one(obstacles([box]).solids[0], tuple(np.ravel(R)), tuple(at), HALF)

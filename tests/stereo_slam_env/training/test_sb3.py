@@ -13,7 +13,7 @@ sb3 = pytest.importorskip("stable_baselines3", reason="needs the extra rl")
 from stable_baselines3.common.evaluation import evaluate_policy  # noqa: E402
 from stable_baselines3.common.vec_env import VecMonitor, VecNormalize  # noqa: E402
 
-from stereo_slam_env.vector import SB3VecEnv  # noqa: E402
+from stereo_slam_env.training import SB3VecEnv  # noqa: E402
 
 QUICK = {"route": "right-turn", "rig": "qvga", "max_landmarks": 8, "scenes": 2}
 EPISODE = 3
@@ -97,12 +97,12 @@ def test_attributes_and_methods_are_those_of_the_vector(env):
     assert env.get_attr("num_envs", indices=0) == [2]
     assert env.has_attr("options")
     assert not env.has_attr("nothing")
-    env.set_attr("max_episode_steps", 7)
-    assert env.vector_env.max_episode_steps == 7
+    env.set_attr("mark", 7)
+    assert env.vector_env.mark == 7
     assert env.env_method("reset", seed=1)[0][0].keys() == env.observation_space.keys()
     assert env.env_is_wrapped(gym.Wrapper) == [False, False]
     with pytest.raises(ValueError, match="to all"):
-        env.set_attr("max_episode_steps", 7, indices=[1])
+        env.set_attr("mark", 7, indices=[1])
 
 
 def test_a_vector_of_gymnasium_itself_is_taken_too():

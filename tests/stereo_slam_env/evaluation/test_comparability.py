@@ -1,0 +1,273 @@
+"""What keeps files from being compared: bodies, worlds, scales, clocks, swapped readings, divergence (10 s)."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import stereo_slam_env as sse
+from filters import Pose
+from filters.geometry import rotations
+from stereo_slam_env.evaluation.body_frames import find_body_offset, read_body
+from stereo_slam_env.evaluation.synchronisation import find_time_offset, paired, share_at_risk
+
+COUNT, DT = 300, 0.1
+ROLL = rotations.exp_quaternion([0.0, 0.0, np.deg2rad(89.0)])
+
+
+def drive(seed=0, error=0.01, **about):
+    """A winding flight with independent errors of 1 cm and .01 rad that are claimed as they are, and its truth."""
+    rng = np.random.default_rng(seed)
+    t = DT * np.arange(COUNT)
+    positions = np.column_stack([4.0 * np.sin(t / 3), 4.0 * np.cos(t / 4), np.sin(t / 2)])
+    turns = Rotation.from_rotvec(np.column_stack([0.4 * np.sin(t / 2), 0.3 * np.cos(t / 3), t / 5]))
+    truth = sse.Trajectory(positions, turns.as_quat(), t, name="truth")
+    e = error * rng.normal(size=(COUNT, 6))
+    orientations = rotations.multiply(truth.orientations, rotations.exp_quaternion(-e[:, 3:]))
+    claimed = np.tile(error**2 * np.eye(6), (COUNT, 1, 1))
+    return sse.Trajectory(positions - e[:, :3], orientations, t, claimed, name="mine", **about), truth
+
+
+def noted(score, text):
+    return any(text in note for note in score.notes)
+
+
+def test_nothing_is_said_where_nothing_is_strange():
+    score = sse.evaluate_trajectory(*drive())
+    assert score.notes == ()
+    assert score.verdict.startswith("consistent")
+    assert score.diverged_at_s is None
+
+
+# ---- bodies ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("world", [Pose(), Pose([5.0, 7.0, -2.0], rotations.exp_quaternion([0.1, -0.2, 1.5]))])
+@pytest.mark.parametrize(
+    ("T_bc", "parts", "words"),
+    [
+        (Pose([0.0, 0.0, 0.0], ROLL), {"pose", "rotation"}, "turned by 89° about"),
+        (Pose([0.3, -0.2, 0.1]), {"pose", "position"}, "m away"),
+        (Pose([0.3, -0.2, 0.1], ROLL), {"pose", "position", "rotation"}, "m away"),
+    ],
+    ids=["turned", "apart", "both"],
+)
+def test_another_body_is_named_and_is_no_claim(T_bc, parts, words, world):
+    estimate, truth = drive(gauge="se3")
+    other = estimate.of_body(T_bc.inverse()).moved(world)
+    score = sse.evaluate_trajectory(other, truth)
+    assert {name for name, claim in score.claims.items() if claim.obstacle} == parts
+    assert words in score.claims["pose"].verdict
+    assert "not judged: the reference's body seems to be" in score.verdict
+    found = find_body_offset(other, truth).T_bc
+    np.testing.assert_allclose((found @ T_bc.inverse()).log(), 0.0, atol=0.03)
+    for body in (T_bc, "estimated"):
+        mended = sse.evaluate_trajectory(other, truth, body=body)
+        assert mended.verdict.startswith("consistent")
+        assert 0.8 < mended.claims["pose"].nees.mean / 6.0 < 1.2
+
+
+def test_bodies_that_are_named_need_the_pose_between_them():
+    estimate, truth = drive(body="imu")
+    lidar = replace(truth, body="lidar")
+    with pytest.raises(ValueError, match="the pose of lidar in imu as body"):
+        sse.evaluate_trajectory(estimate, lidar)
+    assert sse.evaluate_trajectory(estimate, lidar, body=Pose()).verdict.startswith("consistent")
+
+
+def test_a_constant_error_that_is_claimed_is_no_other_body():
+    """Two degrees, and 2 degrees claimed; a tenth of that claimed, it is named."""
+    estimate, truth = drive(error=1e-3)
+    turned = estimate.of_body(Pose([0.0, 0.0, 0.0], rotations.exp_quaternion([0.0, 0.0, np.deg2rad(2.0)])))
+    for sigma, is_named in ((np.deg2rad(2.0), False), (np.deg2rad(0.2), True)):
+        claimed = np.tile(np.diag(np.repeat([1e-6, sigma**2], 3)), (COUNT, 1, 1))
+        score = sse.evaluate_trajectory(replace(turned, covariances=claimed), truth)
+        assert bool(score.claims["rotation"].obstacle) == is_named
+
+
+def test_on_a_straight_line_the_body_is_found_from_relative_motions():
+    estimate, truth = drive()
+    line = np.outer(np.arange(COUNT), [1.0, 2.0, 0.0])
+    estimate = replace(estimate, positions=line + estimate.positions - truth.positions)
+    found = find_body_offset(estimate.of_body(Pose([0.0, 0.0, 0.0], ROLL).inverse()), replace(truth, positions=line))
+    np.testing.assert_allclose(found.T_bc.R_wc, Pose(np.zeros(3), ROLL).R_wc, atol=0.03)
+
+
+def test_a_drift_is_no_other_body():
+    estimate, truth = drive()
+    turn = rotations.exp_quaternion(np.outer(np.linspace(0.0, 0.5, COUNT), [0.0, 0.0, 1.0]))
+    drifting = replace(estimate, orientations=rotations.multiply(turn, estimate.orientations))
+    score = sse.evaluate_trajectory(drifting, truth)
+    assert not score.claims["rotation"].obstacle
+    assert score.claims["rotation"].verdict.startswith("too tight")
+
+
+@pytest.mark.parametrize("rows", [list(range(9)), "3x3"])
+def test_a_body_is_read_from_json(tmp_path, rows):
+    R = Rotation.from_rotvec([0.1, 0.2, 0.3]).as_matrix()
+    written = R.ravel() if rows != "3x3" else R
+    (tmp_path / "T.json").write_text(json.dumps({"R": written.tolist(), "t": [1, 2, 3]}))
+    found = read_body(tmp_path / "T.json")
+    np.testing.assert_allclose(found.R_wc, R)
+    assert found.position.tolist() == [1.0, 2.0, 3.0]
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        "{}",
+        "[]",
+        '{"R": [1, 2], "t": 3}',
+        '{"R": "a", "t": [0, 0, 0]}',
+        "x",
+        '{"R": [2, 0, 0, 0, 2, 0, 0, 0, 2], "t": [0, 0, 0]}',
+    ],
+)
+def test_a_body_that_is_none_is_refused_in_one_line(tmp_path, content):
+    (tmp_path / "T.json").write_text(content)
+    with pytest.raises(ValueError, match=r"T\.json") as caught:
+        read_body(tmp_path / "T.json")
+    assert "\n" not in str(caught.value)
+
+
+# ---- readings, scales, worlds ---------------------------------------------------------------------------------------
+
+
+def inverted(trajectory):
+    inverse = [trajectory.pose(k).inverse() for k in range(len(trajectory))]
+    return replace(trajectory, positions=[T.position for T in inverse], orientations=[T.orientation for T in inverse])
+
+
+def scalar_first(trajectory):
+    return replace(trajectory, orientations=np.roll(trajectory.orientations, 1, axis=1))
+
+
+@pytest.mark.parametrize("whose", ["estimate", "reference"])
+@pytest.mark.parametrize(
+    ("swap", "words"),
+    [(scalar_first, "{}'s quaternions are read as qw qx qy qz"), (inverted, "one of them is read as T_bw")],
+    ids=["wxyz", "inverse"],
+)
+def test_a_swapped_reading_is_named_and_is_no_claim(swap, words, whose):
+    estimate, truth = drive(error=0.002)
+    pair = (swap(estimate), truth) if whose == "estimate" else (estimate, swap(truth))
+    score = sse.evaluate_trajectory(*pair)
+    assert score.verdict.startswith("not judged: the files fit ten times better")
+    assert words.format(whose) in score.verdict
+
+
+def test_a_scale_of_its_own_is_named_and_is_no_claim():
+    estimate, truth = drive()
+    score = sse.evaluate_trajectory(estimate.moved(Pose(), 0.25), truth)
+    assert "a scale of its own, 0.25 m for a metre: --align sim3" in score.verdict
+    assert "body" not in score.verdict
+    aligned = sse.evaluate_trajectory(estimate.moved(Pose(), 0.25), truth, align="sim3")
+    assert aligned.scale == pytest.approx(4.0, rel=1e-3)
+    assert aligned.verdict.startswith("consistent")
+
+
+def test_a_world_of_its_own_without_a_header_is_aligned_by_its_start():
+    estimate, truth = drive(gauge=None)
+    assert sse.evaluate_trajectory(estimate, truth).alignment == "none"
+    elsewhere = sse.evaluate_trajectory(estimate.moved(Pose([50.0, 0.0, 0.0])), truth)
+    assert elsewhere.alignment == "start"
+    assert noted(elsewhere, "the world of mine is not that of the reference")
+    silent = replace(estimate, covariances=None).moved(Pose([50.0, 0.0, 0.0]))
+    assert noted(sse.evaluate_trajectory(silent, truth), "m after a rigid alignment")
+
+
+def test_the_verdict_says_where_it_hangs_on_an_alignment_that_no_header_says():
+    """A common offset that is not claimed is seen without an alignment, and not with one."""
+    estimate, truth = drive(gauge=None)
+    shifted = replace(estimate, positions=estimate.positions + 0.05)
+    score = sse.evaluate_trajectory(shifted, truth)
+    assert [gauge.alignment for gauge in score.gauges] == ["none", "start", "gravity-yaw", "rigid"]
+    assert score.depends_on_the_gauge
+    assert "but it depends on the alignment" in score.verdict
+    assert not sse.evaluate_trajectory(shifted, truth, align="rigid").depends_on_the_gauge
+    assert not sse.evaluate_trajectory(replace(shifted, gauge="fixed"), truth).depends_on_the_gauge
+
+
+def test_a_diverged_estimate_is_called_so_with_the_time():
+    estimate, truth = drive()
+    away = np.maximum(DT * np.arange(COUNT) - 12.0, 0.0)[:, None] ** 2 * [10.0, 0.0, 0.0]
+    score = sse.evaluate_trajectory(replace(estimate, positions=estimate.positions + away), truth)
+    assert 12.0 < score.diverged_at_s < 14.0
+    assert score.verdict.startswith("not judged: the estimate diverged 1")
+    assert "3.2" in score.verdict  # km
+    assert {claim.obstacle != "" for claim in score.claims.values()} == {True}
+
+
+# ---- clocks ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("offset", [-0.37, 0.083])
+def test_an_offset_of_the_clocks_is_found(offset):
+    estimate, truth = drive()
+    late = replace(estimate, timestamps=estimate.timestamps - offset)
+    assert find_time_offset(late, truth) == pytest.approx(offset, abs=0.004)
+    mended = sse.evaluate_trajectory(late, truth, time_offset="auto", interpolate=True)
+    assert mended.time_offset_s == pytest.approx(offset, abs=0.004)
+    assert mended.position_rmse_m < 0.02
+    given = sse.evaluate_trajectory(late, truth, time_offset=offset)
+    assert given.position_rmse_m == pytest.approx(sse.evaluate_trajectory(estimate, truth).position_rmse_m, rel=1e-6)
+    assert noted(sse.evaluate_trajectory(late, truth, max_gap=0.05), f"the clocks seem to differ by {offset:+.2}")
+
+
+def test_an_offset_that_no_path_shows_is_not_made_up():
+    _, truth = drive()
+    line = replace(truth, positions=np.outer(np.arange(COUNT), [1.0, 0.0, 0.0]))
+    with pytest.raises(ValueError, match="time_offset is not determined"):
+        find_time_offset(line, line)
+    with pytest.raises(ValueError, match="a file has no times"):
+        sse.evaluate_trajectory(replace(truth, timestamps=None), truth, time_offset="auto")
+
+
+def test_the_reference_is_taken_between_its_poses():
+    _, truth = drive()
+    between = truth.timestamps[:-1] + 0.5 * DT
+    found = paired(replace(truth.rows(slice(0, -1)), timestamps=between), truth, interpolate=True)
+    assert len(found.rows) == COUNT - 1
+    np.testing.assert_allclose(found.reference.positions, 0.5 * (truth.positions[1:] + truth.positions[:-1]))
+    half = Rotation.from_quat(truth.orientations[:-1]).inv() * Rotation.from_quat(found.reference.orientations)
+    whole = Rotation.from_quat(truth.orientations[:-1]).inv() * Rotation.from_quat(truth.orientations[1:])
+    np.testing.assert_allclose(2.0 * half.as_rotvec(), whole.as_rotvec(), atol=1e-9)
+
+
+def test_nothing_is_taken_across_a_hole_of_the_reference():
+    _, truth = drive()
+    holed = truth.rows(np.r_[0:100, 200:COUNT])
+    found = paired(truth, holed, interpolate=True)
+    assert not np.any((found.rows > 99) & (found.rows < 200))
+
+
+def test_the_risk_of_synchronisation_is_speed_times_gap_over_the_claim():
+    estimate, truth = drive()
+    late = replace(estimate, timestamps=estimate.timestamps + 0.004)
+    risk = share_at_risk(paired(late, truth))
+    speed = np.linalg.norm(np.gradient(truth.positions, truth.timestamps, axis=0), axis=1)
+    assert risk == np.mean(speed * 0.004 > 0.3 * 0.01) > 0.1
+    assert noted(
+        sse.evaluate_trajectory(late, truth), f"at {100 * risk:.0f} % of the poses the time to the reference's"
+    )
+    assert not noted(sse.evaluate_trajectory(late, truth, interpolate=True), "of the poses the time")
+
+
+@pytest.mark.parametrize(("unit", "name"), [(1e9, "nanoseconds"), (1e6, "microseconds"), (1e3, "milliseconds")])
+def test_times_in_another_unit_are_named(unit, name):
+    estimate, truth = drive()
+    odd = replace(estimate, timestamps=unit * (7.0 + estimate.timestamps))
+    with pytest.raises(ValueError, match=f"the times of the estimate seem to be {name}"):
+        sse.evaluate_trajectory(odd, truth)
+    with pytest.raises(ValueError, match="another clock, say by how much with time_offset"):
+        sse.evaluate_trajectory(replace(estimate, timestamps=estimate.timestamps + 1e5), truth)
+
+
+def test_frames_are_paired_by_their_numbers():
+    _, truth = drive()
+    untimed = replace(truth, timestamps=None)
+    numbered = replace(untimed.rows(np.r_[2:50, 60:90]), frame_numbers=np.r_[2:50, 60:90])
+    assert sse.evaluate_trajectory(numbered, untimed).position_rmse_m == 0.0
+    assert sse.evaluate_trajectory(numbered, untimed).frames == 77

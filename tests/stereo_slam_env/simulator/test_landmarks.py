@@ -1,0 +1,141 @@
+"""Which landmarks are tracked, and what is measured of them."""
+
+import numpy as np
+import pytest
+
+from filters.geometry import rotations
+from stereo_slam_env.sensing.pixel_noise import IndependentPixels
+from stereo_slam_env.world.scene import Box
+from stereo_slam_env.world.vehicle import Head
+
+from .vehicles import CAMERA, GREY, drive, scene_of, vehicle
+
+SPINNING = Head(0.571, max_angles=(np.pi, 0.4), max_rates=(1000.0, 1000.0))
+"""A head that looks anywhere at once."""
+
+
+def cloud(count, seed=0):
+    return np.random.default_rng(seed).uniform([-30, -5, -20], [30, 1.6, 170], size=(count, 3))
+
+
+def seen_in(points, steps=0, *solids, commands=None, **options):
+    """Observations and poses of a drive past points."""
+    simulator = vehicle(scene_of(*solids, points_w=points), **options)
+    frames = drive(simulator, [[0, 0]] * steps if commands is None else commands)
+    return [frame.observation for frame in frames], [frame.truth for frame in frames]
+
+
+def test_measurements_are_the_projection_of_the_true_points():
+    points = cloud(800)
+    observations, poses = seen_in(points, head=SPINNING, commands=[[0.3, -0.2], [-0.1, 0.5]], perturbation=1.0)
+    for observation, pose in zip(observations, poses, strict=True):
+        assert len(observation) > 20
+        p_c = (points[observation.ids] - pose.position) @ rotations.matrix(pose.orientation)
+        np.testing.assert_allclose(observation.uvd, CAMERA.project(p_c), atol=1e-6)
+
+
+def test_everything_measured_is_in_both_images_and_in_range():
+    (observation,), _ = seen_in(cloud(3000), policy={"max_landmarks": 2000, "refill_below": 2000})
+    assert len(observation) > 200
+    assert CAMERA.in_view(observation.uvd, margin=2.0 - 1e-6).all()
+    depth = CAMERA.disparity_constant / observation.uvd[:, 2]
+    assert depth.min() >= 4.0 - 1e-6
+    assert depth.max() <= 150.0 + 1e-6
+    assert depth.max() > 120
+
+
+def test_all_that_is_in_view_is_measured_where_there_is_room():
+    points = cloud(3000)
+    (observation,), _ = seen_in(points, policy={"max_landmarks": 3000, "refill_below": 3000})
+    uvd = CAMERA.project(points)
+    inside = CAMERA.in_view(uvd, margin=2.0) & (points[:, 2] >= 4.0) & (points[:, 2] <= 150.0)
+    assert observation.ids.tolist() == np.flatnonzero(inside).tolist()
+
+
+def test_ids_ascend():
+    (observation,), _ = seen_in(cloud(800))
+    assert (np.diff(observation.ids) > 0).all()
+
+
+def test_hidden_landmarks_are_not_measured():
+    """A wall 10 m ahead from the middle to the right hides what is behind it from both cameras."""
+    points = cloud(2000)
+    wall = Box((10.0, -40.0, 20.0), (0.2, 80.0, 60.0), 0.0, GREY)  # y is left
+    (observation,), _ = seen_in(points, 0, wall, policy={"max_landmarks": 2000, "refill_below": 2000})
+    behind = points[:, 2] > 10.0
+    assert len(observation) > 20
+    rights = points[:, 0] / points[:, 2] > 0.0  # right of the line from the left camera to the edge of the wall
+    assert not (behind & rights)[observation.ids].any()
+
+
+def test_tracks_are_kept_and_refilled_only_when_few_are_left():
+    observations, _ = seen_in(cloud(4000), 120, policy={"max_landmarks": 90, "refill_below": 65})
+    before, refills = set(observations[0].ids.tolist()), 0
+    assert len(before) == 90
+    for observation in observations[1:]:
+        now = set(observation.ids.tolist())
+        kept, new = now & before, now - before
+        if new:
+            refills += 1
+            assert len(kept) < 65
+            assert len(now) == 90
+        else:
+            assert len(kept) >= 65
+        before = now
+    assert refills >= 2
+
+
+@pytest.mark.parametrize("revisit", [False, True])
+def test_a_lost_landmark_returns_only_if_revisits_are_asked_for(revisit):
+    policy = {"max_landmarks": 300, "refill_below": 300, "revisit": revisit}
+    ahead, away = [0.0, 0.0], [1.0, 0.0]
+    (first, elsewhere, again), _ = seen_in(cloud(600), head=SPINNING, commands=[away, ahead], policy=policy)
+    assert len(first) > 20
+    assert not set(first.ids.tolist()) & set(elsewhere.ids.tolist())
+    returned = set(first.ids.tolist()) & set(again.ids.tolist())
+    assert len(returned) > 20 if revisit else not returned
+
+
+def test_new_landmarks_are_drawn_in_proportion_to_disparity():
+    """Two groups, near with disparity 4 x that of far, one drawn at a time: near wins in 4 of 5 draws. About 1 s."""
+    constant = CAMERA.disparity_constant
+    points = np.array([[0.0, 0.0, constant / 40.0]] * 10 + [[0.0, 0.0, constant / 10.0]] * 10)
+    policy = {"max_landmarks": 1, "refill_below": 1}
+    draws = [seen_in(points, seed=seed, policy=policy)[0][0].ids[0] < 10 for seed in range(1500)]
+    assert np.mean(draws) == pytest.approx(0.8, abs=4 * np.sqrt(0.8 * 0.2 / 1500))
+
+
+def test_the_choice_of_landmarks_does_not_depend_on_the_noise():
+    (one,), _ = seen_in(cloud(800), noise="pixels", sigma=1.0)
+    (two,), _ = seen_in(cloud(800), noise="uvd", sigma=3.0)
+    np.testing.assert_array_equal(one.ids, two.ids)
+    assert one.v_right is not None
+    assert two.v_right is None
+
+
+@pytest.mark.parametrize("noise", ["pixels", "heavy-tailed", "quantised", "uvd"])
+def test_errors_over_a_drive_have_the_declared_covariance(noise):
+    simulator = vehicle(scene_of(points_w=cloud(6000)), noise=noise, sigma=1.0)
+    points, errors = simulator.scenes[0].landmarks, []
+    for frame in drive(simulator, [[0, 0]] * 190):
+        p_c = (points[frame.observation.ids] - frame.truth.position) @ frame.truth.R_wc
+        errors.append(frame.observation.uvd - CAMERA.project(p_c))
+    errors, R = np.concatenate(errors), simulator._noise.stereo_noise.R
+    kurtosis = 12.0 if noise == "heavy-tailed" else 3.0
+    np.testing.assert_allclose(np.cov(errors.T), R, atol=5 * 2 * np.sqrt(kurtosis / 3 / len(errors)) * 1.1)
+    np.testing.assert_allclose(errors.mean(axis=0), 0, atol=5 * 1.5 / np.sqrt(len(errors)))
+
+
+def test_the_models_of_noise_that_are_compiled_draw_the_same_numbers():
+    """`sensing.pixel_noise` is the model; the generator of the noise is the second that the landmarks' one spawns."""
+    simulator = vehicle(scene_of(points_w=cloud(800)), noise="pixels", sigma=2.0)
+    seen = simulator.frame(0).observation
+    _, landmark, *_ = np.random.default_rng(1).spawn(4)
+    true = CAMERA.project(simulator.scenes[0].landmarks[seen.ids])
+    measured, v_right = IndependentPixels(2.0).corrupt(true, landmark.spawn(2)[1])
+    np.testing.assert_allclose(seen.uvd, measured, rtol=1e-12)
+    np.testing.assert_allclose(seen.v_right, v_right, rtol=1e-12)
+
+
+def test_no_landmarks_is_an_empty_observation():
+    assert len(seen_in(np.zeros((0, 3)))[0][0]) == 0

@@ -1,0 +1,157 @@
+"""PyBullet as the oracle of whole scenes, with what moves in them: rays and contacts frame by frame (15 s)."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from numba import njit
+
+from filters.geometry import rotations
+from stereo_slam_env.sensing.tracking import TrackingPolicy
+from stereo_slam_env.simulator import Simulator, obstacles, touching, visible
+from stereo_slam_env.simulator.bullet import BulletAnswers
+from stereo_slam_env.simulator.frame import _touches
+from stereo_slam_env.simulator.rays import Obstacles, traversal, tree
+from stereo_slam_env.simulator.scenes import scene_arrays
+from stereo_slam_env.simulator.sensing import is_visible, view_of
+from stereo_slam_env.simulator.state import make_rules
+from stereo_slam_env.world.frames import WorldFrame
+from stereo_slam_env.world.physics import PhysicsWorld
+from stereo_slam_env.world.routes import named_route
+from stereo_slam_env.world.surroundings import SURROUNDINGS, build_scene
+from stereo_slam_env.world.vehicle import Car
+
+from .vehicles import CAMERA, ONE, STILL
+
+SCENES = ["street", "groves", "field", "corridor"]
+GRAZING = 0.002
+"""m; what moves a surface by less than this is within the accuracy of PyBullet's hits."""
+MOST_DIFFERENT = 1e-3
+HALF = tuple(0.5 * side for side in Car().size)
+
+
+@njit
+def all_visible(rules, fleet, waiting, ids):
+    around = view_of(rules, fleet, 0)
+    return np.array([is_visible(around, waiting, i) for i in ids])
+
+
+@njit
+def touches_now(rules, fleet, waiting):
+    return _touches(rules, fleet, waiting, 0)
+
+
+def solids_now(simulator, by=0.0):
+    """Standing and moving solids of this frame as one scene, their surfaces moved outwards."""
+    fleet, arrays = simulator.fleet, simulator.scenes[0]
+    rows = np.concatenate([arrays.solids.solids, fleet.parts_now[0, : len(arrays.traffic.parts)]])
+    kind = rows[:, 9]
+    rows[kind == 0.0, 3:6] = np.maximum(rows[kind == 0.0, 3:6] + by, 1e-4)
+    rows[kind == 1.0, 6:8] = np.maximum(rows[kind == 1.0, 6:8] + by, 1e-4)
+    rows[kind == 2.0, 6] = np.maximum(rows[kind == 2.0, 6] + by, 1e-4)
+    return Obstacles(rows, *tree(rows))
+
+
+def grazes(simulator, ids):
+    """Whether what is seen of landmarks changes when all solids grow or shrink a little, or the landmark moves."""
+    frame, pose = WorldFrame(simulator.rules.camera_height), simulator.pose(0)
+    cameras = frame.to_scene([pose.position, pose.position + CAMERA.baseline * pose.R_wc[:, 0]])
+    points = frame.to_scene(simulator.fleet.landmarks[0][:, ids].T)
+    larger, smaller = (visible(solids_now(simulator, by), cameras, points) for by in (GRAZING, -GRAZING))
+    grazing, usual = larger != smaller, solids_now(simulator)
+    for step in GRAZING * np.concatenate([np.eye(3), -np.eye(3)]):
+        grazing |= visible(usual, cameras, points + step) != visible(usual, cameras, points)
+    return grazing
+
+
+@cache
+def compared(surroundings, seed):
+    """Landmarks asked for, those that differ and do not graze, those that differ; frames, and those that differ."""
+    route = named_route("right-turn")
+    scene = build_scene(surroundings, route, np.random.default_rng(seed), moving_cars=6, pedestrians=6)
+    simulator = Simulator(make_rules(route, CAMERA, TrackingPolicy(max_landmarks=20)), 1, None)
+    simulator.put(0, scene_arrays(scene), np.random.default_rng(seed).spawn(4))
+    simulator.begin(ONE)
+    oracle, answers = BulletAnswers(1), simulator.rules._replace(refill_below=10_000)
+    oracle.build(0, scene)
+    asked = wrong = touched_wrong = 0
+    not_grazing, hidden, frames = 0, 0, 0
+    room = traversal()
+    for _ in range(route.frames - 2):
+        simulator.step(STILL, ONE)
+        mark = simulator.fleet.inside[0]
+        pose = simulator.pose(0)
+        p_c = pose.to_camera(simulator.scenes[0].landmarks)
+        mark[:] = 0
+        mark[: len(p_c)] = (p_c[:, 2] > 4.0) & CAMERA.in_view(CAMERA.project(p_c), 2.0) & (p_c[:, 2] < 150.0)
+        ids = np.flatnonzero(mark)
+        oracle.answer(answers, simulator.fleet, simulator.sensed._replace(number=np.zeros(1, dtype=np.int64)), 0)
+        found = all_visible(simulator.rules, simulator.fleet, room, ids)
+        different = ids[found != simulator.fleet.seen[0, ids]]
+        asked, wrong, hidden = asked + len(ids), wrong + len(different), hidden + int((~found).sum())
+        not_grazing += int((~grazes(simulator, different)).sum()) if len(different) else 0
+        touched_wrong += touches_now(simulator.rules, simulator.fleet, room) != simulator.fleet.touching[0]
+        frames += 1
+    oracle.close()
+    assert hidden > 0
+    return asked, not_grazing, wrong, frames, touched_wrong
+
+
+def test_these_are_all_kinds_of_scenes():
+    assert set(SCENES) <= set(SURROUNDINGS)
+
+
+@pytest.mark.parametrize("surroundings", SCENES)
+def test_what_differs_grazes_something(surroundings):
+    asked, not_grazing, _, frames, touched_wrong = compared(surroundings, 0)
+    assert asked > 1000
+    assert not_grazing == 0
+    assert frames > 70
+    assert touched_wrong == 0
+
+
+def test_hardly_anything_differs():
+    asked, _, wrong, *_ = map(sum, zip(*(compared(name, 0) for name in SCENES), strict=True))
+    assert wrong <= MOST_DIFFERENT * asked
+
+
+def test_moving_bodies_hide_landmarks_and_are_touched():
+    """Otherwise the comparison would be one of what stands: the same drive without them sees more."""
+    route = named_route("right-turn")
+    seen, touched = [], []
+    for moving in (True, False):
+        scene = build_scene("street", route, np.random.default_rng(3), moving_cars=8 if moving else 0)
+        simulator = Simulator(make_rules(route, CAMERA, TrackingPolicy(max_landmarks=3000, refill_below=3000)), 1, None)
+        simulator.put(0, scene_arrays(scene), np.random.default_rng(3).spawn(4))
+        simulator.begin(ONE)
+        counts = []
+        for _ in range(60):
+            simulator.step(STILL, ONE)
+            counts.append(int(simulator.sensed.number[0]))
+        seen.append(sum(counts))
+        if moving:
+            car = next(k for k in range(len(scene.moving)) if simulator.fleet.balls[0, k, 6] > 0.0)
+            x, y, _ = simulator.fleet.balls[0, car, 4:7]
+            simulator.fleet.body[0, :3] = -y, 0.0, x
+        touched.append(touches_now(simulator.rules, simulator.fleet, traversal()))
+    assert seen[0] < 0.99 * seen[1]
+    assert touched == [True, False]
+
+
+def test_contacts_of_twenty_thousand_poses():
+    """At most two differ, and these by less than a millimetre."""
+    scene = build_scene("street", named_route("right-turn"), np.random.default_rng(1))
+    world, shapes, rng = PhysicsWorld(), obstacles(scene.solids), np.random.default_rng(2)
+    world.build(scene, Car().size)
+    near = shapes.solids[rng.integers(len(shapes.solids), size=20_000), :3]
+    at = np.column_stack([near[:, :2] + rng.normal(size=(20_000, 2)) * 2.0, rng.uniform(0.6, 1.6, 20_000)])
+    turns = rotations.exp(rng.normal(size=(20_000, 3)) * (0.05, 0.05, 3.0))
+    expected = np.array([world.ego_collides(*pose) for pose in zip(at, turns, strict=True)])
+    world.close()
+    found = touching(shapes, HALF, at, turns)
+    different = np.flatnonzero(found != expected)
+    assert 4000 < expected.sum() < 19_000
+    assert len(different) <= 2
+    for i in different:
+        by = 1e-3 if expected[i] else -1e-3
+        assert touching(shapes, tuple(side + by for side in HALF), at[i : i + 1], turns[i : i + 1])[0] == expected[i]
