@@ -100,10 +100,16 @@ class ColouredNoiseEKF(StereoEKF):
         stated: dict[str, Any] = {}
         if isinstance(noise, ColouredNoise):
             stated |= {"drift": noise.drift, "gauge_walk": noise.gauge_walk}
-            priors = {"misalignment_sigma": noise.misalignment, "offset_sigma": noise.disparity_offset}
-            if any(priors.values()):
-                given = {name: sigma for name, sigma in priors.items() if sigma}
-                stated["measurement"] = {"name": "calibrated", **given}
+            priors = {
+                "misalignment_sigma": noise.misalignment,
+                "offset_sigma": noise.disparity_offset,
+                "focal_sigma": noise.focal_length,
+                "baseline_sigma": noise.baseline,
+            }
+            given = {name: sigma for name, sigma in priors.items() if sigma}
+            if given:
+                scale = [name for name in ("focal_sigma", "baseline_sigma") if name in given]
+                stated["measurement"] = {"name": "calibrated", **given, "considered": scale}
             noise = StereoNoise(noise.R if noise.white is None else noise.white)
         usual = {"landmark": "shared-anchor", "error": "right-invariant", "consensus": gate is not None}
         super().__init__(camera, noise, gate=gate, **{**usual, **stated, **options})
