@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
-from filters.contract.known_names import require_known
 from filters.contract.variables import Variable
 from filters.geometry import rotations
 from filters.geometry.camera import StereoCamera
@@ -103,45 +101,28 @@ class CalibratedPair(MeasurementModel):
     """u = cx + (1 + s_f) (u0 - cx), v alike, d = (1 + s_f) (1 + s_b) d0 + o; (u0, v0, d0) is Eq. 10 of Exp(X) h_c.
 
     The variable "calibration" has those of o, s_f, s_b and X (3) that have a prior, in this order, zero at the start.
-    Where only some of them are considered, these stand in a variable of their own, "considered-calibration".
 
     Parameters
     ----------
     offset_sigma, focal_sigma, baseline_sigma, misalignment_sigma : float, optional
         Priors of o, px; of s_f and s_b, the shares by which focal lengths and baseline are larger than stated; and of
         each angle of X, by which the camera is turned against the body whose pose is estimated. None: no such error.
-    considered : bool or sequence of str
-        Whether the errors are only considered (Schmidt), not estimated; or the names of the priors of those that are.
-
-    Raises
-    ------
-    ValueError
-        A prior is negative or not finite, or `considered` names none that is given.
+    considered : bool
+        Whether the errors are only considered (Schmidt), not estimated.
     """
 
     offset_sigma: float | None = None
     focal_sigma: float | None = None
     baseline_sigma: float | None = None
     misalignment_sigma: float | None = None
-    considered: bool | Sequence[str] = False
+    considered: bool = False
     kernels: ClassVar[MeasurementKernels | None] = MeasurementKernels(_predict, _backproject, settings=("numbers",))
 
     def __post_init__(self) -> None:
-        if not isinstance(self.considered, bool):
-            given = [name for name in _PRIORS if getattr(self, name) is not None]
-            require_known("calibration has no prior to be considered", self.considered, given)
-            object.__setattr__(self, "considered", tuple(self.considered))
-        sigmas = [positive(name, getattr(self, name), allow_zero=True) for name in map(_PRIORS.__getitem__, self.numbers)]
-        apart = len(self.numbers) - len(self._considered_apart)
-        errors = [
-            Variable(name, np.zeros(len(part)), np.diag(np.square(part)), considered=considered)
-            for name, part, considered in (
-                ("calibration", sigmas[:apart], self.considered is True),
-                ("considered-calibration", sigmas[apart:], True),
-            )
-            if part
-        ]
-        object.__setattr__(self, "variables", tuple(errors))
+        sigmas = np.array([positive(_PRIORS[k], getattr(self, _PRIORS[k]), allow_zero=True) for k in self.numbers])
+        if self.numbers:
+            errors = Variable("calibration", 0.0 * sigmas, np.diag(sigmas**2), considered=self.considered)
+            object.__setattr__(self, "variables", (errors,))
 
     def predict(self, camera: StereoCamera, points_c: FloatArray, values: Values) -> FloatArray:
         """(u, v, d) with the errors."""
@@ -180,26 +161,17 @@ class CalibratedPair(MeasurementModel):
 
     @property
     def numbers(self) -> tuple[int, ...]:
-        """Which of the six numbers o, s_f, s_b and X are in the variables: estimated ones, then considered ones."""
-        given = [k for k, prior in enumerate(_PRIORS) if getattr(self, prior) is not None]
-        return (*(k for k in given if k not in self._considered_apart), *self._considered_apart)
-
-    @property
-    def _considered_apart(self) -> tuple[int, ...]:
-        """Which of them are considered beside others that are not."""
-        named = () if isinstance(self.considered, bool) else self.considered
-        return tuple(k for k, prior in enumerate(_PRIORS) if prior in named)
+        """Which of the six numbers o, s_f, s_b and X are in the variable."""
+        return tuple(k for k, prior in enumerate(_PRIORS) if getattr(self, prior) is not None)
 
     def _by_variable(self, by_error: FloatArray) -> dict[str, FloatArray]:
-        stops = np.cumsum([x.size for x in self.variables])[:-1]
-        parts = np.split(by_error[:, :, self.numbers], stops, axis=2)
-        return {x.name: part for x, part in zip(self.variables, parts, strict=True)}
+        return {x.name: by_error[:, :, self.numbers] for x in self.variables}
 
     def _errors(self, camera: StereoCamera, values: Values) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Centre, gains and offset of (u, v, d) = centre + gains * ((u0, v0, d0) - centre) + offset, and X."""
         numbers = np.zeros(len(_PRIORS))
         if self.variables:
-            numbers[[*self.numbers]] = np.concatenate([values[x.name] for x in self.variables])
+            numbers[[*self.numbers]] = values["calibration"]
         o, focal, baseline = numbers[:3]
         gains = (1.0 + focal) * np.array([1.0, 1.0, 1.0 + baseline])
         return np.array([camera.cx, camera.cy, 0.0]), gains, np.array([0.0, 0.0, o]), numbers[3:]

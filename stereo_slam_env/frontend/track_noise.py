@@ -14,10 +14,11 @@ import logging
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import chi2
 
 from filters import ColouredNoise, LandmarkDrift, StereoNoise
 from filters.validation import FloatArray, IntArray
-from stereo_slam_env.frontend.ego_motion import Pairs, robust_step, transfer
+from stereo_slam_env.frontend.ego_motion import Pairs, robust_step, squared_distances, transfer
 from stereo_slam_env.frontend.settings import DRIFT_SHARE
 from stereo_slam_env.recording.recording import Recording
 
@@ -35,15 +36,19 @@ WHITE, GATE = 0.8, 1.2
 USUAL_SLIDE = 0.006
 """Slide of a recording of which nothing is known yet, rad per root of a radian: that of the tracks of KITTI 00, in the
 middle of those that were measured (docs/covariances.md)."""
-COMMON_FLOOR = 0.0025
+COMMON_FLOOR = 0.00275
 """What lens and calibration of a real camera add to all tracks of a frame, rad per root of a radian, however well they
 are followed: the likelihood of windows wants 2 to 3 mrad (docs/covariances.md)."""
+SLIDE_IN_COMMON = 0.25
+"""Share of the slide that the tracks of a frame have in common."""
+MEDIAN = float(chi2.median(3))
+"""Of chi-square with 3 degrees of freedom."""
 MISALIGNMENT = 0.005
 """Of a camera in a vehicle and the axes of its reference, rad, where nobody has measured it."""
 DISPARITY_OFFSET = 0.3
 """What a rectification leaves in all disparities, px."""
-FOCAL_LENGTH, BASELINE = 0.005, 0.01
-"""Shares by which a stranger's focal length and baseline are wrong."""
+SCALE = 0.005
+"""Share by which baseline and focal length of a stranger's rig make the world larger than it is."""
 
 _log = logging.getLogger(__name__)
 
@@ -60,6 +65,9 @@ class FlowResiduals:
     """(N, 3): measured minus predicted (u, v, d), px."""
     flow: FloatArray
     """(N,): how far the point moved in the left image, px."""
+    squared: FloatArray
+    """(N,): squared residual by the covariance that the measurements claim for it; chi-square with 3 if they are white
+    and right, less if they last."""
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -86,6 +94,9 @@ class TrackNoise:
     so that the covariance at one frame is taken to be that at two where it is less. May be below zero by chance."""
     slide_variance_error: float
     """Its standard error, from track to track; infinite with fewer than two tracks."""
+    claimed_too_small: float
+    """Factor, at least 1, by which the variances that measurements claim are too small at least: a residual has no more
+    than they allow. Of the median; 1 without residuals."""
 
     @property
     def slide(self) -> float:
@@ -121,13 +132,15 @@ def flow_residuals(recording: Recording) -> FlowResiduals:
             step = None if found is None else found.step
             if step is not None:
                 residuals = pairs.second - transfer(recording.camera, pairs.first, step).uvd
+                squared = squared_distances(recording.camera, pairs, step)
                 flow = np.linalg.norm((pairs.second - pairs.first)[:, :2], axis=1)
-                rows.append(np.column_stack([ids, np.full(len(ids), number), residuals, flow]))
+                rows.append(np.column_stack([ids, np.full(len(ids), number), residuals, flow, squared]))
         before = now
-    table = np.vstack([np.zeros((0, 6)), *rows])
+    table = np.vstack([np.zeros((0, 7)), *rows])
     table = table[np.isfinite(table).all(axis=1) & (table[:, 5] >= LEAST_FLOW)]
     table = table[np.lexsort((table[:, 1], table[:, 0]))]
-    return FlowResiduals(table[:, 0].astype(np.int64), table[:, 1].astype(np.int64), table[:, 2:5], table[:, 5])
+    ids, frames = table[:, :2].astype(np.int64).T
+    return FlowResiduals(ids, frames, table[:, 2:5], table[:, 5], table[:, 6])
 
 
 def track_noise(flow: FlowResiduals, focal_length: float) -> TrackNoise:
@@ -170,6 +183,7 @@ def track_noise(flow: FlowResiduals, focal_length: float) -> TrackNoise:
         np.inf if few else float(np.linalg.norm(share_lags @ of_tracks)) / step,
         float(slide_lags @ slides),
         np.inf if few else float(np.linalg.norm(slide_lags @ slides_of_tracks)),
+        max(1.0, float(np.median(flow.squared)) / MEDIAN) if len(flow) else 1.0,
     )
 
 
@@ -197,11 +211,20 @@ def with_measured_noise(recording: Recording) -> Recording:
     if recording.truth_from.kind != "simulation":
         noise = dataclasses.replace(
             noise,
-            gauge_walk=float(np.hypot(COMMON_FLOOR, 0.5 * found.slide)),
+            gauge_walk=float(np.hypot(COMMON_FLOOR, SLIDE_IN_COMMON * found.slide)),
             misalignment=MISALIGNMENT,
             disparity_offset=DISPARITY_OFFSET,
-            focal_length=FOCAL_LENGTH,
-            baseline=BASELINE,
+            scale=SCALE,
         )
     _log.info("%s: %s", recording.name, noise)
-    return dataclasses.replace(recording, noise=noise)
+    return dataclasses.replace(_with_claims_raised(recording, found.claimed_too_small), noise=noise)
+
+
+def _with_claims_raised(recording: Recording, factor: float) -> Recording:
+    """The recording with the covariances that its measurements bring times a factor."""
+    if factor == 1.0:
+        return recording
+    observations = [frame.observation for frame in recording.frames]
+    return recording.with_observations(
+        seen if seen.R is None else dataclasses.replace(seen, R=factor * seen.R) for seen in observations
+    )
