@@ -2,6 +2,7 @@
 
     python benchmarks/changed_recordings.py DATA                                  # some minutes
     python benchmarks/changed_recordings.py DATA --recordings kitti07_tracks --changes "as it is" "every 2nd frame"
+    python benchmarks/changed_recordings.py DATA --look 0                         # no future: what is assumed of anybody
     python benchmarks/changed_recordings.py --rendered 6 --renderer gl            # right turns, all changes
     python benchmarks/changed_recordings.py --wrong-rigs 20                       # rendered, each with a wrong rig
 
@@ -47,16 +48,16 @@ WRONG_RIG = StereoCamera(420.0, 420.0, 317.0, 204.0, 0.12, 640, 400)
 Change = Callable[[Recording, np.random.Generator], Recording]
 
 
-def measured_again(recording: Recording) -> Recording:
-    """The recording with what its tracks say now; a stranger states no more than R."""
-    return with_measured_noise(replace(recording, noise=StereoNoise(recording.noise.R)))
+def measured_again(recording: Recording, look: int | None = None) -> Recording:
+    """The recording with what its tracks, or those of its first frames, say now; a stranger states no more than R."""
+    bare = replace(recording, noise=StereoNoise(recording.noise.R))
+    told = with_measured_noise(bare[:look])
+    return told if look is None else replace(bare, noise=told.noise)
 
 
 def every(n: int) -> Change:
     """Every nth frame; odometry is of single steps and left out."""
-    return lambda drive, rng: replace(
-        drive, frames=tuple(replace(frame, odometry=None) for frame in drive.frames[::n])
-    )
+    return lambda drive, rng: replace(drive, frames=tuple(replace(frame, odometry=None) for frame in drive.frames[::n]))
 
 
 def _seen(drive: Recording, change: Callable[[StereoObservation], StereoObservation]) -> Recording:
@@ -125,7 +126,7 @@ CHANGES: Mapping[str, Change] = {
     "+ 0.5 px white noise": white_noise,
     "focal + 0.5 %": focal_length(0.005),
     "baseline + 1 %": baseline(0.01),
-    "right camera turned 0.1°": turned(0.1),
+    "right camera turned 0.1 deg": turned(0.1),
 }
 
 
@@ -198,19 +199,19 @@ def scored(recording: Recording, name: str = "coloured-noise", **options: Any) -
     )
 
 
-def changed(drive: Recording, name: str) -> Recording:
+def changed(drive: Recording, name: str, look: int | None = None) -> Recording:
     """The drive with a change of `CHANGES`, always the same."""
     change = CHANGES[name](drive, np.random.default_rng(list(CHANGES).index(name)))
-    return measured_again(change)
+    return measured_again(change, look)
 
 
-def show(console: Console, title: str, drives: Sequence[Recording], changes: Sequence[str]) -> None:
+def show(console: Console, title: str, drives: Sequence[Recording], changes: Sequence[str], look: int | None) -> None:
     """A row for each change; means over the drives."""
     table = Table(title=title)
     for number, head in enumerate(HEADS):
         table.add_column(head, justify="right" if number else "left")
     for name in changes:
-        rows = [scored(changed(drive, name)) for drive in drives]
+        rows = [scored(changed(drive, name, look)) for drive in drives]
         table.add_row(name, *_mean(rows).cells)
     console.print(table)
 
@@ -225,9 +226,7 @@ def _mean(rows: Sequence[Row]) -> Row:
 def rendered(seeds: Iterable[int], renderer: str, route: str, **options: Any) -> Iterator[Recording]:
     """Drives in rendered images."""
     for seed in seeds:
-        yield sse.record(
-            "StereoSlam/Drive-v0", seed=seed, route=route, sensor="images", renderer=renderer, **options
-        )
+        yield sse.record("StereoSlam/Drive-v0", seed=seed, route=route, sensor="images", renderer=renderer, **options)
 
 
 def with_wrong_rig(drive: Recording, seed: int) -> Recording:
@@ -248,6 +247,7 @@ def main() -> None:
     parser.add_argument("data", type=Path, nargs="?")
     parser.add_argument("--recordings", nargs="+", choices=list(RECORDINGS), default=list(RECORDINGS))
     parser.add_argument("--changes", nargs="+", choices=list(CHANGES), default=list(CHANGES))
+    parser.add_argument("--look", type=int, metavar="FRAMES", help="at which the noise is measured; all if not given")
     parser.add_argument("--rendered", type=int, default=0, metavar="SEEDS")
     parser.add_argument("--wrong-rigs", type=int, default=0, metavar="SEEDS")
     parser.add_argument("--renderer", default="gl")
@@ -258,10 +258,10 @@ def main() -> None:
         for name in arguments.recordings:
             if (arguments.data / name).is_dir():
                 drive = sse.load(arguments.data / name)[: RECORDINGS[name]]
-                show(console, f"{name}, {len(drive)} frames", [drive], arguments.changes)
+                show(console, f"{name}, {len(drive)} frames", [drive], arguments.changes, arguments.look)
     if arguments.rendered:
         drives = list(rendered(range(arguments.rendered), arguments.renderer, arguments.route))
-        show(console, f"{arguments.route} by {arguments.renderer}", drives, arguments.changes)
+        show(console, f"{arguments.route} by {arguments.renderer}", drives, arguments.changes, arguments.look)
     if arguments.wrong_rigs:
         seeds = range(arguments.wrong_rigs)
         drives = list(rendered(seeds, arguments.renderer, arguments.route, rig=WRONG_RIG))

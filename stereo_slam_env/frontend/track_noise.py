@@ -41,6 +41,8 @@ COMMON_FLOOR = 0.00275
 are followed: the likelihood of windows wants 2 to 3 mrad (docs/covariances.md)."""
 SLIDE_IN_COMMON = 0.25
 """Share of the slide that the tracks of a frame have in common."""
+TINY = 1e-12
+"""Least variance, px^2, and rad^2 per rad."""
 MEDIAN = float(chi2.median(3))
 """Of chi-square with 3 degrees of freedom."""
 MISALIGNMENT = 0.005
@@ -87,13 +89,13 @@ class TrackNoise:
     lasting_share: float
     """Variance of that walk by that of a residual, in u and v: 0 of white errors, 1 of a walk, more of a slide."""
     lasting_share_error: float
-    """Its standard error, from track to track; infinite with fewer than two tracks."""
+    """Its standard error, from track to track; infinite without tracks."""
     slide_variance: float
     """The steady part alone, by how far the points move: twice the covariances over 1 to `LAGS` frames of residuals in
     u and v over the root of the flow, rad squared per radian. White errors take back in the next frame what they gave,
     so that the covariance at one frame is taken to be that at two where it is less. May be below zero by chance."""
     slide_variance_error: float
-    """Its standard error, from track to track; infinite with fewer than two tracks."""
+    """Its standard error, from track to track; infinite without tracks."""
     claimed_too_small: float
     """Factor, at least 1, by which the variances that measurements claim are too small at least: a residual has no more
     than they allow. Of the median; 1 without residuals."""
@@ -151,38 +153,35 @@ def track_noise(flow: FlowResiduals, focal_length: float) -> TrackNoise:
     key = flow.ids * (int(flow.frames.max(initial=0)) + LAGS + 2) + flow.frames
     tracks, track = np.unique(flow.ids, return_inverse=True)
     covariances, slides = np.zeros((LAGS + 1, 3)), np.zeros(LAGS + 1)
-    of_tracks, slides_of_tracks = (np.zeros((LAGS + 1, len(tracks))) for _ in range(2))
+    parts, slide_parts = (np.zeros((LAGS + 1, len(tracks))) for _ in range(2))  # what each track adds to the mean
+    unknown = 0
     for lag in range(LAGS + 1):
         later = np.minimum(np.searchsorted(key, key + lag), len(key) - 1)
         pairs = np.flatnonzero((key[later] == key + lag) & inlier & inlier[later])
+        unknown += len(pairs) == 0
         if len(pairs):
             products = flow.residuals[pairs] * flow.residuals[later[pairs]]
             slid = np.mean(by_flow[pairs] * by_flow[later[pairs]], axis=1)
             covariances[lag], slides[lag] = products.mean(axis=0), slid.mean()
-            for sums, values in (
-                (of_tracks, products[:, :2].sum(axis=1) - covariances[lag, :2].sum()),
-                (slides_of_tracks, slid - slides[lag]),
-            ):
-                sums[lag] = np.bincount(track[pairs], values / len(pairs), len(tracks))
+            parts[lag] = np.bincount(track[pairs], products[:, :2].sum(axis=1) / len(pairs), len(tracks))
+            slide_parts[lag] = np.bincount(track[pairs], slid / len(pairs), len(tracks))
     lasting = covariances[0] + 2.0 * covariances[1:].sum(axis=0)
     correlation = covariances / np.where(covariances[0] > 0, covariances[0], 1.0)
-    step = float(covariances[0, :2].sum())
-    share = float(lasting[:2].sum()) / step if step > 0.0 else 0.0
-    slide_lags = np.full(LAGS + 1, 2.0)
-    slide_lags[0] = 0.0
+    variance = float(covariances[0, :2].sum())
+    share = float(lasting[:2].sum()) / variance if variance > 0.0 else 0.0
+    of_share, of_slide = np.array([1.0 - share] + [2.0] * LAGS), np.array([0.0] + [2.0] * LAGS)
     if slides[1] < slides[2]:
-        slide_lags[1:3] = 0.0, 4.0
-    share_lags = np.full(LAGS + 1, 2.0)
-    share_lags[0] = 1.0 - share
-    few = len(tracks) < 2 or step == 0.0
+        of_slide[1:3] = 0.0, 4.0
+    # A covariance that nobody has measured may be as large as the variance.
+    doubt = 2.0 * np.sqrt(unknown) if variance > 0.0 else np.inf
     return TrackNoise(
         np.sqrt(covariances[0]),
         np.sqrt(np.maximum(lasting, 0.0)),
         correlation,
         share,
-        np.inf if few else float(np.linalg.norm(share_lags @ of_tracks)) / step,
-        float(slide_lags @ slides),
-        np.inf if few else float(np.linalg.norm(slide_lags @ slides_of_tracks)),
+        float(np.hypot(np.linalg.norm(of_share @ parts) / max(variance, TINY), doubt)),
+        float(of_slide @ slides),
+        float(np.hypot(np.linalg.norm(of_slide @ slide_parts), doubt * max(slides[0], TINY))),
         max(1.0, float(np.median(flow.squared)) / MEDIAN) if len(flow) else 1.0,
     )
 
