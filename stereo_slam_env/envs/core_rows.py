@@ -264,6 +264,10 @@ class CoreRows(Rows):
         """See `World`."""
         return np.asarray(self.simulator.fleet.step * FRAME_PERIOD, dtype=np.float64)
 
+    def true_positions(self) -> FloatArray:
+        """See `World`."""
+        return self.simulator.fleet.pose[:, :3].copy()
+
     def told(self, name: str) -> FloatArray:
         """See `World`."""
         if name == "distance":
