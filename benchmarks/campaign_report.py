@@ -25,6 +25,7 @@ import numpy as np
 
 from stereo_slam_env.benchmark.storage.run_trajectory_files import seed_name
 from stereo_slam_env.benchmark.storage.store import read_study
+from stereo_slam_env.benchmark.storage.tables import write_results
 from stereo_slam_env.files.json_files import write_json
 from stereo_slam_env.files.readers import read_arrays, read_json
 from stereo_slam_env.report.benchmark_report import write_report_of
@@ -95,7 +96,7 @@ def report(large: Path) -> None:
     """Write the report and print what it took."""
     began, busy = time.perf_counter(), time.process_time()
     study = read_study(large)
-    results = study.write_results()
+    results = write_results(study)
     read = time.process_time()
     page = write_report_of(study, results)
     took, worked = time.perf_counter() - began, time.process_time() - busy

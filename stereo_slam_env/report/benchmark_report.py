@@ -17,7 +17,8 @@ from stereo_slam_env.benchmark.statistics.measures import EFFICIENCY, POSE_NEES,
 from stereo_slam_env.benchmark.statistics.policy_verdict import Looks, baseline_of
 from stereo_slam_env.benchmark.statistics.verdict import Verdict, consistency, judge
 from stereo_slam_env.benchmark.storage.run_trajectory_files import seed_name
-from stereo_slam_env.benchmark.storage.store import CellResult, StudyDirectory
+from stereo_slam_env.benchmark.storage.store import StudyDirectory
+from stereo_slam_env.benchmark.storage.tables import CellResult
 from stereo_slam_env.evaluation.consistency import DOF, mean_band
 from stereo_slam_env.evaluation.figures import Figure
 from stereo_slam_env.evaluation.results import FilterSummary
