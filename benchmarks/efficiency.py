@@ -27,9 +27,10 @@ from threadpoolctl import threadpool_limits
 
 from filters import ConstantVelocity
 from stereo_slam_env.benchmark.recordings.reference_problem import long_drive
-from stereo_slam_env.evaluation.cramer_rao import Bound, cramer_rao_bound, efficiency_interval
+from stereo_slam_env.evaluation.cramer_rao import Bound, cramer_rao_bound
 from stereo_slam_env.evaluation.figures import trial_figures
 from stereo_slam_env.evaluation.filter_run import run_filter
+from stereo_slam_env.evaluation.intervals import rms_ratio_interval
 from stereo_slam_env.evaluation.trial import Trial
 from stereo_slam_env.recording.recording import Recording
 
@@ -116,8 +117,8 @@ def efficiency(bound: np.ndarray, error: np.ndarray) -> str:
     """Ratio of the root mean squares of two paired samples (N,) in percent, and its 95 % bootstrap interval."""
     if not np.isfinite(error).all():
         return ""
-    low, high = efficiency_interval(bound, error)
-    return f"{100.0 * np.sqrt(np.sum(bound**2) / np.sum(error**2)):.0f} [{low:.0f}, {high:.0f}]"
+    low, high = rms_ratio_interval(bound, error)
+    return f"{100.0 * np.sqrt(np.sum(bound**2) / np.sum(error**2)):.0f} [{100.0 * low:.0f}, {100.0 * high:.0f}]"
 
 
 def main() -> None:
