@@ -10,7 +10,6 @@ writes the report and prints what it took. Figures of such a campaign mean nothi
 
 from __future__ import annotations
 
-import argparse
 import io
 import json
 import resource
@@ -23,6 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
+from harness import arguments
 from stereo_slam_env.benchmark.storage.run_trajectory_files import seed_name
 from stereo_slam_env.benchmark.storage.store import read_study
 from stereo_slam_env.benchmark.storage.tables import write_results
@@ -111,12 +111,7 @@ def report(large: Path) -> None:
 
 def main() -> None:
     """Multiply a run, or report on one."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("small", type=Path)
-    parser.add_argument("large", type=Path)
-    parser.add_argument("--seeds", type=int, default=10_000)
-    parser.add_argument("--report", action="store_true")
-    given = parser.parse_args()
+    given = arguments(__doc__, "small", "large", small=Path, large=Path, seeds=10_000, report=False)
     if given.report:
         report(given.large)
     else:

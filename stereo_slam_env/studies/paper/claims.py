@@ -29,7 +29,7 @@ from scipy.stats import binomtest
 from filters import StereoNoise
 from stereo_slam_env import benchmark
 from stereo_slam_env.benchmark import CONFIDENCE, MIN_PAIRS
-from stereo_slam_env.evaluation.intervals import studentised_interval
+from stereo_slam_env.evaluation import studentised_interval
 
 FloatArray = NDArray[np.float64]
 Arrays = dict[str, NDArray[Any]]
