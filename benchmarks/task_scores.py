@@ -82,7 +82,7 @@ ROWS: list[tuple[str, dict[str, Any], dict[str, Any]]] = [
     (REVISIT, {}, {"stop at once": STOP, "random": RANDOM, "go on": GO_ON, **CLOSING}),
     (REVISIT.replace("-v0", "-hard-v0"), {}, CLOSING),
     (CLOSED, {}, {"brake": BRAKE, "random": RANDOM, **BY_ESTIMATE}),
-    *((CLOSED, {"latency": n}, BY_ESTIMATE) for n in (2, 5)),
+    *((CLOSED, {"latency": n}, BY_ESTIMATE) for n in (0, 5)),
     *((CLOSED, {"latency": n, **DEAD}, BY_ESTIMATE) for n in (0, 2, 5)),
     (CLOSED.replace("-v0", "-hard-v0"), {}, BY_ESTIMATE),
 ]
