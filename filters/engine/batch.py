@@ -206,7 +206,7 @@ class FilterBatch(Sequence[StereoEKF]):
         points_at(of_part(self._engine.recipe.landmark, "point"), plan.landmark, values, points, by_own)
         state = storage.P, storage.x, storage.blocks, storage.own, storage.anchor, storage.counts
         written = found.points_c, found.covariances, found.located
-        relative_landmarks(*state, plan.leading, plan.anchored, points, by_own, offsets, *written)
+        relative_landmarks(*state, plan.leading, plan.anchors > 0, points, by_own, offsets, *written)
         return found
 
     def reset(self, starts: Start | Sequence[Start] = AT_ORIGIN) -> None:

@@ -19,7 +19,7 @@ def _started(model: LandmarkModel, moved: bool = True) -> Started:
     """Landmarks with their anchors where the camera was, or `moved` off."""
     rng, count = np.random.default_rng(0), len(SCALES)
     position, vectors = rng.uniform(-5.0, 5.0, 3), rng.standard_normal((count, 3 * model.seen_vectors))
-    if model.in_camera:
+    if model.in_camera or model.in_anchor:
         position = np.zeros(3)
     others = np.column_stack([SCALES, 0.1 * rng.standard_normal((count, model.seen_size))])
     seen = np.hstack([vectors, others])[:, : model.seen_size]
@@ -122,6 +122,8 @@ def check_landmark_invariance(model: LandmarkModel) -> None:
     seen = model.homogeneous(position, anchors, x)
     if model.in_camera:
         check_carried(model, x)
+        return
+    if model.in_anchor:
         return
     turned = model.rotated(anchors, x, TURN)
     again = model.homogeneous(TURN @ position, None if anchors is None else anchors @ TURN.T, turned)

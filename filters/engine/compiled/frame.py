@@ -178,8 +178,8 @@ def _by_earlier_errors(plan: Plan, n: int, s: Scratch, count: int, size: int) ->
                 for c in range(measured):
                     total += H[c] * s.W[c, a]
                 c = measured
-                for which in range(0 if plan.anchored else 1, 2):
-                    for j in range(3 if which == 0 else plan.size):
+                for which in range(2 - plan.anchors, 3):
+                    for j in range(3 if which < 2 else plan.size):
                         total += H[c] * s.W[s.base[m, which] + j, a]
                         c += 1
                 s.nu[m, k] += total * s.delta[3 + a]
@@ -190,8 +190,8 @@ def _by_earlier_errors(plan: Plan, n: int, s: Scratch, count: int, size: int) ->
                     _times_block(H, plan.velocity, 3, s.F, s.G[0])
             if scales_blocks(plan):
                 c = measured
-                for which in range(0 if plan.anchored else 1, 2):
-                    width = 3 if which == 0 else plan.size
+                for which in range(2 - plan.anchors, 3):
+                    width = 3 if which < 2 else plan.size
                     _times_block(H, c, width, s.D[(s.base[m, which] - plan.leading) // plan.size], s.G[0])
                     c += width
             for a in range(3):
@@ -469,8 +469,8 @@ def _advance(routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch, fra
     first, last = frame.offsets[b], frame.offsets[b + 1]
     counts = S.counts[b]
     found = find(S.ids[b], counts[LANDMARKS], frame.ids[first:last], s.where)
-    each = 2 if plan.anchored and not plan.shares_anchors else 1
-    needed = counts[BLOCKS] + each * (last - first - found) + (1 if plan.shares_anchors else 0)
+    each = 1 if plan.shares_anchors else 1 + plan.anchors
+    needed = counts[BLOCKS] + each * (last - first - found) + (plan.anchors if plan.shares_anchors else 0)
     frame.outcome[b, 1] = 0
     if frame.seen[b] and found < last - first and needed > S.blocks.shape[1]:
         frame.outcome[b, 1] = needed

@@ -32,7 +32,7 @@ def solve(S: FloatArray, x: FloatArray, size: int) -> float:
 def squared_distances(plan: Plan, P: FloatArray, s: Scratch, select: IntArray, count: int, size: int) -> None:
     """nu^T S^-1 nu of each selected measurement on its own, in the scratch."""
     measured = plan.measured
-    own = measured + (3 if plan.anchored else 0)
+    own = measured + 3 * plan.anchors
     total = own + plan.size
     rows, C, HP, S, x = s.gate_rows, s.gate_P, s.gate_HP, s.small[0], s.small[1, 0]
     for i in range(measured):
@@ -41,13 +41,13 @@ def squared_distances(plan: Plan, P: FloatArray, s: Scratch, select: IntArray, c
             C[i, j] = C[j, i] = P[i, j]
     for i in range(count):
         m = select[i]
-        if plan.anchored:
+        for which in range(plan.anchors):
             for c in range(3):
-                rows[measured + c] = s.base[m, 0] + c
+                rows[measured + 3 * which + c] = s.base[m, 2 - plan.anchors + which] + c
         for c in range(3):
-            rows[own + c] = s.base[m, 1] + c
+            rows[own + c] = s.base[m, 2] + c
         for c in range(3, plan.size):
-            rows[own + c] = s.base[m, 1] + c
+            rows[own + c] = s.base[m, 2] + c
         for p in range(measured, total):
             row = rows[p]
             for q in range(measured):
@@ -129,7 +129,7 @@ def largest_agreement(
             s.support[i, i] = True
         s.result[0] = 0.0
         return
-    rows, width = count * size, plan.measured + (3 if plan.anchored else 0) + plan.size
+    rows, width = count * size, plan.measured + 3 * plan.anchors + plan.size
     times_covariance(plan, P, n, s, select, 0, count, size)
     take_leading_columns(plan, s, rows)
     own, proposal, x = s.small[1], s.small[2, 0], s.small[2, 1]

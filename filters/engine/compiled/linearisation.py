@@ -76,7 +76,7 @@ def sense(routines: Routines, plan: Plan, s: Scratch, points: FloatArray, count:
 @njit(**KERNEL)
 def from_camera(plan: Plan, x: FloatArray, blocks: FloatArray, anchor: int) -> tuple[float, float, float]:
     """From the camera to the anchor, or to the origin of W."""
-    if not plan.anchored:
+    if plan.anchors == 0:
         return -x[0], -x[1], -x[2]
     return blocks[anchor, 0] - x[0], blocks[anchor, 1] - x[1], blocks[anchor, 2] - x[2]
 
@@ -93,7 +93,7 @@ def _see(
     R_cw = transposed(orientation(x))
     for i in range(count):
         scale = s.points[i, 3]
-        d0, d1, d2 = from_camera(plan, x, blocks, anchor[s.land[s.select[i]]])
+        d0, d1, d2 = from_camera(plan, x, blocks, anchor[s.land[s.select[i]], 0])
         w0, w1, w2 = s.points[i, 0] + scale * d0, s.points[i, 1] + scale * d1, s.points[i, 2] + scale * d2
         s.points_c[i, 0], s.points_c[i, 1], s.points_c[i, 2] = times(R_cw, w0, w1, w2)
         for a in range(3, s.points.shape[1]):
@@ -125,13 +125,12 @@ def _chain(
     R = orientation(x)
     for i in range(count):
         m = s.select[i]
-        anchor, own = S.anchor[b, s.land[m]], S.own[b, s.land[m]]
+        anchor, own = S.anchor[b, s.land[m], 0], S.own[b, s.land[m]]
         H, J, by_own = s.H[m], s.by_point[i], s.by_own[i]
         h0, h1, h2, scale = s.points_c[i, 0], s.points_c[i, 1], s.points_c[i, 2], s.points_c[i, 3]
         d0, d1, d2 = from_camera(plan, x, blocks, anchor)
-        if plan.anchored:
-            s.base[m, 0] = plan.leading + plan.size * anchor
-        s.base[m, 1] = plan.leading + plan.size * own
+        s.base[m, 1] = plan.leading + plan.size * anchor
+        s.base[m, 2] = plan.leading + plan.size * own
         for k in range(size):
             c0, c1, c2, by_scale = 0.0, 0.0, 0.0, 0.0
             for j in range(others):
@@ -149,7 +148,7 @@ def _chain(
             if plan.sees_velocity:
                 by_velocity(plan, x, H[k])
             first = measured
-            if plan.anchored:
+            if plan.anchors > 0:
                 H[k, first], H[k, first + 1], H[k, first + 2] = scale * g0, scale * g1, scale * g2
                 first += 3
             by_scale += g0 * d0 + g1 * d1 + g2 * d2

@@ -32,7 +32,8 @@ class Plan(NamedTuple):
     """Rows of a block: error numbers of a landmark."""
     prior: FloatArray
     """Covariance of those behind the third, (size - 3, size - 3)."""
-    anchored: bool
+    anchors: int
+    """Blocks of an anchor: 0, 1 (a position) or 2 (a pose)."""
     shares_anchors: bool
     additive: bool
     """Whether a landmark's retraction is addition."""
@@ -118,7 +119,9 @@ class Recipe:
         Numbers of the sensor, of a landmark's error, of its value, and by which it is seen.
     prior : tuple of tuple of float
         Covariance of the error numbers behind the third.
-    anchored, shares_anchors, additive, follows
+    anchors : int
+        Blocks of an anchor: 0, 1 (a position) or 2 (a pose).
+    shares_anchors, additive, follows
         As of `LandmarkModel`.
     resets : bool
         Whether P is carried along by the full Jacobian where the map turns with the camera.
@@ -168,7 +171,7 @@ class Recipe:
     value_size: int = 3
     seen_size: int = 4
     prior: tuple[tuple[float, ...], ...] = ()
-    anchored: bool = True
+    anchors: int = 1
     shares_anchors: bool = False
     additive: bool = True
     follows: tuple[int, ...] = ()
@@ -241,7 +244,7 @@ class Recipe:
             motion=floats(self.motion_settings),
             size=self.size,
             prior=np.array(self.prior, dtype=np.float64).reshape(len(self.prior), len(self.prior)),
-            anchored=self.anchored,
+            anchors=self.anchors,
             shares_anchors=self.shares_anchors,
             additive=self.additive,
             points=self.landmark is not None and self.landmark.turn is None,
