@@ -154,9 +154,12 @@ def _check_landmark(landmark: LandmarkModel) -> None:
     if size > 3 and not landmark.steady:
         raise ValueError(f"size of landmark {name} must be 3 where landmarks may become points, got {size}")
     for frame, flag in (("the camera", landmark.in_camera), ("its anchor", landmark.in_anchor)):
-        others = landmark.anchored or landmark.submaps or landmark.in_camera and landmark.in_anchor
+        others = landmark.anchored or landmark.submaps or (landmark.in_camera and landmark.in_anchor)
         if flag and (others or not landmark.steady or kernels_of(landmark) is not None):
-            raise ValueError(f"landmark {name} is in the frame of {frame}: it must have no anchors, submaps or kernels")
+            raise ValueError(
+                f"landmark {name} is in the frame of {frame}: it must have no anchors, submaps or kernels, "
+                "and not become a point"
+            )
     if kernels_of(landmark) is not None and (landmark.seen_vectors != 1 or landmark.seen_size < 4):
         raise ValueError(
             f"kernels of landmark {name} must be None: compiled ones are of points, and of what goes along"

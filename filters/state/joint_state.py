@@ -134,7 +134,7 @@ class JointState:
         return positions[which], rotations.matrix(orientations)[which], turns[which]
 
     def seen_from(self, index: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Position and orientation of the camera in the frame of the landmarks at `index`, or in that of each, (M, ...)."""
+        """Position and orientation of the camera in the frame of landmarks, or of each (M, ...)."""
         if not self.model.in_anchor:
             return self.viewpoint
         positions, R_wa, _ = self.anchor_poses(index)

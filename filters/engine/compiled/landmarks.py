@@ -316,7 +316,7 @@ def enter(plan: Plan, S: Storage, b: int, s: Scratch, frame: Frame, first: int, 
     """Add the `count` landmarks that have started (`JointState.augment`); there is room for them."""
     P, x, blocks, users, counts = S.P[b], S.x[b], S.blocks[b], S.users[b], S.counts[b]
     measured, leading = plan.measured, plan.leading
-    taken, made = s.core, s.select  # parameter block of each, all anchor blocks
+    taken, made = s.core, s.made  # parameter block of each, all anchor blocks
     gap, anchors, poses = 0, 0, plan.anchors == 2
     for i in range(count):
         s.land[i] = s.turns[i] = -1

@@ -40,6 +40,8 @@ class Scratch(NamedTuple):
     base: IntArray
     """First rows of the landmark of each: of its anchor's position and orientation, where there are such (only the
     position: the second one), and its own; (M, 3)."""
+    made: IntArray
+    """Blocks of new anchors, (2 M,)."""
     turns: IntArray
     """Blocks of the orientations of new anchors, (M,); -1: none."""
     z: FloatArray
@@ -147,6 +149,7 @@ def scratch(
         **integers,
         fates=np.zeros(M, dtype=np.uint8),
         base=np.zeros((M, 3), dtype=np.int64),
+        made=np.zeros(2 * M, dtype=np.int64),
         turns=np.zeros(M, dtype=np.int64),
         z=np.zeros((M, MOST_ROWS)),
         R=np.zeros((M, MOST_ROWS, MOST_ROWS)),

@@ -23,9 +23,7 @@ class InFirstCamera(LandmarkModel):
     def parameters_of(self, position, h_w, scale):
         """Of a direction and a scale there."""
         x, y, z = h_w.T
-        return np.column_stack(
-            [np.arctan2(x, z), np.arctan2(-y, np.hypot(x, z)), scale / np.linalg.norm(h_w, axis=1)]
-        )
+        return np.column_stack([np.arctan2(x, z), np.arctan2(-y, np.hypot(x, z)), scale / np.linalg.norm(h_w, axis=1)])
 
     def homogeneous(self, position, anchors, parameters):
         """(m - rho position, rho)."""
