@@ -59,18 +59,12 @@ class Room(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Parts:
-    """Parts of the filters of an engine, and the rig.
-
-    Attributes
-    ----------
-    camera : StereoCamera
-        The rig.
-    options : Options
-        Of the filters.
-    """
+    """Parts of the filters of an engine, and the rig."""
 
     camera: StereoCamera
+    """The rig."""
     options: Options
+    """Of the filters."""
 
 
 class Doors:

@@ -117,24 +117,16 @@ def _settings(part: object, kernels: Any) -> tuple[float, ...]:
 
 @dataclass(eq=False)
 class Row:
-    """One filter of an engine: what `StereoEKF` asks of it.
-
-    Attributes
-    ----------
-    engine : Engine
-        Its engine, perhaps with others.
-    options : Options
-        Of the filter.
-    number : int
-        Which filter of the engine it is.
-    clones : list of str
-        Names of the clones of the pose, in the order in which they were made.
-    """
+    """One filter of an engine: what `StereoEKF` asks of it."""
 
     engine: Engine
+    """Its engine, perhaps with others."""
     options: Options
+    """Of the filter."""
     number: int = 0
+    """Which filter of the engine it is."""
     clones: list[str] = field(default_factory=list)
+    """Names of the clones of the pose, in the order in which they were made."""
 
     @classmethod
     def of(cls, camera: StereoCamera, options: Options) -> Row:

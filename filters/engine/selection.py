@@ -26,21 +26,14 @@ STEP = np.diag(np.repeat([1.0, 0.1], 3) ** 2)
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """Next measurements of M landmarks, (u, v, d) each, jointly with the next pose.
-
-    Attributes
-    ----------
-    pose : (6, 6)
-        Covariance of the next pose without them.
-    cross : (6, 3 M)
-        Covariance of the next pose with the measurements.
-    S : (3 M, 3 M)
-        Covariance of the measurements.
-    """
+    """Next measurements of M landmarks, (u, v, d) each, jointly with the next pose."""
 
     pose: FloatArray
+    """(6, 6): covariance of the next pose without them."""
     cross: FloatArray
+    """(6, 3 M): covariance of the next pose with the measurements."""
     S: FloatArray
+    """(3 M, 3 M): covariance of the measurements."""
 
 
 def next_measurements(

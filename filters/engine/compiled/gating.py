@@ -132,7 +132,7 @@ def largest_agreement(
     rows, width = count * size, plan.measured + 3 * plan.anchors + plan.size
     times_covariance(plan, P, n, s, select, 0, count, size)
     take_leading_columns(plan, s, rows)
-    own, proposal, x = s.small[1], s.small[2, 0], s.small[2, 1]
+    own, proposal = s.small[1], s.small[2, 0]
     for i in range(count):
         noise = s.R[select[i]]
         if stage == 0 and plan.drift[0].any():
@@ -146,7 +146,10 @@ def largest_agreement(
             noise = own
         _invert(noise, s.inverse_R[select[i]], s.small[0], size)
     best, most, least = -1, -1, np.inf
-    cross = s.S  # of all measurements with one of them, transposed: H_i P H_j^T
+    cross, nu, left = s.S, s.S[size], s.S[size + 1]  # of all measurements with one of them, transposed: H_i P H_j^T
+    for j in range(count):
+        for a in range(size):
+            nu[j * size + a] = s.nu[select[j], a]
     for i in range(count):
         m = select[i]
         take_columns(plan, s, m, 0, rows)
@@ -157,18 +160,19 @@ def largest_agreement(
                 cross[a, i * size + b] += s.R[m, a, b]
                 own[a, b] = cross[a, i * size + b]
         _solve_whole(own, proposal, size)
+        for row in range(rows):
+            left[row] = nu[row]
+        for b in range(size):
+            along, step = cross[b], proposal[b]
+            for row in range(rows):
+                left[row] -= along[row] * step
         followers, tightness = 0, 0.0
         for j in range(count):
-            other, distance = select[j], 0.0
-            inverse = s.inverse_R[other]
+            inverse, distance, first = s.inverse_R[select[j]], 0.0, j * size
             if i != j:
                 for a in range(size):
-                    x[a] = s.nu[other, a]
                     for b in range(size):
-                        x[a] -= cross[b, j * size + a] * proposal[b]
-                for a in range(size):
-                    for b in range(size):
-                        distance += x[a] * inverse[a, b] * x[b]
+                        distance += left[first + a] * inverse[a, b] * left[first + b]
             agrees = distance <= limit
             s.support[j, i] = agrees
             if agrees:
