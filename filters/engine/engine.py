@@ -57,7 +57,7 @@ class Engine:
         self.count = count
         self.threads = max(1, min(threads, count))
         self.parts = parts
-        asks = parts is not None and (recipe.asks or recipe.motion is None)
+        asks = recipe.asks or recipe.changes or recipe.motion is None
         self._doors = Doors(parts, weakref.proxy(self)) if asks and parts is not None else None
         self._fuses = self._odometry_there = False
         motion = None if parts is None else parts.options.motion

@@ -99,6 +99,9 @@ class LandmarkKernels:
     behind them that do not turn."""
     rotation: Callable[..., None] | None = None
     """Function (settings, values (M, v), effect (M, n, 3)): `LandmarkModel.world_rotation`."""
+    become: Callable[..., None] | None = None
+    """Function (settings, to_anchor (M, 3), values (M, v), variances (M, n), becomes (M,) bool): `become_points`, from
+    the way from the camera to the anchor. The other kernels are of landmarks that have not become points."""
     settings: tuple[str, ...] = ()
     """Attributes of the part whose numbers are the first argument."""
 

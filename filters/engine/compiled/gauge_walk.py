@@ -40,7 +40,7 @@ def _image_motion(
         return 0.0, FARTHEST
     for i in range(count):
         s.taken[i] = own[i]
-    take_points(routines, plan, blocks, s, count)
+    take_points(routines, plan, blocks, S.kind[b], s, count)
     for i in range(count):
         scale = s.points[i, 3]
         d0, d1, d2 = from_camera(plan, x, blocks, anchor[i, 0])

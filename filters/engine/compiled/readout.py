@@ -65,7 +65,15 @@ def relative_landmarks(
         for i in range(counts[b, LANDMARKS]):
             m, first = offsets[b] + i, POSE_SIZE
             w0, w1, w2, origin = -x[b, 0], -x[b, 1], -x[b, 2], anchor[b, i, 0]
-            if anchored:
+            if anchored and origin < 0:  # a point of W
+                origin = own[b, i]
+                for a in range(4):
+                    points[m, a] = blocks[b, origin, a] if a < 3 else 1.0
+                    for k in range(size):
+                        by_own[m, a, k] = 1.0 if a == k else 0.0
+                rows[first : first + 3] = leading + size * origin + np.arange(3)
+                first += 3
+            elif anchored:
                 w0, w1, w2 = w0 + blocks[b, origin, 0], w1 + blocks[b, origin, 1], w2 + blocks[b, origin, 2]
                 rows[first : first + 3] = leading + size * origin + np.arange(3)
                 first += 3
@@ -87,7 +95,7 @@ def relative_landmarks(
                 for k in range(3):
                     J[a, k] = -R_cw[3 * a + k]
                     if anchored:
-                        J[a, POSE_SIZE + k] = R_cw[3 * a + k]
+                        J[a, POSE_SIZE + k] = R_cw[3 * a + k] if anchor[b, i, 0] >= 0 else 0.0
             put(J, 0, 3, cross_matrix(c0, c1, c2), 1.0)
             for k in range(width):
                 for q in range(k, width):

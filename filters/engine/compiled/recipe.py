@@ -182,7 +182,8 @@ class Recipe:
     def asks(self) -> bool:
         """Whether the kernels ask parts for numbers in the middle of a frame."""
         numbers = self.by_numbers or self.moves_by_numbers or self.walks_by_numbers
-        return numbers or self.carries or self.most_landmarks > 0
+        changes = self.changes and (self.landmark is None or self.landmark.become is None)
+        return numbers or changes or self.carries or self.most_landmarks > 0
 
     @property
     def block_values(self) -> int:
