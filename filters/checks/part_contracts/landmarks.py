@@ -182,6 +182,15 @@ def check_landmark_kernels(model: LandmarkModel) -> None:
     turned = model.turned(anchors, x, rotations.exp(theta), rotations.right_jacobian(-theta), correction)
     wanted = model.turned_jacobians(anchors, x, theta, correction)
     assert_same("turn", moved=(moved, turned), J=(J, wanted[0]), J_theta=(by_theta, wanted[1]))
+    if kernels_of(model).become is None:
+        return
+    position, anchors, _, new = _started(model)
+    x = new.parameters
+    assert anchors is not None, "only landmarks with an anchor have kernel become"
+    for scale in SCALES:  # from landmarks that are hardly known to such as are known well
+        variances = np.full(x.shape, 0.1 * scale**2)
+        (chosen,) = kernels.of("become", anchors - position, x, variances, becomes=np.zeros(count, dtype=np.bool_))
+        assert (chosen == model.become_points(position, anchors, x, variances)).all(), "become is not become_points"
 
 
 CHECKS = (
