@@ -433,10 +433,12 @@ def no_deadline():
     assert (time.process_time() - begun) / len(frames) < 0.01
 
 
-@says("No ROS node and no reader of bags.")
-@says("A bag is refused; export your tracks or images.")
+@says("No ROS node and no recordings from bags.")
+@says("Of a bag only the poses of a topic are read, by evaluate; images and tracks must be exported.")
 def no_ros():
-    assert {name.split(".")[0] for _, name in imported()}.isdisjoint({"rospy", "rclpy", "rosbags", "rosbag", "mcap"})
+    assert {name.split(".")[0] for _, name in imported()}.isdisjoint({"rospy", "rclpy"})
+    readers = {path.name for path, name in imported() if name.split(".")[0] in {"rosbags", "rosbag", "mcap"}}
+    assert readers == {"trajectory_bags.py"}
     with pytest.raises(ValueError, match="is a file, not a folder: give a folder with a recording"):
         sse.load(Path(__file__))
 
