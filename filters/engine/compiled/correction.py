@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 from numba import njit, types
 
 from filters.engine.compiled.blas import KERNEL, Routines, cholesky, multiply_panel, solve_triangular, subtract_square
@@ -41,12 +42,15 @@ def times_covariance(
 
 
 @njit(**KERNEL)
-def take_columns(plan: Plan, s: Scratch, m: int, top: int, rows: int) -> None:
-    """Columns of HP that belong to a landmark, transposed, below those of the leading rows in `shared`."""
+def take_columns(plan: Plan, s: Scratch, m: int, top: int, rows: int, held: int) -> int:
+    """Columns of HP that belong to a landmark, transposed, below those of the leading rows in `shared`.
+
+    Those of the anchor are there where it is `held`, the one before; the anchor that is there now.
+    """
     HP, shared, column = s.HP, s.shared, plan.measured
     for which in range(2 - plan.anchors, 3):
         base = s.base[m, which]
-        for row in range(top, rows):
+        for row in range(rows if which < 2 and s.base[m, 1] == held else top, rows):
             shared[column, row] = HP[row, base]
             shared[column + 1, row] = HP[row, base + 1]
             shared[column + 2, row] = HP[row, base + 2]
@@ -55,6 +59,7 @@ def take_columns(plan: Plan, s: Scratch, m: int, top: int, rows: int) -> None:
         for row in range(top, rows):
             shared[column, row] = HP[row, s.base[m, 2] + c]
         column += 1
+    return int(s.base[m, 1])
 
 
 @njit(**KERNEL)
@@ -68,12 +73,12 @@ def take_leading_columns(plan: Plan, s: Scratch, rows: int) -> None:
 @njit(**KERNEL)
 def innovation_covariance(plan: Plan, s: Scratch, select: IntArray, first: int, last: int, size: int) -> bool:
     """Upper triangle of S = (H P) H^T + R of these measurements; whether R is left in it."""
-    S, rows = s.S, (last - first) * size
+    S, rows, held = s.S, (last - first) * size, np.int64(-1)
     width = plan.measured + 3 * plan.anchors + plan.size
     take_leading_columns(plan, s, rows)
     for i in range(first, last):
         m, top = select[i], (i - first) * size
-        take_columns(plan, s, m, top, rows)
+        held = take_columns(plan, s, m, top, rows, held)
         multiply_panel(S[top:], top, s.H[m], size, s.shared, 0, top, width, rows - top)
         for a in range(size):
             for b in range(a, size):

@@ -145,14 +145,14 @@ def largest_agreement(
                             own[a, b] += T[a, p] * s.small[0, p, q] * T[b, q]
             noise = own
         _invert(noise, s.inverse_R[select[i]], s.small[0], size)
-    best, most, least = -1, -1, np.inf
+    best, most, least, held = -1, -1, np.inf, np.int64(-1)
     cross, nu, left = s.S, s.S[size], s.S[size + 1]  # of all measurements with one of them, transposed: H_i P H_j^T
     for j in range(count):
         for a in range(size):
             nu[j * size + a] = s.nu[select[j], a]
     for i in range(count):
         m = select[i]
-        take_columns(plan, s, m, 0, rows)
+        held = take_columns(plan, s, m, 0, rows, held)
         multiply_panel(cross, 0, s.H[m], size, s.shared, 0, 0, width, rows)
         for a in range(size):
             proposal[a] = s.nu[m, a]
