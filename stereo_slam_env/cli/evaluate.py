@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from stereo_slam_env.cli.parts import JsonOption, console, show_json
+from stereo_slam_env.cli.parts import JsonOption, TruthOption, console, show_json
 
 
 def evaluate(
@@ -17,9 +17,10 @@ def evaluate(
         typer.Argument(
             help="Trajectories, the reference last: TUM, KITTI, EuRoC, OpenVINS, cnspy, SQUARE, ROS, or BAG:/topic. "
             "Several estimates are runs of one estimator.",
-            metavar="EST... REF",
+            metavar="EST... [REF]",
         ),
     ],
+    truth: TruthOption = [],  # noqa: B006
     against: Annotated[
         Path | None,
         typer.Option("--against", help="A second estimate: which of the two is better?", metavar="EST2"),
@@ -80,9 +81,14 @@ def evaluate(
     from stereo_slam_env.recording.trajectory_files import load_trajectory
     from stereo_slam_env.report.trajectory_table import show_runs_score, show_trajectory_scores
 
-    *estimates, reference = files
+    *estimates, last = files
+    references = truth or [last]
+    if truth:
+        estimates.append(last)
     if not estimates:
-        raise ValueError(f"evaluate needs an estimate and a reference, got {reference} alone")
+        raise ValueError(f"evaluate needs an estimate and a reference, got {last} alone")
+    if len(references) not in (1, len(estimates)):
+        raise ValueError(f"--truth must name one reference, or one for each of {len(estimates)}, got {len(references)}")
     if out is not None:
         if out.suffix == ".json":
             raise ValueError(f"--out must be a folder, got {out}: for the figures alone, --json prints them")
@@ -93,12 +99,12 @@ def evaluate(
         raise ValueError("--body gives what --body-estimated looks for: leave one of them out")
     how = None if align is None else checked("--align", align, AlignmentKind)
     T_bc = None if body is None else read_body(body)
-    truth = load_trajectory(reference)
+    truths = [load_trajectory(path) for path in references]
     estimates += [] if against is None else [against]
     scores = [
         evaluate_trajectory(
             path,
-            truth,
+            truths[k % len(truths)],
             align=how,
             align_seconds=align_seconds,
             up=up,
@@ -108,10 +114,10 @@ def evaluate(
             max_gap=max_gap,
             pair=pair,
         )
-        for path in estimates
+        for k, path in enumerate(estimates)
     ]
     verdict = scores[0].against(scores[1]) if against is not None else None
-    runs = score_runs(scores) if len(files) > 2 else None
+    runs = score_runs(scores) if len(scores) > 1 and against is None else None
     figures = {
         "schema": SCHEMA,
         "scores": [score.as_dict() for score in scores],

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer.core import TyperCommand
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -24,9 +25,27 @@ FiltersOption = Annotated[
 ]
 JobsOption = Annotated[int, typer.Option("--jobs", help="Processes, one BLAS thread each.", min=1)]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON instead, for other programs.")]
+TruthOption = Annotated[
+    list[Path], typer.Option("--truth", help="A reference for each, in the same order, or one.", metavar="REF...")
+]
 OutOption = Annotated[
     Path | None, typer.Option("--out", help="Run directory; an interrupted run in it is resumed.", show_default="new")
 ]
+
+
+class TakesTruths(TyperCommand):
+    """A command whose `--truth` takes all files up to the next option, as a shell writes out `--truth *.csv`."""
+
+    def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:
+        """Repeat the option before each of its files."""
+        said: list[str] = []
+        taking = False
+        for argument, following in zip(args, [*args[1:], "-"], strict=False):
+            taking = argument == "--truth" or (taking and not argument.startswith("-"))
+            if argument == "--truth" and not following.startswith("-"):
+                continue
+            said += ["--truth", argument] if taking and argument != "--truth" else [argument]
+        return super().parse_args(ctx, said)
 
 
 class Interrupted(Exception):
