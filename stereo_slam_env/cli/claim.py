@@ -7,7 +7,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from stereo_slam_env.cli.parts import JsonOption, TruthOption, console, show_json
+from stereo_slam_env.cli.parts import (
+    BodyEstimatedOption,
+    BodyOption,
+    JsonOption,
+    TruthOption,
+    body_from,
+    console,
+    show_json,
+)
 
 if TYPE_CHECKING:
     from stereo_slam_env.evaluation.drift_model import DriftModel
@@ -20,9 +28,9 @@ def calibrate(
     ],
     truth: TruthOption,
     out: Annotated[Path, typer.Option("--out", help="Where the model goes, JSON.")] = Path("model.json"),
-    max_gap: Annotated[
-        float, typer.Option("--max-gap", help="Largest time between a pose and its truth, s.")
-    ] = 0.01,
+    body: BodyOption = None,
+    body_estimated: BodyEstimatedOption = False,
+    max_gap: Annotated[float, typer.Option("--max-gap", help="Largest time between a pose and its truth, s.")] = 0.01,
     as_json: JsonOption = False,
 ) -> None:
     """Learn from drives with a truth how the error of an odometry grows; for `claim`."""
@@ -32,7 +40,7 @@ def calibrate(
     if out.suffix != ".json":
         raise ValueError(f"--out must end in .json, got {out}")
     require_writable(out.parent)
-    model = learned(estimates, truth, max_gap=max_gap)
+    model = learned(estimates, truth, body=body_from(body, body_estimated), max_gap=max_gap)
     model.write(out)
     if as_json:
         show_json(model.as_dict())

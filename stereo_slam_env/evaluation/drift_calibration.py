@@ -11,15 +11,17 @@ models", JASA 2022, pooled distributions).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from scipy.stats import chi2
 
-from filters import nees
+from filters import Pose, nees
 from filters.motions.model import POSE_SIZE
 from filters.validation import FloatArray, IntArray, positive
+from stereo_slam_env.evaluation.body_frames import find_body_offset
 from stereo_slam_env.evaluation.comparability import find_obstacles
 from stereo_slam_env.evaluation.drift_model import DRIVERS, DriftModel, LengthCheck, basis
 from stereo_slam_env.evaluation.gauges import UP, find_alignment
@@ -34,7 +36,7 @@ _WINDOWS = 40
 """Windows of a length that a drive gives, from starts spread over it."""
 _LONGER = 1.2
 """Windows that holes in the times make so many times as long are left out."""
-_FREEDOM = 8.0
+_FREEDOM = 30.0
 """Degrees of freedom of Student's t."""
 _ROUNDS = 80
 """Of the iteration; more change no covariance by a percent."""
@@ -60,6 +62,7 @@ def calibrate(
     estimates: Sequence[Trajectory | str | Path],
     references: Sequence[Trajectory | str | Path],
     *,
+    body: Pose | Literal["estimated"] | None = None,
     max_gap: float = MAX_GAP,
 ) -> DriftModel:
     """Learn how the error of an odometry grows, from drives with a truth.
@@ -69,7 +72,10 @@ def calibrate(
     estimates : sequence of Trajectory, str or Path
         Trajectories of one system, a drive each, with times; files in any layout of `load_trajectory`.
     references : sequence of Trajectory, str or Path
-        Their truths, in the same order, of the same body; or one for all.
+        Their truths, in the same order; or one for all.
+    body : Pose or "estimated", optional
+        Pose T_bc of the truths' body in that of the estimates, m; "estimated": of each the one that fits best. None:
+        they are the same.
     max_gap : float
         Largest difference between the times of a pose and its reference, s.
 
@@ -94,16 +100,17 @@ def calibrate(
     positive("max_gap", max_gap)
     loaded = [_loaded(one) for one in estimates]
     truths = [_loaded(one) for one in references] * (len(loaded) if len(references) == 1 else 1)
-    drives = [_windows_of(one, truth, max_gap) for one, truth in zip(loaded, truths, strict=True)]
+    drives = [_windows_of(one, truth, body, max_gap) for one, truth in zip(loaded, truths, strict=True)]
     names = tuple(one.name for one in loaded)
     variances = _fitted(drives)
     if len(drives) == 1:
         return DriftModel(variances, drives=names)
-    scores = [
-        _scores(_fitted([other for other in drives if other is not drive]), drive) for drive in drives
-    ]
+    scores = [_scores(_fitted([other for other in drives if other is not drive]), drive) for drive in drives]
     quantile, ideal = _pooled_quantile(drives, scores), float(chi2.ppf(COVERED, POSE_SIZE))
-    covered = [float(drive.weights @ (score <= quantile)) / drive.weights.sum() for drive, score in zip(drives, scores)]
+    covered = [
+        float(drive.weights @ (score <= quantile) / drive.weights.sum())
+        for drive, score in zip(drives, scores, strict=True)
+    ]
     factor = quantile / ideal
     return DriftModel(
         variances * factor,
@@ -118,19 +125,25 @@ def _loaded(trajectory: Trajectory | str | Path) -> Trajectory:
     return trajectory if isinstance(trajectory, Trajectory) else load_trajectory(trajectory)
 
 
-def _windows_of(estimate: Trajectory, reference: Trajectory, max_gap: float) -> _Windows:
+def _windows_of(
+    estimate: Trajectory, reference: Trajectory, body: Pose | Literal["estimated"] | None, max_gap: float
+) -> _Windows:
     """The windows of one drive, of all lengths that it has."""
     if estimate.timestamps is None or reference.timestamps is None:
         name = (estimate if estimate.timestamps is None else reference).name
         raise ValueError(f"{name} has no times, by which a drift grows: give it as TUM, with a time a row")
     pairs = paired(estimate, reference, max_gap)
+    first, last, lengths = _ends(pairs.reference.timestamps)
+    if not len(first):
+        raise ValueError(f"{estimate.name} has no two poses {LENGTHS[0]:g} s apart with a truth: give a longer drive")
+    if body is not None:
+        T_bc = body if isinstance(body, Pose) else find_body_offset(pairs.estimate, pairs.reference).T_bc
+        pairs = replace(pairs, reference=pairs.reference.of_body(T_bc.inverse()))
+        reference = reference.of_body(T_bc.inverse())
     everything = np.ones(len(pairs.rows), dtype=bool)
     start = find_alignment("start", pairs.estimate, pairs.reference, everything, UP["z"])
     if why := find_obstacles(pairs, (estimate, reference), start).obstacles["pose"]:
         raise ValueError(f"nothing is learned from {estimate.name}: {why}")
-    first, last, lengths = _ends(pairs.reference.timestamps)
-    if not len(first):
-        raise ValueError(f"{estimate.name} has no two poses {LENGTHS[0]:g} s apart with a truth: give a longer drive")
     moved, truly = (motions(one, first, last) for one in (pairs.estimate, pairs.reference))
     errors = pose_errors("right", *moved, *truly)
     counts = {length: np.count_nonzero(lengths == length) for length in np.unique(lengths)}
@@ -174,12 +187,14 @@ def _fitted(drives: Sequence[_Windows]) -> FloatArray:
         expected = flat @ (weights[:, None, None] * inverse).ravel()
         variances = variances * np.sqrt(found / np.maximum(expected, 1e-300))
     variances[:POSE_SIZE] = np.maximum(variances[:POSE_SIZE], _LEAST)
-    return variances.reshape(-1, POSE_SIZE)
+    fitted: FloatArray = variances.reshape(-1, POSE_SIZE)
+    return fitted
 
 
 def _scores(variances: FloatArray, drive: _Windows) -> FloatArray:
     """NEES (W,) of the errors of a drive under these variances."""
-    return nees(drive.errors, np.tensordot(variances.ravel(), drive.parts, axes=1))
+    covariances: FloatArray = np.tensordot(variances.ravel(), drive.parts, axes=1)
+    return nees(drive.errors, covariances)
 
 
 def _pooled_quantile(drives: Sequence[_Windows], scores: Sequence[FloatArray]) -> float:

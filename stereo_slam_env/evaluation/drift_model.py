@@ -80,8 +80,7 @@ class DriftModel:
     def as_dict(self) -> dict[str, Any]:
         """All of it as plain data for JSON."""
         numbers = {
-            part: dict(zip(_AXES, row, strict=True))
-            for part, row in zip(_PARTS, self.variances.tolist(), strict=True)
+            part: dict(zip(_AXES, row, strict=True)) for part, row in zip(_PARTS, self.variances.tolist(), strict=True)
         }
         return {
             "format": FORMAT,
@@ -115,12 +114,12 @@ class DriftModel:
                 raise ValueError(f"its format is not {FORMAT!r}")
             numbers = [[float(content["variances"][part][axis]) for axis in _AXES] for part in _PARTS]
             checks = tuple(_check_of(check) for check in content["checks"])
-            error = content["coverage_error"]
+            doubt = content["coverage_error"]
             return cls(
                 np.array(numbers),
                 float(content["factor"]),
                 tuple(str(name) for name in content["drives"]),
-                None if error is None else float(error),
+                None if doubt is None else float(doubt),
                 checks,
             )
         except (KeyError, TypeError, ValueError, OverflowError) as error:

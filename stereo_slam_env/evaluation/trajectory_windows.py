@@ -93,11 +93,14 @@ def motion_covariances(trajectory: Trajectory, first: IntArray, last: IntArray) 
     J = tangent_jacobian("right", *poses) @ np.linalg.inv(tangent_jacobian(trajectory.tangent, *poses))
     P = transformed(J, covariances)
     moved, turned = motions(trajectory, first, last)
-    back = np.linalg.inv(adjoints(moved, turned))  # from errors in the first body to those in the last one
+    back: FloatArray = np.linalg.inv(adjoints(moved, turned)).astype(
+        np.float64
+    )  # from errors in the first body to those in the last one
     if (drift := trajectory.drift) is None:
         return P[last] + transformed(back, P[first])
     own, lasting = transformed(J, drift.own), J @ drift.lasting
     grown = P - own - lasting @ lasting.swapaxes(1, 2)
     left = lasting[last] - back @ lasting[first]
     increments = grown[last] - transformed(back, grown[first])
-    return increments + left @ left.swapaxes(1, 2) + own[last] + transformed(back, own[first])
+    found: FloatArray = increments + left @ left.swapaxes(1, 2) + own[last] + transformed(back, own[first])
+    return found

@@ -16,7 +16,7 @@ from filters.geometry import rotations
 from filters.motions.model import POSE_SIZE, POSITION, ROTATION
 from filters.validation import BoolArray, FloatArray, IntArray
 
-Six = tuple[float, float, float, float, float, float]
+Six = tuple[float, ...]
 """A number for each axis of the body: x, y, z of the position, x, y, z of the rotation."""
 
 
