@@ -19,13 +19,14 @@ import numpy as np
 from scipy.stats import chi2
 
 from filters import Pose, nees
+from filters.geometry import rotations
 from filters.motions.model import POSE_SIZE
 from filters.validation import FloatArray, IntArray, positive
 from stereo_slam_env.evaluation.body_frames import find_body_offset
 from stereo_slam_env.evaluation.comparability import find_obstacles
 from stereo_slam_env.evaluation.drift_model import DRIVERS, DriftModel, LengthCheck, basis
 from stereo_slam_env.evaluation.gauges import UP, find_alignment
-from stereo_slam_env.evaluation.synchronisation import MAX_GAP, paired
+from stereo_slam_env.evaluation.synchronisation import MAX_GAP, Pairs, paired
 from stereo_slam_env.evaluation.trajectory_windows import LENGTHS, motions
 from stereo_slam_env.recording.trajectory import Trajectory, pose_errors
 from stereo_slam_env.recording.trajectory_files import load_trajectory
@@ -40,6 +41,8 @@ _FREEDOM = 30.0
 """Degrees of freedom of Student's t."""
 _ROUNDS = 80
 """Of the iteration; more change no covariance by a percent."""
+_TURNED, _APART = np.deg2rad(10.0), 1.0
+"""rad and m: an offset of the body below both is learned as part of the drift."""
 _LEAST = 1e-12
 """m^2 and rad^2: variance that each pose has alone at least."""
 
@@ -142,7 +145,8 @@ def _windows_of(
         reference = reference.of_body(T_bc.inverse())
     everything = np.ones(len(pairs.rows), dtype=bool)
     start = find_alignment("start", pairs.estimate, pairs.reference, everything, UP["z"])
-    if why := find_obstacles(pairs, (estimate, reference), start).obstacles["pose"]:
+    why = find_obstacles(pairs, (estimate, reference), start).obstacles["pose"]
+    if why and why != _small_offset(pairs):
         raise ValueError(f"nothing is learned from {estimate.name}: {why}")
     moved, truly = (motions(one, first, last) for one in (pairs.estimate, pairs.reference))
     errors = pose_errors("right", *moved, *truly)
@@ -150,6 +154,13 @@ def _windows_of(
     weights = np.array([1.0 / counts[length] for length in lengths])
     parts = np.stack(list(basis(estimate, pairs.rows[first], pairs.rows[last])))
     return _Windows(lengths, errors, parts, weights)
+
+
+def _small_offset(pairs: Pairs) -> str:
+    """An offset of the body so small that what is learned may hold it, in words; empty where there is none."""
+    offset = find_body_offset(pairs.estimate, pairs.reference)
+    turn = np.linalg.norm(rotations.log(offset.T_bc.R_wc))
+    return offset.words if turn < _TURNED and np.linalg.norm(offset.T_bc.position) < _APART else ""
 
 
 def _ends(times: FloatArray | None) -> tuple[IntArray, IntArray, FloatArray]:

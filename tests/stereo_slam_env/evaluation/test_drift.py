@@ -150,7 +150,7 @@ def test_the_factor_makes_up_for_errors_that_the_model_cannot_have(drives):
 
 
 def test_few_bad_windows_do_not_rule(drives):
-    """A jump of 1 m, a hundred deviations, in one drive of ten changes what is claimed of one second by less than a factor of 3 in variance."""
+    """A jump of a hundred deviations in one drive of ten changes the variances by less than a factor of 3."""
     estimates, truths = drives[0][:10], list(drives[1][:10])
     jump = np.where(truths[0].timestamps[:, None] > 30.0, [[1.0, 0.0, 0.0]], 0.0)
     spoilt = [replace(truths[0], positions=truths[0].positions + jump), *truths[1:]]
