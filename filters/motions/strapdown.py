@@ -33,6 +33,18 @@ def _at_lever(state: FloatArray, place: FloatArray, sign: float, J: FloatArray) 
         state[7 + i] += sign * speed[i]
 
 
+@compiled
+def _carry(A: FloatArray, M: FloatArray, product: FloatArray) -> None:
+    """product = A M, A being mostly zeros."""
+    for i in range(len(A)):
+        for j in range(M.shape[1]):
+            product[i, j] = 0.0
+        for k in range(len(A)):
+            if A[i, k] != 0.0:
+                for j in range(M.shape[1]):
+                    product[i, j] += A[i, k] * M[k, j]
+
+
 def _step(
     settings: FloatArray,
     state: FloatArray,
@@ -43,20 +55,23 @@ def _step(
     Q: FloatArray,
 ) -> None:
     n, m, begin, turned = CAMERA_SIZE, len(F), 0.0, len(F) > 21
-    e0, e1, e2 = (state[22], state[23], state[24]) if turned else (0.0, 0.0, 0.0)
-    d0, d1, d2, d3 = quaternion_of(e0, e1, e2)
-    c = odometry[1]
-    C, by_angles = (
-        multiply(matrix_of(d0, d1, d2, d3), matrix_of(c[0], c[1], c[2], c[3])),
-        right_jacobian_of(-e0, -e1, -e2),
-    )
-    A, J, G, N, D = np.eye(n), np.zeros((n, 6)), np.zeros((n, 6)), np.zeros((n, n)), np.zeros((6, m))
-    put(D, 0, 12, C, -1.0)
-    put(D, 3, 15, C, -1.0)
+    c, a0, a1, a2 = odometry[1], 0.0, 0.0, 0.0
+    if turned:
+        a0, a1, a2 = state[22], state[23], state[24]
+    d0, d1, d2, d3 = quaternion_of(a0, a1, a2)
+    C, by_angles = matrix_of(*product_of(d0, d1, d2, d3, c[0], c[1], c[2], c[3])), right_jacobian_of(-a0, -a1, -a2)
+    A, J, N = np.eye(n), np.zeros((n, 6)), np.zeros((n, n))
+    M, D, E = (
+        np.zeros((n, 24)),
+        np.zeros((6, 6)),
+        np.zeros((6, 3)),
+    )  # by the state before, by rates and forces, gravity, angles
+    like_M, like_N = np.zeros((n, 24)), np.zeros((n, n))
+    put(D, 0, 0, C, -1.0)
+    put(D, 3, 3, C, -1.0)
     moved[:] = state
     _at_lever(moved, odometry[0], 1.0, A)
-    S = np.zeros((n, m))
-    S[:, :n] = A
+    M[:, :n] = A
     A[:] = 0.0
     for i in range(3):
         A[i, i] = A[6 + i, 6 + i] = J[9 + i, i] = 1.0
@@ -65,45 +80,51 @@ def _step(
         begin += h
         w0, w1, w2 = times(C, odometry[k, 1] - state[13], odometry[k, 2] - state[14], odometry[k, 3] - state[15])
         f0, f1, f2 = times(C, odometry[k, 4] - state[16], odometry[k, 5] - state[17], odometry[k, 6] - state[18])
-        if turned:
-            put(D, 0, 21, multiply(cross_matrix(w0, w1, w2), by_angles), -1.0)
-            put(D, 3, 21, multiply(cross_matrix(f0, f1, f2), by_angles), -1.0)
         R = matrix_of(moved[3], moved[4], moved[5], moved[6])
-        q0, q1, q2, q3 = quaternion_of(0.5 * h * w0, 0.5 * h * w1, 0.5 * h * w2)
-        half = matrix_of(q0, q1, q2, q3)
+        h0, h1, h2 = 0.5 * h * w0, 0.5 * h * w1, 0.5 * h * w2
+        half, turn = matrix_of(*quaternion_of(h0, h1, h2)), quaternion_of(h * w0, h * w1, h * w2)
         R_h, (b0, b1, b2) = multiply(R, half), times(half, f0, f1, f2)
         by_turn = multiply(R, cross_matrix(b0, b1, b2))
-        by_rate = multiply(
-            multiply(R_h, cross_matrix(f0, f1, f2)), right_jacobian_of(0.5 * h * w0, 0.5 * h * w1, 0.5 * h * w2)
-        )
-        q0, q1, q2, q3 = quaternion_of(h * w0, h * w1, h * w2)
-        put(A, 3, 3, transposed(matrix_of(q0, q1, q2, q3)), 1.0)
+        by_rate = multiply(multiply(R_h, cross_matrix(f0, f1, f2)), right_jacobian_of(h0, h1, h2))
+        put(A, 3, 3, transposed(matrix_of(*turn)), 1.0)
         put(J, 3, 0, right_jacobian_of(h * w0, h * w1, h * w2), h)
-        a = times(R_h, f0, f1, f2)
         for row, scale in ((0, 0.5 * h * h), (6, h)):
             put(A, row, 3, by_turn, -scale)
             put(J, row, 0, by_rate, -0.5 * h * scale)
             put(J, row, 3, R_h, scale)
+        a = times(R_h, f0, f1, f2)
         for i in range(3):
-            A[i, 6 + i] = h
-            acceleration = a[i] + state[19 + i]
+            A[i, 6 + i], acceleration = h, a[i] + state[19 + i]
             moved[i] += h * moved[7 + i] + 0.5 * h * h * acceleration
             moved[7 + i] += h * acceleration
-        moved[3], moved[4], moved[5], moved[6] = product_of(moved[3], moved[4], moved[5], moved[6], q0, q1, q2, q3)
+        moved[3], moved[4], moved[5], moved[6] = product_of(moved[3], moved[4], moved[5], moved[6], *turn)
         moved[10], moved[11], moved[12] = w0, w1, w2
-        S[:] = A @ S + J @ D
+        _carry(A, M, like_M)
+        _carry(A, N, like_N)
+        M[:], N[:] = like_M, like_N.T
+        _carry(A, N, like_N)
+        N[:] = like_N
+        if turned:
+            put(E, 0, 0, multiply(cross_matrix(w0, w1, w2), by_angles), -1.0)
+            put(E, 3, 0, multiply(cross_matrix(f0, f1, f2), by_angles), -1.0)
+            M[:, 21:] += J @ E
+        for i in range(n):
+            for j in range(6):
+                M[i, 12 + j] += J[i, j]
+                variance = J[i, j] * odometry[0, 3 + j // 3] ** 2 / h
+                for other in range(n if variance != 0.0 else 0):
+                    N[i, other] += variance * J[other, j]
         for i in range(3):
-            S[i, 18 + i] += 0.5 * h * h
-            S[6 + i, 18 + i] += h
-            G[:, i], G[:, 3 + i] = J[:, i] * odometry[0, 3] / np.sqrt(h), J[:, 3 + i] * odometry[0, 4] / np.sqrt(h)
-        N[:] = A @ N @ A.T + G @ G.T
+            M[i, 18 + i] += 0.5 * h * h
+            M[6 + i, 18 + i] += h
     A[:] = np.eye(n)
     _at_lever(moved, odometry[0], -1.0, A)
-    F[:n], Q[:n, :n] = A @ S, A @ N @ A.T
+    M[:, 12:18] = M[:, 12:18].copy() @ D
+    F[:n], Q[:n, :n] = (A @ M)[:, :m], A @ N @ A.T
     for i in range(n, m):
         F[i, i] = 1.0
-    for i in range(3):
-        Q[12 + i, 12 + i], Q[15 + i, 15 + i] = odometry[2, 0] ** 2 * dt, odometry[2, 1] ** 2 * dt
+    for i in range(6):
+        Q[12 + i, 12 + i] = odometry[2, i // 3] ** 2 * dt
 
 
 @dataclass(frozen=True)
@@ -153,9 +174,7 @@ class Strapdown(MotionModel):
         """Rows of seven: place and densities; orientation; walks of the biases; then time, rates, forces of samples."""
         if odometry is None:
             return np.zeros((0, 7))
-        o, unit = odometry, odometry.unit
-        numbers = np.zeros((3 + len(o.times), 7))
-        numbers[0, :5] = *unit.position, unit.gyro_density, unit.accelerometer_density
-        numbers[1, :4], numbers[2, :2] = unit.orientation, (unit.gyro_walk, unit.accelerometer_walk)
-        numbers[3:, 0], numbers[3:, 1:4], numbers[3:, 4:] = o.times, o.angular_rates, o.specific_forces
+        numbers = np.empty((3 + len(odometry.times), 7))
+        numbers[:3], numbers[3:, 0] = odometry.unit.rows, odometry.times
+        numbers[3:, 1:4], numbers[3:, 4:] = odometry.angular_rates, odometry.specific_forces
         return numbers
