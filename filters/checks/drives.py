@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
 from filters.contract.inertial import InertialSamples, InertialUnit
@@ -143,9 +144,9 @@ class WindingDrive:
         return cls(np.array([0.0, 0.0, SPEED]), turning, tuple(frames))
 
 
-def _heading(times: FloatArray) -> FloatArray:
+def _heading(times: ArrayLike) -> FloatArray:
     """Of the winding road at these times, rad."""
-    headings: FloatArray = _HEADING * np.sin(2.0 * np.pi * times / _HEADING_PERIOD)
+    headings: FloatArray = _HEADING * np.sin(2.0 * np.pi * np.asarray(times) / _HEADING_PERIOD)
     return headings
 
 
@@ -153,7 +154,7 @@ def _samples(rates: FloatArray, forces: FloatArray, rng: np.random.Generator, sc
     """Samples of a step in equal times, with errors of `scale` times the noise of `UNIT`."""
     densities = np.repeat([UNIT.gyro_density, UNIT.accelerometer_density], 3)
     errors = scale * densities / np.sqrt(DT / _SAMPLES) * rng.standard_normal((_SAMPLES, 6))
-    times = DT / _SAMPLES * np.arange(1, _SAMPLES + 1)
+    times: FloatArray = DT / _SAMPLES * np.arange(1.0, _SAMPLES + 1.0)
     return InertialSamples(times, rates + errors[:, :3], forces + errors[:, 3:], UNIT)
 
 

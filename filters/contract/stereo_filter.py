@@ -114,7 +114,8 @@ class StereoFilter(ABC):
         said = vars(self).setdefault("_said_unused", set())
         if name not in said:
             said.add(name)
-            _log.warning("%s makes no use of the %s that it is given", type(self).__name__, name)
+            what = "inertial samples" if name == "inertial" else name
+            _log.warning("%s makes no use of the %s that it is given", type(self).__name__, what)
 
     @abstractmethod
     def update(self, observation: StereoObservation) -> UpdateReport:

@@ -287,15 +287,16 @@ def _heads(arrays: Arrays, frames: int) -> list[FloatArray | None]:
 def _inertial_arrays(samples: Sequence[InertialSamples | None]) -> Arrays:
     """Samples end to end, how many each frame has, and the unit of each frame that has some."""
     there = [entry for entry in samples if entry is not None]
-    return {
+    arrays = {
         "has.inertial": np.array([entry is not None for entry in samples], dtype=np.bool_),
         "inertial.counts": np.array([len(entry.times) for entry in there], dtype=np.int64),
-        **{f"inertial.{name}": _joined((getattr(e, name) for e in there), shape) for name, shape in _SAMPLES.items()},
-        **{
-            f"inertial.unit.{name}": _joined((np.asarray(getattr(entry.unit, name))[None] for entry in there), shape)
-            for name, shape in _UNIT_OF_SAMPLES.items()
-        },
     }
+    for name, shape in _SAMPLES.items():
+        arrays[f"inertial.{name}"] = _joined((getattr(entry, name) for entry in there), shape)
+    for name, shape in _UNIT_OF_SAMPLES.items():
+        units = (np.asarray(getattr(entry.unit, name))[None] for entry in there)
+        arrays[f"inertial.unit.{name}"] = _joined(units, shape)
+    return arrays
 
 
 def _inertial_entries(arrays: Arrays, frames: int) -> list[InertialSamples | None]:
@@ -306,14 +307,15 @@ def _inertial_entries(arrays: Arrays, frames: int) -> list[InertialSamples | Non
     counts = _shaped(arrays, "inertial.counts", (int(has.sum()),), "integers")
     if (counts < 1).any():
         raise ValueError("array inertial.counts must be >= 1")
-    units = zip(
-        *(_shaped(arrays, f"inertial.unit.{name}", (len(counts), *s)) for name, s in _UNIT_OF_SAMPLES.items()),
-        strict=True,
-    )
-    total, ends = int(counts.sum()), np.cumsum(counts)[:-1]
-    columns = [np.split(_shaped(arrays, f"inertial.{name}", (total, *shape)), ends) for name, shape in _SAMPLES.items()]
-    steps = iter([InertialSamples(*of, InertialUnit(*unit)) for *of, unit in zip(*columns, units, strict=True)])
-    return [next(steps) if there else None for there in has] if len(counts) else [None] * frames
+    ends, total = np.cumsum(counts), int(counts.sum())
+    times, rates, forces = (_shaped(arrays, f"inertial.{name}", (total, *s)) for name, s in _SAMPLES.items())
+    units = [_shaped(arrays, f"inertial.unit.{name}", (len(counts), *s)) for name, s in _UNIT_OF_SAMPLES.items()]
+    steps: list[InertialSamples | None] = [None] * frames
+    for entry, k in enumerate(np.flatnonzero(has).tolist()):
+        mine = slice(int(ends[entry] - counts[entry]), int(ends[entry]))
+        unit = InertialUnit(*(numbers[entry] for numbers in units))
+        steps[k] = InertialSamples(times[mine], rates[mine], forces[mine], unit)
+    return steps
 
 
 def _has(arrays: Arrays, name: str, frames: int) -> NDArray[Any]:
