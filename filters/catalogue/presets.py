@@ -69,6 +69,17 @@ RightInvariantEKF = _named(
     landmark="shared-anchor",
     error="right-invariant",
 )
+InertialEKF = _named(
+    "InertialEKF",
+    """Stereo-inertial EKF: strapdown motion, shared-anchor inverse depth, right-invariant errors.
+
+    Needs samples of an inertial unit in every step. `motion={"name": "strapdown", "sigma_gravity": 10.0}` starts
+    without a vertical; see `Strapdown` for what else may be unknown.
+    """,
+    landmark="shared-anchor",
+    motion="strapdown",
+    error="right-invariant",
+)
 UnscentedStereoFilter = _named(
     "UnscentedStereoFilter",
     """Shared-anchor inverse-depth stereo filter with unscented updates on the measured sub-state.
@@ -116,6 +127,7 @@ PRESETS: Mapping[str, type[StereoFilter]] = {
     "shared-anchor": SharedAnchorEKF,
     "hybrid": HybridEKF,
     "right-invariant": RightInvariantEKF,
+    "inertial": InertialEKF,
     "unscented": UnscentedStereoFilter,
     "monocular": MonocularEKF,
     "coloured-noise": ColouredNoiseEKF,
