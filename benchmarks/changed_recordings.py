@@ -2,7 +2,7 @@
 
     python benchmarks/changed_recordings.py DATA                                  # some minutes
     python benchmarks/changed_recordings.py DATA --recordings kitti07_tracks --changes "as it is" "every 2nd frame"
-    python benchmarks/changed_recordings.py DATA --look 0                         # no future: what is assumed of anybody
+    python benchmarks/changed_recordings.py DATA --look 0                        # no future: what is assumed of anybody
     python benchmarks/changed_recordings.py --rendered 6 --renderer gl            # right turns, all changes
     python benchmarks/changed_recordings.py --wrong-rigs 20                       # rendered, each with a wrong rig
 
