@@ -15,6 +15,7 @@ from stereo_slam_env.benchmark import compare
 from stereo_slam_env.benchmark.scenarios.study import load_study
 from stereo_slam_env.benchmark.storage.run_archive import load_provenance, load_run
 from stereo_slam_env.benchmark.storage.store import read_study
+from stereo_slam_env.benchmark.storage.tables import results_of
 from stereo_slam_env.datasets import load, open_image_sequence
 from stereo_slam_env.evaluation.drift_model import DriftModel, claim
 from stereo_slam_env.evaluation.trajectory_score import evaluate_trajectory
@@ -70,7 +71,7 @@ def _finished(folder: Path) -> object:
     """What `report` and the next start of the same run read of a finished one."""
     (directory,) = read_study(folder).cells
     compare(folder, folder)
-    return directory.results(), directory.missing(), directory.recording_content(0)
+    return results_of(directory), directory.missing(), directory.recording_content(0)
 
 
 def _training(folder: Path) -> object:

@@ -149,6 +149,7 @@ def report(
 ) -> None:
     """Write tables and report of a finished run again; with a second run, say what changed significantly."""
     from stereo_slam_env.benchmark.storage.store import read_study, root_of
+    from stereo_slam_env.benchmark.storage.tables import write_results
     from stereo_slam_env.files.folders import claimed_folder
     from stereo_slam_env.report.benchmark_report import write_report_of
     from stereo_slam_env.report.console import show_cells
@@ -158,7 +159,7 @@ def report(
         return
     study = read_study(directory)
     with claimed_folder(root_of(study.out)):
-        results = study.write_results()
+        results = write_results(study)
         if trajectories:
             study.write_trajectories()
         page = write_report_of(study, results)
