@@ -40,6 +40,7 @@ from filters.measurements.rectified_pair import LeftOnly, LeftThenRight, RangeBe
 from filters.measurements.unrectified_pair import UnrectifiedPair
 from filters.motions.constant_velocity import ConstantVelocity
 from filters.motions.model import MotionModel
+from filters.motions.strapdown import Strapdown
 from filters.motions.velocity_driven import VelocityDriven
 from filters.updates.extended import Extended
 from filters.updates.model import Linearisation
@@ -92,7 +93,7 @@ SLOTS: Mapping[str, Slot] = {
     ),
     "motion": Slot(
         MotionModel,
-        {"constant-velocity": ConstantVelocity, "velocity-driven": VelocityDriven},
+        {"constant-velocity": ConstantVelocity, "velocity-driven": VelocityDriven, "strapdown": Strapdown},
         "stereo_slam.motions",
     ),
     "error": Slot(

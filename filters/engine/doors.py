@@ -14,7 +14,6 @@ import numpy as np
 
 from filters.contract.drift import in_own_numbers, step_covariances
 from filters.contract.observation import StereoObservation
-from filters.contract.odometry import BodyVelocity
 from filters.engine import selection
 from filters.engine.compiled.blas import PLAIN
 from filters.engine.compiled.frame import FIRST, MOVED, SETTLED
@@ -29,7 +28,7 @@ from filters.engine.values import ValuePlaces
 from filters.geometry import rotations
 from filters.geometry.camera import StereoCamera
 from filters.measurements.model import Stage
-from filters.motions.model import ROTATION, measure_odometry, predict_camera
+from filters.motions.model import ROTATION, StepInput, measure_odometry, predict_camera
 from filters.state.joint_state import Clone, JointState, world_rotation_of_variables
 from filters.state.linearised import LinearisedMeasurements
 from filters.state.transport import Transport
@@ -109,7 +108,7 @@ class Doors:
 
     # --- before the frame ---
 
-    def predict(self, b: int, dt: float, odometry: BodyVelocity | None) -> tuple[FloatArray, ...]:
+    def predict(self, b: int, dt: float, odometry: StepInput | None) -> tuple[FloatArray, ...]:
         """The step of filter b by numbers: values, F and Q of the leading rows; then nu, H and R of the odometry."""
         motion, layout, error = self._options.motion, self._options.layout, self._options.error
         before = self._values.camera(self._room.storage.x[b].copy())

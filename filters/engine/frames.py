@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from filters.contract.odometry import BodyVelocity
+from filters.motions.model import StepInput
 from filters.validation import BoolArray, FloatArray, IntArray, unchecked
 
 
@@ -38,22 +39,22 @@ class Odometry:
     fused: BoolArray
     """(B,): whose there is."""
     values: FloatArray
-    """(B, 6): linear and angular velocity, camera frame."""
+    """(B, 6): linear and angular velocity, camera frame; 0 where there are inertial samples."""
     covariances: FloatArray
     """(B, 6, 6): of those."""
-    given: Sequence[BodyVelocity | None] | None = None
+    given: Sequence[StepInput | None] | None = None
     """As it was given, for motions that know more of it."""
 
     @classmethod
-    def of(cls, given: Sequence[BodyVelocity | None]) -> Odometry:
+    def of(cls, given: Sequence[StepInput | None]) -> Odometry:
         """Odometry of each filter; None: it has none."""
         values, covariances = np.zeros((len(given), 6)), np.zeros((len(given), 6, 6))
         for b, entry in enumerate(given):
-            if entry is not None:
+            if isinstance(entry, BodyVelocity):
                 values[b, :3], values[b, 3:], covariances[b] = entry.linear, entry.angular, entry.covariance
         return cls(np.array([entry is not None for entry in given]), values, covariances, given)
 
-    def of_filter(self, b: int) -> BodyVelocity | None:
+    def of_filter(self, b: int) -> StepInput | None:
         """That of filter b."""
         if self.given is not None:
             return self.given[b]

@@ -11,7 +11,6 @@ import numpy as np
 from filters.contract.known_names import require_known
 from filters.contract.noise import StereoNoise
 from filters.contract.observation import StereoObservation
-from filters.contract.odometry import BodyVelocity
 from filters.contract.update_report import UpdateReport
 from filters.contract.variables import VELOCITY
 from filters.engine.compiled import storage as fates
@@ -27,7 +26,7 @@ from filters.geometry.machine_code import settings_of
 from filters.geometry.poses import Pose
 from filters.geometry.retractions import ADDITIVE
 from filters.measurements.model import MeasurementModel
-from filters.motions.model import CameraState
+from filters.motions.model import CameraState, StepInput
 from filters.parts import SLOTS, kernels_of
 from filters.state import symmetric
 from filters.state.joint_state import JointState
@@ -133,14 +132,14 @@ class Row:
         """A filter with an engine of its own."""
         return cls(Engine(recipe_of(camera, options), parts=Parts(camera, options)), options)
 
-    def predict(self, dt: float, odometry: BodyVelocity | None) -> None:
+    def predict(self, dt: float, odometry: StepInput | None) -> None:
         """Move the belief forward by dt, then fuse what odometry adds."""
         steps = np.zeros(self.engine.count)
         steps[self.number] = dt
         if odometry is None:
             self.engine.step(steps, None)
             return
-        given: list[BodyVelocity | None] = [None] * self.engine.count
+        given: list[StepInput | None] = [None] * self.engine.count
         given[self.number] = odometry
         self.engine.step(steps, None, Odometry.of(given))
 
