@@ -154,9 +154,9 @@ def available_parts(slot: str) -> dict[str, str]:
     return {name: (inspect.getdoc(make) or "no description").splitlines()[0] for name, make in _named(slot).items()}
 
 
-def kernels_of(part: object) -> Any:
+def kernels_of(part: Any) -> Any:
     """Kernels of a part: those that its own class states, since a subclass may have changed what they stand for."""
-    return vars(type(part)).get("kernels")
+    return part.kernels if "kernels" in vars(type(part)) else None
 
 
 def _settings(make: Callable[..., Any]) -> list[str]:

@@ -29,19 +29,14 @@ from filters.validation import BoolArray, FloatArray, IntArray, whole_number
 
 @dataclass(frozen=True, eq=False)
 class Reports(Sequence[UpdateReport]):
-    """Reports of a batch, each made when it is asked for.
-
-    Attributes
-    ----------
-    offsets, ids : (B + 1,), (M,) int64
-        Measurements of filter b are offsets[b] to offsets[b + 1] - 1, ids ascending.
-    outcome : Outcome
-        What became of them.
-    """
+    """Reports of a batch, each made when it is asked for."""
 
     offsets: IntArray
+    """(B + 1,): measurements of filter b are offsets[b] to offsets[b + 1] - 1, ids ascending."""
     ids: IntArray
+    """(M,): measurements of filter b are offsets[b] to offsets[b + 1] - 1, ids ascending."""
     outcome: Outcome
+    """What became of them."""
 
     def __len__(self) -> int:
         return len(self.offsets) - 1
@@ -59,27 +54,18 @@ class Reports(Sequence[UpdateReport]):
 
 @dataclass(frozen=True, eq=False)
 class RelativeLandmarks:
-    """The maps of a batch as its cameras see them.
-
-    Attributes
-    ----------
-    offsets : (B + 1,) int64
-        Landmarks of filter b are offsets[b] to offsets[b + 1] - 1, ids ascending.
-    ids : (M,) int64
-        Landmarks.
-    points_c : (M, 3)
-        Positions in the camera frame, m.
-    covariances : (M, 3, 3)
-        Of those, m^2; errors of the pose and their correlation count.
-    located : (M,) bool
-        Whether the landmark is in front of its anchor, at a finite distance.
-    """
+    """The maps of a batch as its cameras see them."""
 
     offsets: IntArray
+    """(B + 1,): landmarks of filter b are offsets[b] to offsets[b + 1] - 1, ids ascending."""
     ids: IntArray
+    """(M,): landmarks."""
     points_c: FloatArray
+    """(M, 3): positions in the camera frame, m."""
     covariances: FloatArray
+    """(M, 3, 3): of those, m^2; errors of the pose and their correlation count."""
     located: BoolArray
+    """(M,): whether the landmark is in front of its anchor, at a finite distance."""
 
 
 _METHODS = ("reset", "predict", "update", "forecast", "pose", "velocity", "pose_error", "state_size", "state")
@@ -208,7 +194,7 @@ class FilterBatch(Sequence[StereoEKF]):
         points_at(of_part(self._engine.recipe.landmark, "point"), plan.landmark, values, points, by_own)
         state = storage.P, storage.x, storage.blocks, storage.own, storage.anchor, storage.counts
         written = found.points_c, found.covariances, found.located
-        relative_landmarks(*state, plan.leading, plan.anchored, points, by_own, offsets, *written)
+        relative_landmarks(*state, plan.leading, plan.anchors > 0, points, by_own, offsets, *written)
         return found
 
     def reset(self, starts: Start | Sequence[Start] = AT_ORIGIN) -> None:
