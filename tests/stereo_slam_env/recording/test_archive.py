@@ -86,7 +86,7 @@ def test_a_recording_whose_samples_would_be_lost_is_not_saved(tmp_path):
     recording = small_recording()
     odd = dataclasses.replace(recording.frames[1], odometry=Accelerations(np.zeros(3), np.zeros(3), np.eye(6)))
     frames = (recording.frames[0], odd, *recording.frames[2:])
-    with pytest.raises(ValueError, match=r"^frame 1 has a Accelerations, not a BodyVelocity itself: what it adds would"):
+    with pytest.raises(ValueError, match=r"^frame 1 has a Accelerations, not a BodyVelocity itself: what it adds"):
         save_recording(tmp_path / "drive.npz", dataclasses.replace(recording, frames=frames))
     assert not (tmp_path / "drive.npz").exists()
 
