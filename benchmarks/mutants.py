@@ -278,6 +278,8 @@ def clean(copy: Path, room: Room, limit: float) -> Clean:
     """What the tests of a room reach, and their times."""
     out = copy / "clean.json"
     run_tests(copy, room, room.tests, {"files": [str(copy / files) for files in room.files], "out": str(out)}, limit)
+    if not out.exists():
+        sys.exit(f"the tests took more than {limit:g} s without a mutant: give a larger --limit")
     found = json.loads(out.read_text())
     reach = {
         Path(file).relative_to(copy).as_posix(): {int(line): set(tests) for line, tests in lines.items()}

@@ -5,11 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
+from filters.contract.beliefs import PoseBelief
 from filters.contract.noise import ColouredNoise, StereoNoise
-from filters.contract.stereo_filter import StereoFilter
+from filters.contract.start import Start
+from filters.contract.stereo_filter import AT_ORIGIN, StereoFilter
 from filters.engine.stereo_ekf import StereoEKF
 from filters.geometry.camera import StereoCamera
 from filters.submaps.submap_ekf import SubmapEKF
+from filters.validation import FloatArray
 
 
 def _named(class_name: str, description: str, **chosen: Any) -> type[StereoEKF]:
@@ -69,6 +74,17 @@ RightInvariantEKF = _named(
     landmark="shared-anchor",
     error="right-invariant",
 )
+InertialEKF = _named(
+    "InertialEKF",
+    """Stereo-inertial EKF: strapdown motion, shared-anchor inverse depth, right-invariant errors.
+
+    Needs samples of an inertial unit in every step. `motion={"name": "strapdown", "sigma_gravity": 10.0}` starts
+    without a vertical; see `Strapdown` for what else may be unknown.
+    """,
+    landmark="shared-anchor",
+    motion="strapdown",
+    error="right-invariant",
+)
 UnscentedStereoFilter = _named(
     "UnscentedStereoFilter",
     """Shared-anchor inverse-depth stereo filter with unscented updates on the measured sub-state.
@@ -98,15 +114,40 @@ class ColouredNoiseEKF(StereoEKF):
 
     def __init__(self, camera: StereoCamera, noise: StereoNoise, *, gate: float | None = 0.99, **options: Any) -> None:
         stated: dict[str, Any] = {}
+        scale = 0.0
         if isinstance(noise, ColouredNoise):
             stated |= {"drift": noise.drift, "gauge_walk": noise.gauge_walk}
             priors = {"misalignment_sigma": noise.misalignment, "offset_sigma": noise.disparity_offset}
             if any(priors.values()):
                 given = {name: sigma for name, sigma in priors.items() if sigma}
                 stated["measurement"] = {"name": "calibrated", **given}
+            scale = noise.scale
             noise = StereoNoise(noise.R if noise.white is None else noise.white)
         usual = {"landmark": "shared-anchor", "error": "right-invariant", "consensus": gate is not None}
         super().__init__(camera, noise, gate=gate, **{**usual, **stated, **options})
+        self._scale = scale
+
+    @property
+    def pose(self) -> PoseBelief:
+        """Pose of the left camera, with the doubt about the scale of the way from the start."""
+        return self._in_doubt_of_scale(super().pose, self._start)
+
+    def relative_pose(self, name: str) -> PoseBelief:
+        """As of `StereoEKF`, with the doubt about the scale of the way from the clone."""
+        return self._in_doubt_of_scale(super().relative_pose(name), np.zeros(3))
+
+    def reset(self, start: Start = AT_ORIGIN) -> None:
+        """As of `StereoEKF`."""
+        super().reset(start)
+        self._start = np.array(start.position, dtype=np.float64)
+
+    def _in_doubt_of_scale(self, pose: PoseBelief, origin: FloatArray) -> PoseBelief:
+        """What a scale that is constant, and that no measurement shows, adds to a covariance: P + s^2 t t^T."""
+        if not self._scale:
+            return pose
+        way, covariance = self._scale * (pose.position - origin), pose.covariance.copy()
+        covariance[:3, :3] += np.outer(way, way)
+        return PoseBelief(pose.position, pose.orientation, covariance)
 
 
 PRESETS: Mapping[str, type[StereoFilter]] = {
@@ -116,6 +157,7 @@ PRESETS: Mapping[str, type[StereoFilter]] = {
     "shared-anchor": SharedAnchorEKF,
     "hybrid": HybridEKF,
     "right-invariant": RightInvariantEKF,
+    "inertial": InertialEKF,
     "unscented": UnscentedStereoFilter,
     "monocular": MonocularEKF,
     "coloured-noise": ColouredNoiseEKF,

@@ -16,12 +16,23 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from stereo_slam_env.cli import bench as cli_bench
+from stereo_slam_env.cli import claim as cli_claim
 from stereo_slam_env.cli import evaluate as cli_evaluate
 from stereo_slam_env.cli import scenes as cli_scenes
 from stereo_slam_env.cli import studies as cli_studies
 from stereo_slam_env.cli import train as cli_train
 from stereo_slam_env.cli import view as cli_view
-from stereo_slam_env.cli.parts import Interrupted, JsonOption, console, group, refuse, show_json, show_lines, show_place
+from stereo_slam_env.cli.parts import (
+    Interrupted,
+    JsonOption,
+    TakesTruths,
+    console,
+    group,
+    refuse,
+    show_json,
+    show_lines,
+    show_place,
+)
 
 if TYPE_CHECKING:
     from sys import UnraisableHookArgs
@@ -40,7 +51,9 @@ app.add_typer(policies_app, name="policies")
 app.add_typer(cli_scenes.app, name="scenes")
 app.command()(cli_bench.bench)
 app.command()(cli_bench.replay)
-app.command()(cli_evaluate.evaluate)
+app.command(cls=TakesTruths)(cli_evaluate.evaluate)
+app.command(cls=TakesTruths)(cli_claim.calibrate)
+app.command()(cli_claim.claim)
 app.command()(cli_studies.faults)
 app.command()(cli_studies.paper)
 app.command()(cli_train.train)

@@ -16,7 +16,7 @@ from stereo_slam_env.datasets.tracks import (
     camera_velocities,
     frames_of,
     stated_or_assumed,
-    tracks_of_pixels,
+    without_repeats,
 )
 from stereo_slam_env.files.readers import Shape, read_archive, read_poses
 from stereo_slam_env.recording.recording import Recording
@@ -65,7 +65,8 @@ def read(
     Returns
     -------
     Recording
-        W is the left camera at frame 0. Frames after the last pose have no truth.
+        W is the left camera at frame 0. Frames after the last pose have no truth. Measurements that repeat the frame
+        before are left out and counted, and their tracks go on as new landmarks: see `without_repeats`.
 
     Raises
     ------
@@ -79,7 +80,8 @@ def read(
     truth = [Pose(r, q) for r, q in zip(positions[:count], orientations[:count], strict=True)]
     K, T = arrays["K"], arrays["cam_T_imu"]
     fx, fy, cx, cy, baseline = (float(x) for x in (K[0, 0], K[1, 1], K[0, 2], K[1, 2], arrays["b"][0]))
-    tracks, known = tracks_of_pixels(arrays["features"].transpose(0, 2, 1)), known_by(positions)
+    tracks, repeats = without_repeats(arrays["features"].transpose(0, 2, 1))
+    known = known_by(positions)
     sigmas, size = stated_or_assumed(
         path,
         tracks,
@@ -105,6 +107,7 @@ def read(
         "sigma_linear_m_s": float(sigmas["sigma_linear"]),
         "sigma_angular_rad_s": float(sigmas["sigma_angular"]),
         "max_per_frame": max_per_frame,
+        "dropped_repeats": repeats,
         "dropped_non_positive_disparity": len(tracks) - len(usable),
         "frames_without_truth": count - len(truth),
     }

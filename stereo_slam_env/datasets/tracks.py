@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -112,6 +112,20 @@ def tracks_of_pixels(pixels: FloatArray) -> Tracks:
     frame, landmark = np.nonzero((pixels != -1.0).all(axis=0))
     u_left, v_left, u_right, v_right = pixels[:, frame, landmark]
     return Tracks(frame, landmark, np.column_stack([u_left, v_left, u_left - u_right]), v_right)
+
+
+def without_repeats(pixels: FloatArray) -> tuple[Tracks, int]:
+    """Observations as of `tracks_of_pixels` without those that repeat the frame before to the last bit, and how many.
+
+    A tracker that stops in a frame, to look for new points, and goes on from the old pixels in the next image follows
+    another point of the scene from there on: it gets an id of its own, that of the column plus a multiple of N.
+    """
+    seen = (pixels != -1.0).all(axis=0)
+    repeated = np.zeros(seen.shape, dtype=bool)
+    repeated[1:] = seen[1:] & (pixels[:, 1:] == pixels[:, :-1]).all(axis=0)
+    tracks = tracks_of_pixels(np.where(repeated, -1.0, pixels))
+    points_before = np.cumsum(repeated, axis=0)[tracks.frame, tracks.ids]
+    return replace(tracks, ids=tracks.ids + seen.shape[1] * points_before), int(repeated.sum())
 
 
 def frames_of(

@@ -34,7 +34,7 @@ from stereo_slam_env.evaluation.trajectory_windows import LENGTHS, WindowScore, 
 from stereo_slam_env.recording.trajectory import Trajectory
 from stereo_slam_env.recording.trajectory_files import load_trajectory
 
-SCHEMA = 2
+SCHEMA = 3
 """Version of what `TrajectoryScore.as_dict` gives."""
 
 

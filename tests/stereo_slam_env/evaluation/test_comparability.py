@@ -154,7 +154,7 @@ def test_a_swapped_reading_is_named_and_is_no_claim(swap, words, whose):
     estimate, truth = drive(error=0.002)
     pair = (swap(estimate), truth) if whose == "estimate" else (estimate, swap(truth))
     score = sse.evaluate_trajectory(*pair)
-    assert score.verdict.startswith("not judged: the files fit ten times better")
+    assert score.verdict.startswith("not judged: the files fit five times better")
     assert words.format(whose) in score.verdict
 
 

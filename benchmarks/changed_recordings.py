@@ -1,0 +1,284 @@
+"""What a covariance is worth on recordings that are a little different: fewer frames, noise, a rig that is wrong.
+
+    python benchmarks/changed_recordings.py DATA                                  # some minutes
+    python benchmarks/changed_recordings.py DATA --recordings kitti07_tracks --changes "as it is" "every 2nd frame"
+    python benchmarks/changed_recordings.py DATA --look 0                        # no future: what is assumed of anybody
+    python benchmarks/changed_recordings.py --rendered 6 --renderer gl            # right turns, all changes
+    python benchmarks/changed_recordings.py --wrong-rigs 20                       # rendered, each with a wrong rig
+
+DATA is the folder that holds the recordings of `benchmarks/real_covariances.py`. The tracks are changed, their noise is
+measured again as a stranger's would be, and "coloured-noise" runs on them with vision only. NEES/6 of the pose and of
+the motion over windows of 1 s and 10 s should be 1; the log score is minus the mean log likelihood of windows (nats,
+lower is better); ATE is rigid, m. NIS by its degrees of freedom and the share of gated measurements, %, are what a user
+sees without a truth.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+import stereo_slam_env as sse
+from filters import StereoCamera, StereoNoise, StereoObservation, nees
+from filters.validation import FloatArray
+from stereo_slam_env.evaluation.trajectory_metrics import ate_rigid
+from stereo_slam_env.evaluation.windows import window_ends
+from stereo_slam_env.frontend import with_measured_noise
+from stereo_slam_env.recording.recording import GIVEN_TRUTH, Recording
+from stereo_slam_env.recording.trajectory import pose_errors
+
+RECORDINGS: Mapping[str, int | None] = {
+    "kitti06_stereo51": None,
+    "kitti00_stereo_tracks": None,
+    "kitti07_tracks": 600,
+    "starry_night_a": None,
+}
+"""Recordings and how many of their frames are used, for the sake of time; None: all."""
+WINDOWS = (1.0, 10.0)
+WRONG_RIG = StereoCamera(420.0, 420.0, 317.0, 204.0, 0.12, 640, 400)
+"""Of the rendered drives whose rig is wrong."""
+
+Change = Callable[[Recording, np.random.Generator], Recording]
+
+
+def measured_again(recording: Recording, look: int | None = None) -> Recording:
+    """The recording with what its tracks, or those of its first frames, say now; a stranger states no more than R."""
+    bare = replace(recording, noise=StereoNoise(recording.noise.R))
+    told = with_measured_noise(bare[:look])
+    return told if look is None else replace(bare, noise=told.noise)
+
+
+def every(n: int) -> Change:
+    """Every nth frame; odometry is of single steps and left out."""
+    return lambda drive, rng: replace(drive, frames=tuple(replace(frame, odometry=None) for frame in drive.frames[::n]))
+
+
+def _seen(drive: Recording, change: Callable[[StereoObservation], StereoObservation]) -> Recording:
+    return drive.with_observations([change(frame.observation) for frame in drive.frames])
+
+
+def _moved(drive: Recording, error: Callable[[FloatArray], FloatArray]) -> Recording:
+    return _seen(drive, lambda seen: replace(seen, uvd=seen.uvd + error(seen.uvd)))
+
+
+def half_the_tracks(drive: Recording, rng: np.random.Generator) -> Recording:
+    """Half of the landmarks, chosen at random."""
+    ids = np.unique(np.concatenate([frame.observation.ids for frame in drive.frames]))
+    kept = rng.choice(ids, len(ids) // 2, replace=False)
+    return _seen(drive, lambda seen: seen.select(np.isin(seen.ids, kept)))
+
+
+def outliers(drive: Recording, rng: np.random.Generator) -> Recording:
+    """2 % of the measurements are wrong by some 20 px."""
+    return _moved(drive, lambda uvd: 20.0 * rng.normal(size=uvd.shape) * (rng.random((len(uvd), 1)) < 0.02))
+
+
+def white_noise(drive: Recording, rng: np.random.Generator) -> Recording:
+    """0.5 px on each of u_left, v and u_right."""
+
+    def error(uvd: FloatArray) -> FloatArray:
+        n = 0.5 * rng.normal(size=uvd.shape)
+        return np.column_stack([n[:, 0], n[:, 1], n[:, 0] - n[:, 2]])
+
+    return _moved(drive, error)
+
+
+def focal_length(share: float) -> Change:
+    """Focal lengths are stated too large."""
+    return lambda drive, rng: replace(
+        drive, camera=replace(drive.camera, fx=drive.camera.fx * (1 + share), fy=drive.camera.fy * (1 + share))
+    )
+
+
+def baseline(share: float) -> Change:
+    """The baseline is stated too large."""
+    return lambda drive, rng: replace(drive, camera=replace(drive.camera, baseline=drive.camera.baseline * (1 + share)))
+
+
+def turned(degrees: float) -> Change:
+    """The right camera is turned about its vertical axis."""
+
+    def change(drive: Recording, rng: np.random.Generator) -> Recording:
+        camera, angle = drive.camera, np.radians(degrees)
+
+        def error(uvd: FloatArray) -> FloatArray:
+            x_right = (uvd[:, 0] - uvd[:, 2] - camera.cx) / camera.fx
+            return np.outer(camera.fx * angle * (1.0 + x_right**2), [0.0, 0.0, 1.0])
+
+        return _moved(drive, error)
+
+    return change
+
+
+CHANGES: Mapping[str, Change] = {
+    "as it is": lambda drive, rng: drive,
+    "every 2nd frame": every(2),
+    "every 3rd frame": every(3),
+    "half the tracks": half_the_tracks,
+    "2 % outliers": outliers,
+    "+ 0.5 px white noise": white_noise,
+    "focal + 0.5 %": focal_length(0.005),
+    "baseline + 1 %": baseline(0.01),
+    "right camera turned 0.1 deg": turned(0.1),
+}
+
+
+@dataclass(frozen=True)
+class Row:
+    """Figures of a run."""
+
+    pose: float
+    """NEES / 6, mean over the frames."""
+    windows: tuple[float, ...]
+    """NEES / 6, mean over the windows of each length of `WINDOWS`."""
+    scores: tuple[float, ...]
+    """Minus the mean log likelihood of the windows, nats."""
+    ate: float
+    """Rigid, m."""
+    nis: float
+    """By its degrees of freedom."""
+    gated: float
+    """Share of the measurements, %."""
+
+    @property
+    def cells(self) -> list[str]:
+        """For a table."""
+        windows = [f"{window:.2f}" for window in self.windows]
+        scores = [f"{score:.1f}" for score in self.scores]
+        return [f"{self.pose:.2f}", *windows, *scores, f"{self.ate:.2f}", f"{self.nis:.2f}", f"{self.gated:.1f}"]
+
+
+HEADS = ("", "NEES/6", "1 s", "10 s", "score 1 s", "10 s", "ATE, m", "NIS", "gated, %")
+
+
+def scored(recording: Recording, name: str = "coloured-noise", **options: Any) -> Row:
+    """A filter on a recording, vision only."""
+    reference, frames = recording.reference, recording.frames
+    times = np.array([frame.timestamp for frame in frames])
+    scored_at = np.flatnonzero([frame.truth is not None for frame in frames] & reference.has_settled(times))
+    ends = {s: {int(scored_at[j]): int(scored_at[i]) for i, j in window_ends(times[scored_at], s)} for s in WINDOWS}
+    found: dict[float, list[tuple[float, float]]] = {seconds: [] for seconds in WINDOWS}
+    pose, estimates, nis, dof, gated, measured = [], [], 0.0, 0, 0, 0
+    for moment in sse.run(name, recording, use_odometry=False, **options):
+        k, slam = moment.number, moment.slam
+        nis, dof = nis + moment.report.nis, dof + moment.report.nis_dof
+        gated, measured = gated + len(moment.report.gated), measured + len(moment.observation)
+        if k not in scored_at:
+            continue
+        pose.append(moment.nees)
+        estimates.append((moment.pose.position, moment.truth.position))
+        for seconds, first_of in ends.items():
+            label = f"window-{seconds:g}"
+            if k in first_of:
+                moved, start = slam.relative_pose(label), frames[first_of[k]].truth
+                true = start.inverse() @ moment.truth
+                parts = (moved.position, moved.orientation, true.position, true.orientation)
+                error = pose_errors("position-rotation", *(part[None] for part in parts))
+                P = moved.covariance + reference.relative_covariance(start, moment.truth)
+                value = float(nees(error, P[None])[0])
+                found[seconds].append((value, 0.5 * (value + np.linalg.slogdet(2.0 * np.pi * P)[1])))
+                slam.forget_clone(label)
+            if k in first_of.values():
+                slam.clone_pose(label)
+    means = [np.mean(found[s], axis=0) if found[s] else np.full(2, np.nan) for s in WINDOWS]
+    estimated, true_positions = (np.array(part) for part in zip(*estimates, strict=True))
+    return Row(
+        float(np.mean(pose)) / 6,
+        tuple(float(mean[0]) / 6 for mean in means),
+        tuple(float(mean[1]) for mean in means),
+        ate_rigid(estimated, true_positions),
+        nis / max(dof, 1),
+        100.0 * gated / max(measured, 1),
+    )
+
+
+def changed(drive: Recording, name: str, look: int | None = None) -> Recording:
+    """The drive with a change of `CHANGES`, always the same."""
+    change = CHANGES[name](drive, np.random.default_rng(list(CHANGES).index(name)))
+    return measured_again(change, look)
+
+
+def show(console: Console, title: str, drives: Sequence[Recording], changes: Sequence[str], look: int | None) -> None:
+    """A row for each change; means over the drives."""
+    table = Table(title=title)
+    for number, head in enumerate(HEADS):
+        table.add_column(head, justify="right" if number else "left")
+    for name in changes:
+        rows = [scored(changed(drive, name, look)) for drive in drives]
+        table.add_row(name, *_mean(rows).cells)
+    console.print(table)
+
+
+def _mean(rows: Sequence[Row]) -> Row:
+    figures: dict[str, Any] = {
+        field.name: np.mean([getattr(row, field.name) for row in rows], axis=0) for field in fields(Row)
+    }
+    return Row(**{name: tuple(mean) if np.ndim(mean) else float(mean) for name, mean in figures.items()})
+
+
+def rendered(seeds: Iterable[int], renderer: str, route: str, **options: Any) -> Iterator[Recording]:
+    """Drives in rendered images."""
+    for seed in seeds:
+        yield sse.record("StereoSlam/Drive-v0", seed=seed, route=route, sensor="images", renderer=renderer, **options)
+
+
+def with_wrong_rig(drive: Recording, seed: int) -> Recording:
+    """The drive as a stranger's whose rig is wrong by errors of its calibration as large as those of `CHANGES`."""
+    rng = np.random.default_rng(seed)
+    for change in (
+        focal_length(0.005 * rng.normal()),
+        baseline(0.01 * rng.normal()),
+        turned(0.1 * rng.normal()),
+    ):
+        drive = change(drive, rng)
+    return measured_again(replace(drive, truth_from=GIVEN_TRUTH))
+
+
+def main() -> None:
+    """Run and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("data", type=Path, nargs="?")
+    parser.add_argument("--recordings", nargs="+", choices=list(RECORDINGS), default=list(RECORDINGS))
+    parser.add_argument("--changes", nargs="+", choices=list(CHANGES), default=list(CHANGES))
+    parser.add_argument("--look", type=int, metavar="FRAMES", help="at which the noise is measured; all if not given")
+    parser.add_argument("--rendered", type=int, default=0, metavar="SEEDS")
+    parser.add_argument("--wrong-rigs", type=int, default=0, metavar="SEEDS")
+    parser.add_argument("--renderer", default="gl")
+    parser.add_argument("--route", default="right-turn")
+    arguments = parser.parse_args()
+    console = Console(width=110)
+    if arguments.data is not None:
+        for name in arguments.recordings:
+            if (arguments.data / name).is_dir():
+                drive = sse.load(arguments.data / name)[: RECORDINGS[name]]
+                show(console, f"{name}, {len(drive)} frames", [drive], arguments.changes, arguments.look)
+    if arguments.rendered:
+        drives = list(rendered(range(arguments.rendered), arguments.renderer, arguments.route))
+        show(console, f"{arguments.route} by {arguments.renderer}", drives, arguments.changes, arguments.look)
+    if arguments.wrong_rigs:
+        seeds = range(arguments.wrong_rigs)
+        drives = list(rendered(seeds, arguments.renderer, arguments.route, rig=WRONG_RIG))
+        show_wrong_rigs(console, drives)
+
+
+def show_wrong_rigs(console: Console, drives: Sequence[Recording]) -> None:
+    """A row for each seed, and the means."""
+    table = Table(title=f"rendered with a wrong rig, {len(drives)} seeds")
+    for number, head in enumerate(HEADS):
+        table.add_column(head, justify="right" if number else "left")
+    rows = [scored(with_wrong_rig(drive, seed)) for seed, drive in enumerate(drives)]
+    for seed, row in enumerate(rows):
+        table.add_row(str(seed), *row.cells)
+    table.add_row("mean", *_mean(rows).cells)
+    console.print(table)
+
+
+if __name__ == "__main__":
+    main()
