@@ -10,21 +10,19 @@ threads are among what is compared: run it on idle cores. 20 % quantile over fra
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Callable
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 from threadpoolctl import threadpool_limits
 
 from filters import FilterBatch, Start, StereoEKF, StereoNoise, StereoObservation
 from filters.checks.conformance import REFERENCE_CAMERA as CAMERA
+from harness import arguments, in_turns, show, undisturbed
 
 NOISE = StereoNoise.independent_pixels(1.0)
 LANDMARKS, REPLACED, DT = 25, 10, 0.1
-COUNTS = (1, 8, 32, 128)
+COUNTS = [1, 8, 32, 128]
 
 
 def stream(seed: int, frames: int) -> tuple[np.ndarray, np.ndarray]:
@@ -37,55 +35,45 @@ def stream(seed: int, frames: int) -> tuple[np.ndarray, np.ndarray]:
 
 def main() -> None:
     """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--iterations", type=int, default=1, help="passes of each update")
-    parser.add_argument("--frames", type=int, default=150)
-    parser.add_argument("--filters", type=int, nargs="+", default=COUNTS)
-    arguments = parser.parse_args()
-    streams = [stream(seed, arguments.frames) for seed in range(max(arguments.filters))]
+    given = arguments(__doc__, iterations=1, frames=150, filters=COUNTS)
+    streams = [stream(seed, given.frames) for seed in range(max(given.filters))]
     ids, uvd = (np.array(arrays) for arrays in zip(*streams, strict=True))
 
     def make() -> StereoEKF:
-        slam = StereoEKF(CAMERA, NOISE, landmark="inverse-depth", iterations=arguments.iterations)
+        slam = StereoEKF(CAMERA, NOISE, landmark="inverse-depth", iterations=given.iterations)
         slam.reset(Start())
         return slam
 
-    def alone() -> Callable[[int], None]:
-        slam = make()
+    def alone() -> Callable[[], None]:
+        slam, frames = make(), iter(range(given.frames))
 
-        def step(frame: int) -> None:
+        def step() -> None:
+            frame = next(frames)
             slam.predict(DT)
             slam.update(StereoObservation(ids[0, frame], uvd[0, frame]))
 
         return step
 
-    def together(count: int, threads: int) -> Callable[[int], None]:
-        batch = FilterBatch(make, count, threads)
+    def together(count: int, threads: int) -> Callable[[], None]:
+        batch, frames = FilterBatch(make, count, threads), iter(range(given.frames))
         batch.reset(Start())
 
-        def step(frame: int) -> None:
+        def step() -> None:
+            frame = next(frames)
             batch.step_arrays(DT, ids[:count, frame], uvd[:count, frame])
 
         return step
 
-    steps = {("one by one", 1): alone()}
-    for count in arguments.filters:
+    steps, counts = {"one by one": alone()}, {"one by one": 1}
+    for count in given.filters:
         for threads in (1, 2) if count > 1 else (1,):
-            steps[f"batch of {count}, {threads} thread{'s' * (threads > 1)}", count] = together(count, threads)
-    times: dict[tuple[str, int], list[float]] = {key: [] for key in steps}
+            label = f"batch of {count}, {threads} thread{'s' * (threads > 1)}"
+            steps[label], counts[label] = together(count, threads), count
     with threadpool_limits(1):
-        for frame in range(arguments.frames):
-            for (label, count), step in steps.items():
-                began = time.perf_counter()
-                step(frame)
-                times[label, count].append((time.perf_counter() - began) / count)
-    cost = {label: float(np.quantile(t[len(t) // 5 :], 0.2)) for (label, _), t in times.items()}
-    table = Table(title=f"a filter's frame, {arguments.iterations} iteration(s)")
-    for head in ("", "us", "times the rate of one by one"):
-        table.add_column(head, justify="right" if head else "left")
-    for label, seconds in cost.items():
-        table.add_row(label, f"{1e6 * seconds:.0f}", f"{cost['one by one'] / seconds:.1f}")
-    Console(width=100).print(table)
+        times = in_turns(steps, given.frames, clock=time.perf_counter)
+    cost = {label: undisturbed(t[len(t) // 5 :]) / counts[label] for label, t in times.items()}
+    rows = [(label, f"{1e6 * s:.0f}", f"{cost['one by one'] / s:.1f}") for label, s in cost.items()]
+    show(f"a filter's frame, {given.iterations} iteration(s)", ("", "us", "times the rate of one by one"), rows)
 
 
 if __name__ == "__main__":

@@ -10,7 +10,6 @@ writes the report and prints what it took. Figures of such a campaign mean nothi
 
 from __future__ import annotations
 
-import argparse
 import io
 import json
 import resource
@@ -23,8 +22,10 @@ from pathlib import Path
 
 import numpy as np
 
+from harness import arguments
 from stereo_slam_env.benchmark.storage.run_trajectory_files import seed_name
 from stereo_slam_env.benchmark.storage.store import read_study
+from stereo_slam_env.benchmark.storage.tables import write_results
 from stereo_slam_env.files.json_files import write_json
 from stereo_slam_env.files.readers import read_arrays, read_json
 from stereo_slam_env.report.benchmark_report import write_report_of
@@ -95,7 +96,7 @@ def report(large: Path) -> None:
     """Write the report and print what it took."""
     began, busy = time.perf_counter(), time.process_time()
     study = read_study(large)
-    results = study.write_results()
+    results = write_results(study)
     read = time.process_time()
     page = write_report_of(study, results)
     took, worked = time.perf_counter() - began, time.process_time() - busy
@@ -110,12 +111,7 @@ def report(large: Path) -> None:
 
 def main() -> None:
     """Multiply a run, or report on one."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("small", type=Path)
-    parser.add_argument("large", type=Path)
-    parser.add_argument("--seeds", type=int, default=10_000)
-    parser.add_argument("--report", action="store_true")
-    given = parser.parse_args()
+    given = arguments(__doc__, "small", "large", small=Path, large=Path, seeds=10_000, report=False)
     if given.report:
         report(given.large)
     else:

@@ -7,7 +7,7 @@ A camera hovers before 12 landmarks, from 7 m to practically infinity. It starts
 with a velocity known to 1 m/s (variances from 1e-12 to 1), and every 1000 updates it is blind for a second, in
 which it may accelerate by 30 m/s^2, so that what is known to a hair sits beside what has been lost: the condition
 number of P reaches 1e12. "kept" is one map for ever, measured to ever smaller variances; "turnover" replaces a landmark
-in every fifth frame.
+in every fifth frame. `--only` takes a part of the names of the cases.
 
 The smallest eigenvalue is that of P scaled to unit variances, looked at every 1000 updates and through the blind
 stretches. The six-dimensional form copies one anchor for all landmarks of a frame: its P is singular by construction,
@@ -16,21 +16,19 @@ so its smallest eigenvalue is zero to rounding, on either side of it.
 
 from __future__ import annotations
 
-import argparse
 import resource
 import time
 from dataclasses import dataclass, field
 
 import numpy as np
 from joblib import Parallel, delayed
-from rich.console import Console
-from rich.table import Table
 from threadpoolctl import threadpool_limits
 
 from filters import ConstantVelocity, Start, StereoEKF, StereoNoise, StereoObservation
 from filters.checks.conformance import REFERENCE_CAMERA as CAMERA
 from filters.geometry import rotations
 from filters.state import symmetric
+from harness import arguments, show
 
 LANDMARKS = 12
 MOTION = ConstantVelocity(30.0, 0.6)
@@ -170,33 +168,20 @@ def soak(case: Case, updates: int) -> tuple[Health, float, float]:
 
 def main() -> None:
     """Run and print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--updates", type=int, default=100_000)
-    parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--only", default="", help="part of the names of the cases")
-    arguments = parser.parse_args()
-    cases = [case for case in CASES if arguments.only in str(case)]
+    given = arguments(__doc__, updates=100_000, jobs=2, only="")
+    cases = [case for case in CASES if given.only in str(case)]
     with threadpool_limits(1):
-        results = Parallel(arguments.jobs)(delayed(soak)(case, arguments.updates) for case in cases)
-    table = Table(title=f"{arguments.updates} updates of {LANDMARKS} landmarks, the worst seen")
+        results = Parallel(given.jobs)(delayed(soak)(case, given.updates) for case in cases)
     heads = ("case", "smallest eigenvalue, scaled", "smallest variance", "condition of P", "asymmetry", "failed")
-    for head in (*heads, "memory grown MB", "position rms m", "ms"):
-        table.add_column(head)
+    rows = []
     for case, (health, error, milliseconds) in zip(cases, results, strict=True):
         # The first tenth fills caches and pools.
         grown = (health.memory[-1] - health.memory[len(health.memory) // 10]) / 1024
-        table.add_row(
-            str(case),
-            f"{health.smallest_eigenvalue:.1e}",
-            f"{health.smallest_variance:.1e}",
-            f"{health.largest_condition:.1e}",
-            f"{health.asymmetry:.1e}",
-            str(health.failed),
-            f"{grown:.1f}",
-            f"{error:.3f}",
-            f"{milliseconds:.2f}",
-        )
-    Console(width=160).print(table)
+        worst = (health.smallest_eigenvalue, health.smallest_variance, health.largest_condition, health.asymmetry)
+        last = (str(health.failed), f"{grown:.1f}", f"{error:.3f}", f"{milliseconds:.2f}")
+        rows.append((str(case), *(f"{value:.1e}" for value in worst), *last))
+    title = f"{given.updates} updates of {LANDMARKS} landmarks, the worst seen"
+    show(title, (*heads, "memory grown MB", "position rms m", "ms"), rows)
 
 
 if __name__ == "__main__":

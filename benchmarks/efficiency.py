@@ -1,55 +1,69 @@
-"""How much do filters give away? Their errors on the reference drive against the posterior Cramer-Rao bound.
+"""How much do filters give away? Their errors on the reference drive against the Cramer-Rao bound and full smoothing.
 
-    python benchmarks/efficiency.py                       # 50 seeds of 200 frames, 10 min on two idle cores
-    python benchmarks/efficiency.py --seeds 200 --no-batch
-    python benchmarks/efficiency.py --noise uvd
+    python benchmarks/efficiency.py                       # 50 seeds of 200 frames, 20 min on two idle cores
+    python benchmarks/efficiency.py --noise uvd --seeds 200 --only shared-anchor stacked dual-bearing euclidean
+    python benchmarks/efficiency.py --seeds 20 --frames 800 --only shared-anchor "batch smoother"     # 20 min
 
 Independent pixel noise of 1 px that the filters know; no gate. Efficiency is the root mean square of the bound over
 that of the error, with a 95 % bootstrap interval over the seeds (pairs are drawn together): 100 % leaves nothing to
 gain. The batch smoother knows later frames when it says where the camera was, so it is compared by the last pose only,
-as are all in the last column. The bound is for all that was measured, the row of the right image included;
-"(u, v, d) only" is for those who do not use it, shared-anchor, euclidean and the smoother here. "as driven" is the
-bound for those who know that this car accelerates less than the motion model assumes: what lies between it and the
-first is what a better motion model could gain. Needs the extra `gtsam`, or `--no-batch`.
+as are all under "end"; "by batch" is the ratio of the errors there. The bound is for all
+that was measured, the row of the right image included; "(u, v, d) only" is for those who do not use it, shared-anchor,
+euclidean and the smoother here ("with the right row": the one who does). "as driven" is the bound for those who know
+that this car accelerates less than the motion model assumes: what lies between it and the first is what a better
+motion model could gain. ATE is rigid. chi2/dof says whether a solution of the smoother is the right minimum: far from
+1 it is not. The smoother needs the extra `gtsam`.
 """
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from joblib import Parallel, delayed
-from rich.console import Console
-from rich.table import Table
 from threadpoolctl import threadpool_limits
 
 from filters import ConstantVelocity
+from harness import arguments, by_seed, show
 from stereo_slam_env.benchmark.recordings.reference_problem import long_drive
-from stereo_slam_env.evaluation.cramer_rao import Bound, cramer_rao_bound, efficiency_interval
+from stereo_slam_env.evaluation.cramer_rao import Bound, cramer_rao_bound
 from stereo_slam_env.evaluation.figures import trial_figures
 from stereo_slam_env.evaluation.filter_run import run_filter
+from stereo_slam_env.evaluation.intervals import rms_ratio_interval
+from stereo_slam_env.evaluation.trajectory_metrics import ate_rigid
 from stereo_slam_env.evaluation.trial import Trial
 from stereo_slam_env.recording.recording import Recording
 
+BOUND, UVD_ONLY, AS_DRIVEN = "bound", "bound, (u, v, d) only", "bound, as driven"
+BATCHES = BATCH, BATCH_STACKED = "batch smoother", "batch smoother, with the right row"
 FILTERS: dict[str, tuple[str, dict[str, Any]]] = {
     "shared-anchor": ("shared-anchor", {}),
     "stacked": ("shared-anchor", {"measurement": "stacked"}),
     "dual-bearing": ("dual-bearing", {"landmark": "shared-anchor"}),
     "euclidean": ("euclidean", {"min_disparity": 5.0}),
+    "right-invariant": ("right-invariant", {}),
+    "unscented": ("unscented", {}),
+    "frame-to-frame": ("frame-to-frame", {}),
+    "dead-reckoning": ("dead-reckoning", {}),
 }
-BOUND, UVD_ONLY, AS_DRIVEN, BATCH = "bound", "bound, (u, v, d) only", "bound, as driven", "batch smoother"
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """Root mean squares over a run, m and deg, its last position error, m, and its pose NEES; NaN where not known."""
+    """Of one run; NaN where not known."""
 
-    position: float
-    rotation: float
     end: float
+    """Last position error, m."""
+    position: float = float("nan")
+    """Root mean square, m."""
+    rotation: float = float("nan")
+    """Root mean square, deg."""
     anees: float = float("nan")
+    """Of the pose."""
+    ate: float = float("nan")
+    """Rigid, m."""
+    chi2: float = float("nan")
+    """By the degrees of freedom."""
 
 
 def of_bound(bound: Bound) -> Outcome:
@@ -57,9 +71,9 @@ def of_bound(bound: Bound) -> Outcome:
     squares = np.diagonal(bound.pose, axis1=1, axis2=2)
     position, rotation = squares[:, :3].sum(axis=1), squares[:, 3:].sum(axis=1)
     return Outcome(
+        float(np.sqrt(position[-1])),
         float(np.sqrt(position[1:].mean())),
         float(np.rad2deg(np.sqrt(rotation[1:].mean()))),
-        float(np.sqrt(position[-1])),
     )
 
 
@@ -73,26 +87,26 @@ def as_driven(recording: Recording) -> ConstantVelocity:
     return ConstantVelocity(float(np.sqrt(np.mean(linear**2))), float(np.sqrt(np.mean(angular**2))))
 
 
-def run_batch(recording: Recording) -> Outcome:
-    """The last pose, given all frames."""
+def run_batch(recording: Recording, right_row: bool) -> Outcome:
+    """All frames, solved now and then and at the end."""
     from stereo_slam_env.baselines.batch import BatchSmoother
 
-    start = recording.start
-    smoother = BatchSmoother(recording.camera, recording.noise, gate=None, right_row=False)
-    smoother.reset(start)
+    smoother = BatchSmoother(recording.camera, recording.noise, gate=None, right_row=right_row)
+    smoother.reset(recording.start)
     with threadpool_limits(1):
         for k, frame in enumerate(recording.frames):
             if k:
                 smoother.predict(frame.timestamp - recording.frames[k - 1].timestamp)
             smoother.update(frame.observation)
-        last = smoother.smooth().positions[-1]
-    truth = recording.frames[-1].truth
-    assert truth is not None
-    return Outcome(float("nan"), float("nan"), float(np.linalg.norm(last - truth.position)))
+        smoothed = smoother.smooth()
+    truth = np.array([frame.truth.position for frame in recording.frames if frame.truth is not None])
+    end = float(np.linalg.norm(smoothed.positions[-1] - truth[-1]))
+    chi2 = smoothed.chi_square / smoothed.degrees_of_freedom
+    return Outcome(end, ate=ate_rigid(smoothed.positions, truth), chi2=chi2)
 
 
-def run_seed(seed: int, frames: int, noise: str, batch: bool) -> dict[str, Outcome]:
-    """Both bounds, the filters and the smoother on one drive."""
+def run_seed(seed: int, frames: int, noise: str, chosen: list[str]) -> dict[str, Outcome]:
+    """The bounds, the filters and the smoother on one drive."""
     recording = long_drive(seed, noise=noise, frames=frames)
     found = {}
     for label, motion, right_row in (
@@ -103,54 +117,51 @@ def run_seed(seed: int, frames: int, noise: str, batch: bool) -> dict[str, Outco
         bound = cramer_rao_bound(recording, motion, right_row=right_row)
         assert bound is not None
         found[label] = of_bound(bound)
-    for label, (name, options) in FILTERS.items():
+    for label in chosen:
+        if label in BATCHES:
+            found[label] = run_batch(recording, label == BATCH_STACKED)
+            continue
+        name, options = FILTERS[label]
         run = run_filter(recording, name, options, common_options={"gate": None})
         row: dict[str, Any] = trial_figures(Trial(run, divergence_percent=10.0))
-        found[label] = Outcome(row["position_rmse_m"], row["rotation_rmse_deg"], row["end_error_m"], row["pose_anees"])
-    if batch:
-        found[BATCH] = run_batch(recording)
+        rms = row["position_rmse_m"], row["rotation_rmse_deg"]
+        found[label] = Outcome(row["end_error_m"], *rms, row["pose_anees"], row["ate_rigid_m"])
     return found
 
 
-def efficiency(bound: np.ndarray, error: np.ndarray) -> str:
-    """Ratio of the root mean squares of two paired samples (N,) in percent, and its 95 % bootstrap interval."""
-    if not np.isfinite(error).all():
+def ratio(first: np.ndarray, second: np.ndarray, form: str) -> str:
+    """Of the root mean squares of two paired samples (N,), and its 95 % bootstrap interval."""
+    if not np.isfinite([first, second]).all():
         return ""
-    low, high = efficiency_interval(bound, error)
-    return f"{100.0 * np.sqrt(np.sum(bound**2) / np.sum(error**2)):.0f} [{low:.0f}, {high:.0f}]"
+    low, high = rms_ratio_interval(first, second)
+    return f"{np.sqrt(np.sum(first**2) / np.sum(second**2)):{form}} [{low:{form}}, {high:{form}}]"
 
 
 def main() -> None:
     """Run and print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seeds", type=int, default=50)
-    parser.add_argument("--frames", type=int, default=200)
-    parser.add_argument("--noise", choices=("pixels", "uvd"), default="pixels")
-    parser.add_argument("--no-batch", action="store_true")
-    parser.add_argument("--jobs", type=int, default=2)
-    arguments = parser.parse_args()
-    by_seed = Parallel(arguments.jobs)(
-        delayed(run_seed)(seed, arguments.frames, arguments.noise, not arguments.no_batch)
-        for seed in range(arguments.seeds)
-    )
-    table = Table(title=f"{arguments.seeds} reference drives of {arguments.frames} frames, noise: {arguments.noise}")
-    columns = ("", "position m", "efficiency %", "rotation deg", "efficiency %", "pose ANEES", "end m", "efficiency %")
-    for head in columns:
-        table.add_column(head)
+    given = arguments(__doc__, seeds=50, frames=200, noise=("pixels", "uvd"), only=[*FILTERS, *BATCHES], jobs=2)
+    found = by_seed(run_seed, given.seeds, given.jobs, given.frames, given.noise, given.only)
 
     def of(label: str, which: str) -> np.ndarray:
-        return np.array([getattr(found[label], which) for found in by_seed])
+        return np.array([getattr(of_seed[label], which) for of_seed in found])
 
-    for label in by_seed[0]:
+    def number(value: float, form: str) -> str:
+        return format(value, form) if np.isfinite(value) else ""
+
+    batch = next((label for label in given.only if label in BATCHES), None)
+    rows = []
+    for label in found[0]:
         row = [label]
         for which in ("position", "rotation", "end"):
             errors = of(label, which)
-            rms = np.sqrt(np.mean(errors**2))
-            row += [f"{rms:.4f}" if np.isfinite(rms) else "", efficiency(of(BOUND, which), errors)]
-        anees = of(label, "anees").mean()
-        row.insert(5, f"{anees:.2f}" if np.isfinite(anees) else "")
-        table.add_row(*row)
-    Console(width=160).print(table)
+            row += [number(np.sqrt(np.mean(errors**2)), ".4f"), ratio(of(BOUND, which), errors, ".0%")]
+        row += ["" if batch is None else ratio(of(label, "end"), of(batch, "end"), ".3f")]
+        chi2 = of(label, "chi2")
+        row += [number(of(label, "anees").mean(), ".2f"), number(np.median(of(label, "ate")), ".3f")]
+        rows.append([*row, f"{chi2.min():.3f} to {chi2.max():.3f}" if np.isfinite(chi2).all() else ""])
+    heads = ("", "position m", "efficiency", "rotation deg", "efficiency", "end m", "efficiency", "by batch")
+    title = f"{given.seeds} reference drives of {given.frames} frames, noise: {given.noise}"
+    show(title, (*heads, "pose ANEES", "median ATE m", "chi2/dof"), rows)
 
 
 if __name__ == "__main__":

@@ -2,7 +2,6 @@
 
     python benchmarks/filter_speed.py                  # all sizes, three minutes
     python benchmarks/filter_speed.py --sizes 100
-    python benchmarks/filter_speed.py --json speed.json
 
 The yardstick is Cholesky + triangular solve + symmetric rank-k update of the whole frame's measurement in one batch,
 by scipy's BLAS and LAPACK, at the sizes of the shared-anchor state. Everything is measured in turns, some frames of
@@ -17,17 +16,12 @@ entering the map, 3 % of them a frame as on the reference drive: frames with and
 
 from __future__ import annotations
 
-import argparse
-import json
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
-from rich.console import Console
-from rich.table import Table
 from scipy.linalg import blas, lapack
 from threadpoolctl import threadpool_limits
 
@@ -43,6 +37,7 @@ from filters import (
     StereoObservation,
 )
 from filters.checks.conformance import REFERENCE_CAMERA as CAMERA
+from harness import arguments, show, undisturbed
 
 NOISE = StereoNoise.independent_pixels(1.0)
 ANCHORS = 10
@@ -187,11 +182,6 @@ class Drive:
         return elapsed
 
 
-def undisturbed(times: list[float]) -> float:
-    """The 20 % quantile: other processes on the machine take their share of its caches most of the time."""
-    return float(np.quantile(times, 0.2))
-
-
 def turnover_share(n: int, repeats: int, **options: object) -> float:
     """Share of a frame's cost that goes into landmarks leaving and entering, once every landmark has been replaced."""
     drive, count = Drive(n, **options), max(1, round(TURNOVER * n))
@@ -264,35 +254,17 @@ def measure(n: int, repeats: int) -> dict[str, float]:
 
 def main() -> None:
     """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--sizes", type=int, nargs="+", default=[25, 50, 100, 200])
-    parser.add_argument("--repeats", type=int, default=60)
-    parser.add_argument("--json", type=Path, help="write the figures here, too")
-    arguments = parser.parse_args()
-    summary: dict[str, dict[str, object]] = {}
-    columns: dict[str, dict[str, str]] = {}
-    table = Table(title="ms of predict + update (ratio to the yardstick), one BLAS thread")
-    table.add_column("landmarks")
+    given = arguments(__doc__, sizes=[25, 50, 100, 200], repeats=60)
+    columns = []
     with threadpool_limits(1):
-        for n in arguments.sizes:
-            seconds = measure(n, arguments.repeats)
-            floor = seconds["yardstick"]
-            shares = {"turnover": turnover_share(n, arguments.repeats, **FILTERS[SHARED])}
-            summary[str(n)] = {
-                "milliseconds": {name: 1e3 * s for name, s in seconds.items()},
-                "ratio_to_yardstick": {name: s / floor for name, s in seconds.items()},
-                "turnover_share": shares,
-            }
-            cells = {name: f"{1e3 * s:.2f} ({s / floor:.2f})" for name, s in seconds.items()}
-            cells |= {name: f"{100 * share:.0f} %" for name, share in shares.items()}
-            columns[str(n)] = cells
-    for n in columns:
-        table.add_column(n, justify="right")
-    for name in cells:
-        table.add_row(name, *(column[name] for column in columns.values()))
-    Console(width=120).print(table)
-    if arguments.json:
-        arguments.json.write_text(json.dumps({"sizes": summary}, indent=2) + "\n")
+        for n in given.sizes:
+            taken = measure(n, given.repeats)
+            cells = {name: f"{1e3 * s:.2f} ({s / taken['yardstick']:.2f})" for name, s in taken.items()}
+            cells["turnover"] = f"{100 * turnover_share(n, given.repeats, **FILTERS[SHARED]):.0f} %"
+            columns.append(cells)
+    rows = [(name, *(column[name] for column in columns)) for name in columns[0]]
+    title = "ms of predict + update (ratio to the yardstick), one BLAS thread"
+    show(title, ("landmarks", *map(str, given.sizes)), rows)
 
 
 if __name__ == "__main__":

@@ -2,7 +2,6 @@
 
     python benchmarks/frontend_speed.py                      # synthetic pairs of 1344 x 391, half a minute
     python benchmarks/frontend_speed.py --images DIR         # the first pair of DIR/image_l and image_r (image_0, _1)
-    python benchmarks/frontend_speed.py --json speed.json
 
 Following is what happens in every frame: the stored patches are warped to how they should look, searched for inside
 ellipses of three standard deviations (2 to 3 px each), and matched along the rows within 10 px of the expected
@@ -16,8 +15,6 @@ most do), by what it does; and of whole pairs: these, and those in which new cor
 
 from __future__ import annotations
 
-import argparse
-import json
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -26,11 +23,10 @@ from unittest.mock import patch
 
 import cv2
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 from threadpoolctl import threadpool_limits
 
 from filters.geometry.camera import StereoCamera
+from harness import arguments, in_turns, show, undisturbed
 from stereo_slam_env.frontend import finding, tracker
 from stereo_slam_env.frontend.finding import detect_corners
 from stereo_slam_env.frontend.matching import match_rows, search
@@ -205,45 +201,20 @@ def tracked_drive(pairs: int, landmarks: int) -> dict[str, list[float]]:
 
 def main() -> None:
     """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--images", type=Path, help="folder of a recording; default: synthetic")
-    parser.add_argument("--landmarks", type=int, default=100)
-    parser.add_argument("--corners", type=int, default=150)
-    parser.add_argument("--repeats", type=int, default=60)
-    parser.add_argument("--pairs", type=int, default=60, help="of the slow drive")
-    parser.add_argument("--json", type=Path, help="write the figures here, too")
-    arguments = parser.parse_args()
+    given = arguments(__doc__, images=Path, landmarks=100, corners=150, repeats=60, pairs=60)
     cv2.setNumThreads(1)
-    left, right = synthetic_pair(0) if arguments.images is None else recorded_pair(arguments.images)
+    left, right = synthetic_pair(0) if given.images is None else recorded_pair(given.images)
     with threadpool_limits(1):
-        calls = stages(left, right, arguments.landmarks, arguments.corners)
-        times: dict[str, list[float]] = {name: [] for name in calls}
-        for _ in range(arguments.repeats):
-            for name, call in calls.items():
-                began = time.process_time()
-                call()
-                times[name].append(time.process_time() - began)
-        drive = tracked_drive(arguments.pairs, arguments.landmarks)
-    yardstick = float(np.quantile(next(iter(times.values())), QUANTILES[0]))
-    quantiles = {}
-    for title, part in (("Parts", times), ("StereoTracker.track", drive)):
-        quantiles |= shown(title, part, yardstick)
-    if arguments.json:
-        arguments.json.write_text(json.dumps({"quantiles": QUANTILES, "milliseconds": quantiles}, indent=2) + "\n")
-
-
-def shown(title: str, times: dict[str, list[float]], yardstick: float) -> dict[str, list[float]]:
-    """Print a table of the times, s, and return their quantiles, ms."""
-    quantiles = {name: [1e3 * float(q) for q in np.quantile(t, QUANTILES)] for name, t in times.items()}
-    table = Table(title=f"{title}: {WIDTH} x {HEIGHT}, one core, ms of processor time")
-    table.add_column("stage")
-    for q in QUANTILES:
-        table.add_column(f"{100 * q:.0f} %", justify="right")
-    table.add_column("to yardstick", justify="right")
-    for name, values in quantiles.items():
-        table.add_row(name, *(f"{value:.2f}" for value in values), f"{1e-3 * values[0] / yardstick:.2f}")
-    Console(width=100).print(table)
-    return quantiles
+        times = in_turns(stages(left, right, given.landmarks, given.corners), given.repeats)
+        drive = tracked_drive(given.pairs, given.landmarks)
+    yardstick = undisturbed(next(iter(times.values())))
+    for part, found in (("Parts", times), ("StereoTracker.track", drive)):
+        rows = []
+        for stage, each in found.items():
+            quantiles = (f"{1e3 * value:.2f}" for value in np.quantile(each, QUANTILES))
+            rows.append((stage, *quantiles, f"{undisturbed(each) / yardstick:.2f}"))
+        title = f"{part}: {WIDTH} x {HEIGHT}, one core, ms of processor time"
+        show(title, ("stage", *(f"{100 * q:.0f} %" for q in QUANTILES), "to yardstick"), rows)
 
 
 if __name__ == "__main__":

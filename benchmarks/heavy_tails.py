@@ -1,7 +1,7 @@
 """What heavy-tailed noise and wrong associations do to a filter, and what defends it.
 
     python benchmarks/heavy_tails.py                      # 200 seeds, 30 min on two idle cores
-    python benchmarks/heavy_tails.py --seeds 20 --only gate,consensus
+    python benchmarks/heavy_tails.py --seeds 20 --only gate consensus
 
 The first 100 frames (50 m) of the reference drive. Every pixel coordinate has the error measured on rendered images by
 corner detection and matching: 60 % of sigma 0.07 px, 36 % of 0.45 px, 4 % uniform over +-20 px, so that every eighth
@@ -12,16 +12,13 @@ A filter assumes Gaussian pixels of `--sigma-px`. A run has diverged if it fails
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 from typing import Any
 
 import numpy as np
-from joblib import Parallel, delayed
-from rich.console import Console
-from rich.table import Table
 
 from filters import StereoNoise, StereoObservation
+from harness import arguments, by_seed, show
 from stereo_slam_env.benchmark.recordings.reference_problem import long_drive
 from stereo_slam_env.evaluation.consistency import mean_band
 from stereo_slam_env.evaluation.filter_run import run_filter
@@ -88,26 +85,13 @@ def row(runs: list[FilterRun]) -> list[str]:
 
 def main() -> None:
     """Run and print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seeds", type=int, default=200)
-    parser.add_argument("--frames", type=int, default=100)
-    parser.add_argument("--sigma-px", type=float, default=ASSUMED_SIGMA)
-    parser.add_argument("--only", help="defences, separated by commas")
-    parser.add_argument("--jobs", type=int, default=2)
-    arguments = parser.parse_args()
-    labels = arguments.only.split(",") if arguments.only else list(DEFENCES)
-    by_seed = Parallel(arguments.jobs)(
-        delayed(run_seed)(seed, arguments.frames, arguments.sigma_px, labels) for seed in range(arguments.seeds)
-    )
-    low, high = mean_band(6, arguments.seeds)
-    title = f"{FILTER}, {arguments.seeds} seeds, {arguments.frames} frames, assumed {arguments.sigma_px:g} px"
-    table = Table(title=f"{title}; ANEES/6 band of one frame [{low / 6:.2f}, {high / 6:.2f}]")
+    given = arguments(__doc__, seeds=200, frames=100, sigma_px=ASSUMED_SIGMA, only=list(DEFENCES), jobs=2)
+    runs = by_seed(run_seed, given.seeds, given.jobs, given.frames, given.sigma_px, given.only)
+    low, high = mean_band(6, given.seeds)
+    title = f"{FILTER}, {given.seeds} seeds, {given.frames} frames, assumed {given.sigma_px:g} px"
     heads = ("defence", "diverged", "ANEES/6", "by run: median / worst", "end error cm: rms / worst", "NIS/dof")
-    for head in (*heads, "gated %", "ms"):
-        table.add_column(head)
-    for number, label in enumerate(labels):
-        table.add_row(label, *row([runs[number] for runs in by_seed]))
-    Console(width=160).print(table)
+    rows = [(label, *row([of[number] for of in runs])) for number, label in enumerate(given.only)]
+    show(f"{title}; ANEES/6 band of one frame [{low / 6:.2f}, {high / 6:.2f}]", (*heads, "gated %", "ms"), rows)
 
 
 if __name__ == "__main__":

@@ -9,17 +9,14 @@ distance is a threshold, too: 13.7 m are 30 px.
 
 from __future__ import annotations
 
-import argparse
 from typing import Any, ClassVar
 
 import numpy as np
-from joblib import Parallel, delayed
-from rich.console import Console
-from rich.table import Table
 
 from filters import StereoEKF
 from filters.consistency import nees
 from filters.landmarks.hybrid import Hybrid
+from harness import arguments, by_seed, show
 from stereo_slam_env.benchmark.recordings.reference_problem import long_drive
 from stereo_slam_env.evaluation.consistency import mean_band, share_inside
 from stereo_slam_env.recording.recording import Recording
@@ -68,26 +65,18 @@ def run_seed(seed: int, frames: int, cases: list[str]) -> list[tuple[np.ndarray,
 
 def main() -> None:
     """Run and print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seeds", type=int, default=50)
-    parser.add_argument("--frames", type=int, default=800)
-    parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--only", nargs="+", choices=CASES, default=list(CASES), help="these cases")
-    arguments = parser.parse_args()
-    seeds, cases = range(arguments.seeds), arguments.only
-    by_seed = Parallel(arguments.jobs)(delayed(run_seed)(seed, arguments.frames, cases) for seed in seeds)
-    band = mean_band(6, arguments.seeds)
-    table = Table(title=f"long drive, {arguments.seeds} seeds; ANEES/6 band [{band[0] / 6:.2f}, {band[1] / 6:.2f}]")
-    for head in ("landmarks", "ANEES/6", "in band", "drift %", "states"):
-        table.add_column(head)
-    for number, label in enumerate(cases):
-        values, drift, size = (list(part) for part in zip(*(runs[number] for runs in by_seed), strict=True))
+    given = arguments(__doc__, seeds=50, frames=800, jobs=2, only=list(CASES))
+    runs = by_seed(run_seed, given.seeds, given.jobs, given.frames, given.only)
+    band = mean_band(6, given.seeds)
+    rows = []
+    for number, label in enumerate(given.only):
+        values, drift, size = (list(part) for part in zip(*(of[number] for of in runs), strict=True))
         by_frame = np.mean(values, axis=0)
         inside = 100 * share_inside(by_frame, band)
-        table.add_row(
-            label, f"{by_frame.mean() / 6:.3f}", f"{inside:.0f} %", f"{np.mean(drift):.4f}", f"{np.mean(size):.0f}"
-        )
-    Console(width=120).print(table)
+        means = (f"{inside:.0f} %", f"{np.mean(drift):.4f}", f"{np.mean(size):.0f}")
+        rows.append((label, f"{by_frame.mean() / 6:.3f}", *means))
+    title = f"long drive, {given.seeds} seeds; ANEES/6 band [{band[0] / 6:.2f}, {band[1] / 6:.2f}]"
+    show(title, ("landmarks", "ANEES/6", "in band", "drift %", "states"), rows)
 
 
 if __name__ == "__main__":

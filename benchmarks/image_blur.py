@@ -13,18 +13,16 @@ is the spread of a single match (1.4826 x the median absolute deviation), px.
 
 from __future__ import annotations
 
-import argparse
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
 import stereo_slam_env as sse
 from filters import StereoCamera
 from filters.validation import FloatArray
+from harness import arguments, show
 from stereo_slam_env.frontend.finding import PairFinder
 from stereo_slam_env.frontend.matching import search
 from stereo_slam_env.frontend.patches import cut_patches, local_affine, warped_patches
@@ -81,29 +79,29 @@ def summary(blocks: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray, Float
 
 def main() -> None:
     """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--renderer", choices=("gl", "tiny"), default="gl")
-    parser.add_argument("--supersample", type=int, default=1)
-    parser.add_argument("--route", default="town")
-    parser.add_argument("--first-seed", type=int, default=0)
-    parser.add_argument("--seeds", type=int, default=8)
-    parser.add_argument("--frames", type=int, default=60)
-    parser.add_argument("--blurs", type=float, nargs="+", default=[0.0, 0.4, 0.8, 1.0, 1.2, 1.6], help="px^2")
-    arguments = parser.parse_args()
-    scene = {"route": arguments.route, "renderer": arguments.renderer, "supersample": arguments.supersample}
+    given = arguments(
+        __doc__,
+        renderer=("gl", "tiny"),
+        supersample=1,
+        route="town",
+        first_seed=0,
+        seeds=8,
+        frames=60,
+        blurs=[0.0, 0.4, 0.8, 1.0, 1.2, 1.6],
+    )
+    scene = {"route": given.route, "renderer": given.renderer, "supersample": given.supersample}
     blocks: list[list[FloatArray]] = []
-    for seed in range(arguments.first_seed, arguments.first_seed + arguments.seeds):
-        drive = sse.RenderedDrive(scene, seed=seed, frames=arguments.frames)
+    for seed in range(given.first_seed, given.first_seed + given.seeds):
+        drive = sse.RenderedDrive(scene, seed=seed, frames=given.frames)
         settings = replace(drive.front_end, max_landmarks=CORNERS, refill_below=CORNERS)
-        blocks += displacements(drive.camera, drive.pairs(), settings, arguments.blurs)
-    table = Table(title=f"{arguments.renderer}, supersample {arguments.supersample}: slide of points")
-    for head in ("image_blur, px²", "u, mpx a frame", "v, mpx a frame", "spread u, px", "spread v, px"):
-        table.add_column(head, justify="right")
-    for blur, of_blur in zip(arguments.blurs, zip(*blocks, strict=True), strict=True):
+        blocks += displacements(drive.camera, drive.pairs(), settings, given.blurs)
+    rows = []
+    for blur, of_blur in zip(given.blurs, zip(*blocks, strict=True), strict=True):
         mean, error, spread = summary(of_blur)
         slides = [f"{value:.2f} ± {by:.2f}" for value, by in zip(mean, error, strict=True)]
-        table.add_row(f"{blur:g}", *slides, *(f"{value:.3f}" for value in spread))
-    Console(width=100).print(table)
+        rows.append((f"{blur:g}", *slides, *(f"{value:.3f}" for value in spread)))
+    heads = ("image_blur, px²", "u, mpx a frame", "v, mpx a frame", "spread u, px", "spread v, px")
+    show(f"{given.renderer}, supersample {given.supersample}: slide of points", heads, rows)
 
 
 if __name__ == "__main__":

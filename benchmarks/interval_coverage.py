@@ -3,7 +3,7 @@
     python benchmarks/interval_coverage.py                   # 2000 experiments a cell, two to three minutes on one core
     python benchmarks/interval_coverage.py --experiments 300 # 30 s
 
-Coverage of a 95 % interval of the mean, by kind of interval (`stereo_slam_env.benchmark.statistics.differences` takes
+Coverage of a 95 % interval of the mean, by kind of interval (`stereo_slam_env.evaluation.intervals` has the
 the symmetric studentised bootstrap), number of recordings, and distribution of the log ratios; in brackets the width
 by that of Student's t of a normal distribution. Then how often a difference is said to be shown where there is none,
 and where the errors differ by 10 %; and the same of the comparison of consistency, whose values are not logarithms of
@@ -12,16 +12,15 @@ single runs.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 from scipy.stats import norm, t
 
-from stereo_slam_env.benchmark.statistics.differences import difference_of, level, mean_interval
+from harness import arguments, show
+from stereo_slam_env.benchmark.statistics.differences import difference_of, level
 from stereo_slam_env.benchmark.statistics.measures import POSE_NEES, difference_by
+from stereo_slam_env.evaluation.intervals import studentised_interval
 
 RESAMPLES = 1999
 DISTRIBUTIONS: dict[str, Callable[[np.random.Generator, tuple[int, int]], np.ndarray]] = {
@@ -86,18 +85,14 @@ KINDS: dict[str, Callable[[np.ndarray, float], Interval]] = {
     "BCa": accelerated,
     "Student's t": student,
     "studentised": studentised,
-    "symmetric studentised": mean_interval,
+    "symmetric studentised": studentised_interval,
 }
 
 
-def coverage(counts: list[int], experiments: int, comparisons: int) -> Table:
+def coverage(counts: list[int], experiments: int, comparisons: int) -> None:
     """Share of the intervals that hold the truth."""
     confidence = level(comparisons)
-    table = Table(
-        title=f"coverage of {100 * confidence:.3g} % intervals, % ({experiments} experiments; relative width)"
-    )
-    for head in ("log ratios", "n", *KINDS):
-        table.add_column(head)
+    rows = []
     for name, draw in DISTRIBUTIONS.items():
         for count in counts:
             values = draw(np.random.default_rng(count), (count, experiments))
@@ -106,28 +101,26 @@ def coverage(counts: list[int], experiments: int, comparisons: int) -> Table:
                 low, high = interval(values, confidence)
                 width = np.median(high - low) * np.sqrt(count) / 2 / t.ppf(0.5 + 0.5 * confidence, count - 1)
                 cells.append(f"{100 * np.mean((low <= 0) & (high >= 0)):.1f} ({width:.2f})")
-            table.add_row(name, str(count), *cells, end_section=count == counts[-1])
-    return table
+            rows.append((name, str(count), *cells))
+    title = f"coverage of {100 * confidence:.3g} % intervals, % ({experiments} experiments; relative width)"
+    show(title, ("log ratios", "n", *KINDS), rows)
 
 
-def findings(counts: list[int], experiments: int) -> Table:
+def findings(counts: list[int], experiments: int) -> None:
     """How often a difference is said to be shown."""
-    table = Table(title=f"a difference is shown, % of {experiments} experiments; scatter of a log ratio 0.1")
-    for head in ("log ratios", "n", "equal errors", "10 % larger errors"):
-        table.add_column(head)
+    rows = []
     for name, draw in DISTRIBUTIONS.items():
         for count in counts:
             gaps = 0.1 * draw(np.random.default_rng(count), (experiments, count))
             shares = [100 * np.mean([difference_of(row + gap).shown for row in gaps]) for gap in (0.0, np.log(1.1))]
-            table.add_row(name, str(count), *(f"{share:.1f}" for share in shares), end_section=count == counts[-1])
-    return table
+            rows.append((name, str(count), *(f"{share:.1f}" for share in shares)))
+    title = f"a difference is shown, % of {experiments} experiments; scatter of a log ratio 0.1"
+    show(title, ("log ratios", "n", "equal errors", "10 % larger errors"), rows)
 
 
-def consistency(counts: list[int], experiments: int) -> Table:
+def consistency(counts: list[int], experiments: int) -> None:
     """The comparison of two filters' mean NEES: by the distance of the mean from its ideal, or of each single run."""
-    table = Table(title=f"comparison of consistency, {experiments} experiments: interval holds the truth %, shown %")
-    for head in ("NEES / 6 of both", "n", "mean over runs", "each single run"):
-        table.add_column(head)
+    rows = []
     for a, b in ((1.0, 1.0), (1.3, 1.3), (1.2, 1 / 1.2), (1.35, 1.0), (0.7, 1.0)):
         truth = abs(np.log(a)) - abs(np.log(b))
         for count in counts:
@@ -143,21 +136,18 @@ def consistency(counts: list[int], experiments: int) -> Table:
                     low, high = found.interval or (np.nan, np.nan)
                     cells[kind] += (low <= truth <= high, found.shown)
             shares = (f"{held:.0f}, {shown:.0f}" for held, shown in (100 * c / experiments for c in cells.values()))
-            table.add_row(f"{a:.2f}, {b:.2f}", str(count), *shares, end_section=count == counts[-1])
-    return table
+            rows.append((f"{a:.2f}, {b:.2f}", str(count), *shares))
+    title = f"comparison of consistency, {experiments} experiments: interval holds the truth %, shown %"
+    show(title, ("NEES / 6 of both", "n", "mean over runs", "each single run"), rows)
 
 
 def main() -> None:
     """Run and print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--experiments", type=int, default=2000)
-    parser.add_argument("--runs", type=int, nargs="+", default=[8, 10, 20, 50], help="numbers of recordings")
-    arguments = parser.parse_args()
-    console = Console(width=140)
+    given = arguments(__doc__, experiments=2000, runs=[8, 10, 20, 50])
     for comparisons in (1, 12):
-        console.print(coverage(arguments.runs, arguments.experiments, comparisons))
-    console.print(findings(arguments.runs, max(arguments.experiments // 4, 50)))
-    console.print(consistency(arguments.runs, max(arguments.experiments // 4, 50)))
+        coverage(given.runs, given.experiments, comparisons)
+    findings(given.runs, max(given.experiments // 4, 50))
+    consistency(given.runs, max(given.experiments // 4, 50))
 
 
 if __name__ == "__main__":

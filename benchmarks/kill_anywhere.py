@@ -13,7 +13,6 @@ nobody disturbed, each trial is counted once, and nothing of the killed ones is 
 
 from __future__ import annotations
 
-import argparse
 import multiprocessing
 import os
 import random
@@ -28,9 +27,9 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
 from rich.progress import track
 
+from harness import arguments
 from stereo_slam_env.benchmark import run_benchmark
 from stereo_slam_env.benchmark.storage.run_archive import load_run
 from stereo_slam_env.files.folders import CLAIM
@@ -105,7 +104,7 @@ def disturb(kills: int, jobs: int, seed: int = 0) -> Tally:
         assert undisturbed.exitcode == 0
         expected = positions(Path(folder) / "undisturbed")
         check_finished(Path(folder) / "undisturbed", expected)
-        for _ in track(range(kills), "kills", console=Console(stderr=True)):
+        for _ in track(range(kills), "kills"):
             while not killed(start(scenario, out, jobs), rng.uniform(0.0, 0.7 * longest), out, tally):
                 check_finished(out, expected)
                 shutil.rmtree(out)
@@ -136,12 +135,9 @@ def killed(running: BaseProcess, after: float, out: Path, tally: Tally) -> bool:
 
 def main() -> None:
     """Kill, and say what was left."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--kills", type=int, default=200)
-    parser.add_argument("--jobs", type=int, default=1)
-    arguments = parser.parse_args()
-    tally = disturb(arguments.kills, arguments.jobs)
-    Console().print(
+    given = arguments(__doc__, kills=200, jobs=1)
+    tally = disturb(given.kills, given.jobs)
+    print(
         f"{tally.kills} kills, {tally.of_main_process_alone} of them of the main process alone: no finished result was "
         f"lost, changed or made again ({tally.results_checked} checked), no file damaged; {tally.finished_runs} runs "
         f"came to their end in between, with the results of an undisturbed one, each trial counted once"

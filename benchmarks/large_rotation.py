@@ -9,14 +9,11 @@ unseen; no gate. Next to each figure the published one (RA-L 2017, Table II; 100
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import dataclass
 
 import numpy as np
-from joblib import Parallel, delayed
-from rich.console import Console
-from rich.table import Table
 
+from harness import arguments, by_seed, mean_and_error, show
 from stereo_slam_env.benchmark.recordings.reference_problem import SIGHT, relative_noise_loop
 from stereo_slam_env.evaluation.consistency import mean_band
 from stereo_slam_env.evaluation.filter_run import run_filter
@@ -55,7 +52,7 @@ def row(runs: list[FilterRun], published: Published, level: float) -> list[str]:
     claimed = np.sqrt(np.mean([np.trace(run.pose_covariances[:, :3, :3], axis1=1, axis2=2).mean() for run in whole]))
     turn = np.sqrt(np.mean([np.mean(np.sum(run.pose_errors[1:, 3:] ** 2, axis=1)) for run in whole]))
     return [
-        f"{nees.mean():.3f} ± {nees.std(ddof=1) / np.sqrt(len(nees)):.3f}",
+        mean_and_error(nees),
         f"{np.median(nees):.3f}",
         f"{published.nees.get(level, float('nan')):.2f}",
         f"{rms:.3f} / {claimed:.3f}",
@@ -68,28 +65,18 @@ def row(runs: list[FilterRun], published: Published, level: float) -> list[str]:
 
 def main() -> None:
     """Run and print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seeds", type=int, default=40)
-    parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--frames", type=int, default=500)
-    parser.add_argument("--levels", type=float, nargs="+", default=[0.01, 0.05])
-    parser.add_argument("--sight", type=float, default=SIGHT, help="m, default %(default)s")
-    arguments = parser.parse_args()
-    low, high = mean_band(6, arguments.seeds)
-    console = Console(width=160)
-    for level in arguments.levels:
-        seeds = range(arguments.seeds)
-        by_seed = Parallel(arguments.jobs)(
-            delayed(run_seed)(seed, level, arguments.sight, arguments.frames) for seed in seeds
-        )
-        title = f"noise {100 * level:g} %, {arguments.seeds} seeds, sight {arguments.sight:g} m"
-        table = Table(title=f"{title}; ANEES/6 band of one frame [{low / 6:.2f}, {high / 6:.2f}]")
-        heads = ("error", "ANEES/6 ± its error", "median run", "published", "position rms / claimed m", "published")
-        for head in (*heads, "rotation rms rad", "NIS/dof", "failed"):
-            table.add_column(head)
-        for number, (error, published) in enumerate(PUBLISHED.items()):
-            table.add_row(error, *row([runs[number] for runs in by_seed], published, level))
-        console.print(table)
+    given = arguments(__doc__, seeds=40, jobs=2, frames=500, levels=[0.01, 0.05], sight=SIGHT)
+    low, high = mean_band(6, given.seeds)
+    heads = ("error", "ANEES/6 ± its error", "median run", "published", "position rms / claimed m", "published")
+    for level in given.levels:
+        runs = by_seed(run_seed, given.seeds, given.jobs, level, given.sight, given.frames)
+        rows = [
+            (error, *row([of[number] for of in runs], published, level))
+            for number, (error, published) in enumerate(PUBLISHED.items())
+        ]
+        title = f"noise {100 * level:g} %, {given.seeds} seeds, sight {given.sight:g} m"
+        band = f"ANEES/6 band of one frame [{low / 6:.2f}, {high / 6:.2f}]"
+        show(f"{title}; {band}", (*heads, "rotation rms rad", "NIS/dof", "failed"), rows)
 
 
 if __name__ == "__main__":

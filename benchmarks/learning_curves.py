@@ -6,10 +6,12 @@ Run it: for seed in 0 1 2 3 4; do stereo-slam train --seed $seed --out runs/$see
 It takes some eight minutes of two cores. Log det is that of the final pose, on the validation episodes.
 """
 
-import argparse
+from __future__ import annotations
+
 import dataclasses
 from pathlib import Path
 
+from harness import arguments
 from stereo_slam_env.report.charts.policies import plot_learning
 from stereo_slam_env.training.ppo import VALIDATION_SEEDS, LearningCurve
 from stereo_slam_env.training.task import GazeTask, evaluate
@@ -17,11 +19,7 @@ from stereo_slam_env.training.task import GazeTask, evaluate
 
 def main() -> None:
     """Print and draw."""
-    parser = argparse.ArgumentParser()
-    parser.add_argument("runs", type=Path, nargs="+")
-    parser.add_argument("--log-det", type=float, default=-41.7)
-    parser.add_argument("--out", type=Path, required=True)
-    given = parser.parse_args()
+    given = arguments(__doc__, "runs", runs=[Path], log_det=-41.7, out=Path("learning_curve.png"))
     curves = [LearningCurve(run / "learning_curve.csv").rows for run in given.runs]
     for run, rows in zip(given.runs, curves, strict=True):
         best = min(rows, key=lambda row: row["final_pose_logdet"])

@@ -10,14 +10,12 @@ hide a part of the street. The last line compares the root mean squares over all
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 from typing import Any
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
+from harness import arguments, show
 from stereo_slam_env.envs.drive import StereoDriveEnv
 from stereo_slam_env.envs.recorder import record
 from stereo_slam_env.evaluation.filter_run import run_filter
@@ -61,44 +59,28 @@ def position_errors(recording: Recording, name: str) -> np.ndarray:
 
 def main() -> None:
     """Run and print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--route", default="right-turn")
-    parser.add_argument("--renderer", default="gl")
-    parser.add_argument("--cars", type=int, default=12)
-    parser.add_argument("--seeds", type=int, default=10)
-    parser.add_argument("--frames", type=int, default=80)
-    parser.add_argument("--filter", default="inverse-depth")
-    chosen = parser.parse_args()
-    street = {"route": chosen.route, "sensor": "images", "renderer": chosen.renderer}
-    traffic = {**street, "moving_cars": chosen.cars}
-
-    table = Table(title=f"position rmse / end error, m: {chosen.filter}, {chosen.route}, {chosen.frames} frames")
-    for heading in (
-        "seed",
-        "no cars",
-        f"{chosen.cars} cars",
-        "cars, perfect detector",
-        "corners on cars",
-        "given to filter",
-    ):
-        table.add_column(heading, justify="right")
-    squares, shares = [], []
-    for seed in range(chosen.seeds):
-        quiet = record(street, seed, chosen.frames)
-        busy = record(traffic, seed, chosen.frames)
-        on_cars, share = moving_ids(traffic, seed, chosen.frames)
-        errors = [position_errors(r, chosen.filter) for r in (quiet, busy, without(busy, on_cars))]
-        given = [np.isin(f.observation.ids, on_cars).mean() if len(f.observation) else 0.0 for f in busy.frames]
+    given = arguments(__doc__, route="right-turn", renderer="gl", cars=12, seeds=10, frames=80, filter="inverse-depth")
+    street = {"route": given.route, "sensor": "images", "renderer": given.renderer}
+    traffic = {**street, "moving_cars": given.cars}
+    squares, shares, rows = [], [], []
+    for seed in range(given.seeds):
+        quiet = record(street, seed, given.frames)
+        busy = record(traffic, seed, given.frames)
+        on_cars, share = moving_ids(traffic, seed, given.frames)
+        errors = [position_errors(r, given.filter) for r in (quiet, busy, without(busy, on_cars))]
+        used = [np.isin(f.observation.ids, on_cars).mean() if len(f.observation) else 0.0 for f in busy.frames]
         squares.append([[np.mean(e**2), e[-1] ** 2] for e in errors])
-        shares.append((share, np.mean(given)))
+        shares.append((share, np.mean(used)))
         cells = [f"{np.sqrt(np.mean(e**2)):.4f} / {e[-1]:.4f}" for e in errors]
-        table.add_row(str(seed), *cells, f"{share:.0%}", f"{np.mean(given):.1%}")
+        rows.append((str(seed), *cells, f"{share:.0%}", f"{np.mean(used):.1%}"))
     rms = np.sqrt(np.mean(squares, axis=0))
-    cells = [f"{a:.4f} / {b:.4f}" for a, b in rms]
-    table.add_row("all", *cells, f"{np.mean(shares, axis=0)[0]:.0%}", f"{np.mean(shares, axis=0)[1]:.1%}")
-    Console().print(table)
+    share, used_share = np.mean(shares, axis=0)
+    rows.append(("all", *(f"{a:.4f} / {b:.4f}" for a, b in rms), f"{share:.0%}", f"{used_share:.1%}"))
+    cars = f"{given.cars} cars"
+    heads = ("seed", "no cars", cars, "cars, perfect detector", "corners on cars", "given to filter")
+    show(f"position rmse / end error, m: {given.filter}, {given.route}, {given.frames} frames", heads, rows)
     growth = rms[1] / rms[0] - 1, rms[1] / rms[2] - 1
-    Console().print(
+    print(
         f"growth of rmse / end error: {growth[0][0]:+.0%} / {growth[0][1]:+.0%} against no cars, "
         f"{growth[1][0]:+.0%} / {growth[1][1]:+.0%} against the perfect detector"
     )

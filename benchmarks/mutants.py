@@ -10,12 +10,12 @@ the project. There, those tests of its room that reach the changed statement are
 or they take three times the processor time that they take without it. Kernels are mutated where they run as plain
 Python, so that no change needs compiling. What survives is printed as a diff: it is to be read, and to be killed by a
 test or judged to make no difference. Annotations and texts are not mutated. `--results` keeps what was found: the same
-command goes on where it was ended. Ends with 1 where a smaller share than `--least` was killed.
+command goes on where it was ended. `--limit` is that of one run of
+tests, seconds. Ends with 1 where a smaller share than `--least` percent was killed.
 """
 
 from __future__ import annotations
 
-import argparse
 import ast
 import difflib
 import json
@@ -36,6 +36,8 @@ from queue import SimpleQueue
 from typing import Any
 
 import pytest
+
+from harness import arguments
 
 ROOT = Path(__file__).resolve().parents[1]
 COPIED = ("filters", "stereo_slam_env", "tests", "examples", "docs", "benchmarks", "templates", "pyproject.toml")
@@ -276,6 +278,8 @@ def clean(copy: Path, room: Room, limit: float) -> Clean:
     """What the tests of a room reach, and their times."""
     out = copy / "clean.json"
     run_tests(copy, room, room.tests, {"files": [str(copy / files) for files in room.files], "out": str(out)}, limit)
+    if not out.exists():
+        sys.exit(f"the tests took more than {limit:g} s without a mutant: give a larger --limit")
     found = json.loads(out.read_text())
     reach = {
         Path(file).relative_to(copy).as_posix(): {int(line): set(tests) for line, tests in lines.items()}
@@ -300,43 +304,36 @@ def tried(mutant: Mutant, copy: Path, known: Clean, limit: float) -> int:
 
 def main() -> None:
     """Sample, test, and print what survived."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--rooms", nargs="+", choices=ROOMS, default=list(ROOMS))
-    parser.add_argument("--count", type=int, default=300)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--least", type=float, default=85.0, help="percent that must be killed")
-    parser.add_argument("--limit", type=float, default=1200.0, help="seconds of wall clock for one run of tests")
-    parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--results", type=Path, help="file to which each result is added, and where known ones are")
-    parser.add_argument("--list", action="store_true", help="print the sample and test nothing")
-    arguments = parser.parse_args()
-    chosen = sample(arguments.rooms, arguments.count, arguments.seed)
-    if arguments.list:
+    given = arguments(
+        __doc__, rooms=list(ROOMS), count=300, seed=0, least=85.0, limit=1200.0, jobs=1, results=Path, list=False
+    )
+    chosen = sample(given.rooms, given.count, given.seed)
+    if given.list:
         print("\n".join(map(str, chosen)))
         return
     known: dict[str, int] = {}
-    if arguments.results and arguments.results.exists():
-        results = map(json.loads, arguments.results.read_text().splitlines())
+    if given.results and given.results.exists():
+        results = map(json.loads, given.results.read_text().splitlines())
         known = {result["mutant"]: result["code"] for result in results}
     untested = [mutant for mutant in chosen if str(mutant) not in known]
-    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(arguments.jobs) as pool:
+    with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(given.jobs) as pool:
         copies: SimpleQueue[Path] = SimpleQueue()
-        for job in range(arguments.jobs):
+        for job in range(given.jobs):
             copies.put(copied(Path(folder, str(job))))
         rooms = {mutant.room for mutant in untested}
-        without = {room: clean(Path(folder, "0"), ROOMS[room], arguments.limit) for room in sorted(rooms)}
+        without = {room: clean(Path(folder, "0"), ROOMS[room], given.limit) for room in sorted(rooms)}
 
         def tested(mutant: Mutant) -> tuple[int, float]:
             copy, began = copies.get(), time.perf_counter()
             try:
-                return tried(mutant, copy, without[mutant.room], arguments.limit), time.perf_counter() - began
+                return tried(mutant, copy, without[mutant.room], given.limit), time.perf_counter() - began
             finally:
                 copies.put(copy)
 
         for mutant, (code, seconds) in zip(untested, pool.map(tested, untested), strict=True):
             known[str(mutant)] = code
-            if arguments.results:
-                with arguments.results.open("a") as file:
+            if given.results:
+                with given.results.open("a") as file:
                     print(json.dumps({"mutant": str(mutant), "code": code, "seconds": seconds}), file=file)
     for mutant in chosen:
         if known[str(mutant)] == 0:
@@ -344,8 +341,8 @@ def main() -> None:
     for room, count in Counter(mutant.room for mutant in chosen).items():
         print(f"{room}: {sum(known[str(mutant)] != 0 for mutant in chosen if mutant.room == room)} of {count} killed")
     share = 100.0 * sum(known[str(mutant)] != 0 for mutant in chosen) / max(1, len(chosen))
-    print(f"{share:.1f} % of {len(chosen)} killed (seed {arguments.seed})")
-    sys.exit(share < arguments.least)
+    print(f"{share:.1f} % of {len(chosen)} killed (seed {given.seed})")
+    sys.exit(share < given.least)
 
 
 if __name__ == "__main__":

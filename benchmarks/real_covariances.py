@@ -19,7 +19,6 @@ truth.
 
 from __future__ import annotations
 
-import argparse
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -28,14 +27,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
 import stereo_slam_env as sse
 from filters import ColouredNoise
 from filters.engine.gauge_walk import image_motion
 from filters.geometry import rotations
 from filters.validation import BoolArray, FloatArray
+from harness import arguments, mean_and_error, show
 from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
 from stereo_slam_env.evaluation.run_figures import figures_of, summarise_all
@@ -86,14 +84,6 @@ def roll_rate(run: FilterRun) -> float:
     return float(rotations.log(true.T @ estimated)[2]) / (len(run.orientations) - 1)
 
 
-def table_of(title: str, heads: Sequence[str]) -> Table:
-    """A table whose first column is text."""
-    table = Table(title=title)
-    for number, head in enumerate(heads):
-        table.add_column(head, justify="right" if number else "left")
-    return table
-
-
 def cells(summary: FilterSummary) -> list[str]:
     """The figures of a row."""
     nees = [summary.pose_anees, summary.window_nees_1s, summary.window_nees_10s]
@@ -102,21 +92,21 @@ def cells(summary: FilterSummary) -> list[str]:
     return [one, band, short, long, f"{summary.ate_rigid_m:.2f}"]
 
 
-def show_parts(console: Console, recording: Recording) -> None:
+def show_parts(recording: Recording) -> None:
     """A table for each way of running it."""
     for odometry in (True, False) if recording.frames[-1].odometry is not None else (False,):
         title = f"{recording.name}, {'odometry' if odometry else 'vision only'}"
-        table = table_of(title, ("added", "NEES/6", "in band", "1 s", "10 s", "ATE"))
-        for label, name, options, stated in parts(recording):
-            table.add_row(label, *cells(judged(stated, name, options, odometry)))
-        console.print(table)
+        rows = [
+            (label, *cells(judged(stated, name, options, odometry)))
+            for label, name, options, stated in parts(recording)
+        ]
+        show(title, ("added", "NEES/6", "in band", "1 s", "10 s", "ATE"), rows)
 
 
-def show_rendered(console: Console, route: str, renderers: Sequence[str], seeds: range) -> None:
+def show_rendered(route: str, renderers: Sequence[str], seeds: range) -> None:
     """Drives in images that are rendered with a perfect rig."""
     for renderer in renderers:
-        title = f"{route} by {renderer}, {len(seeds)} seeds"
-        table = table_of(title, ("filter", "NEES/6", "lowest", "highest", "in band", "rmse, mm", "roll, µrad a frame"))
+        rows = []
         drives = [
             sse.record("StereoSlam/Drive-v0", seed=seed, route=route, sensor="images", renderer=renderer)
             for seed in seeds
@@ -133,22 +123,21 @@ def show_rendered(console: Console, route: str, renderers: Sequence[str], seeds:
             rmse = np.mean([1e3 * summary.position_rmse_m for summary in summaries])
             figures = [np.mean(nees), min(nees), max(nees)]
             rolls = 1e6 * np.array([roll_rate(run) for run in runs])
-            roll = f"{rolls.mean():+.2f}"
-            if len(rolls) > 1:
-                roll += f" ± {rolls.std(ddof=1) / math.sqrt(len(rolls)):.2f}"
-            table.add_row(label, *(f"{figure:.2f}" for figure in figures), f"{band:.0f}", f"{rmse:.2f}", roll)
-        console.print(table)
+            roll = mean_and_error(rolls, 2) if len(rolls) > 1 else f"{rolls[0]:.2f}"
+            rows.append((label, *(f"{figure:.2f}" for figure in figures), f"{band:.0f}", f"{rmse:.2f}", roll))
+        heads = ("filter", "NEES/6", "lowest", "highest", "in band", "rmse, mm", "roll, µrad a frame")
+        show(f"{route} by {renderer}, {len(seeds)} seeds", heads, rows)
 
 
-def show_estimates(console: Console, recordings: Sequence[Recording]) -> None:
+def show_estimates(recordings: Sequence[Recording]) -> None:
     """What could size the gauge walk, and what should."""
     halves = ("at random", "left, right", "near, far")
-    table = table_of("errors common to all tracks, mrad per root of a radian", ("", "slide", *halves, "NEES/6 = 1"))
+    rows = []
     for recording in recordings:
         slide = track_noise(flow_residuals(recording), recording.camera.fx).slide
         figures = [slide, *half_differences(recording), consistent_walk(recording)]
-        table.add_row(recording.name, *(f"{1e3 * figure:.1f}" for figure in figures))
-    console.print(table)
+        rows.append((recording.name, *(f"{1e3 * figure:.1f}" for figure in figures)))
+    show("errors common to all tracks, mrad per root of a radian", ("", "slide", *halves, "NEES/6 = 1"), rows)
 
 
 def half_differences(recording: Recording) -> list[float]:
@@ -209,31 +198,27 @@ def consistent_walk(recording: Recording) -> float:
 
 def main() -> None:
     """Run and print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("data", type=Path, nargs="?")
-    parser.add_argument("--estimates", action="store_true")
-    parser.add_argument("--rendered", type=int, metavar="SEEDS")
-    parser.add_argument("--route", default="right-turn", help="of the rendered drives")
-    parser.add_argument("--renderers", nargs="+", default=["gl", "tiny"])
-    parser.add_argument("--first-seed", type=int, default=0)
-    parser.add_argument("--frames", type=int, help="of each recording; all if not given")
-    arguments = parser.parse_args()
-    console = Console(width=100)
-    if arguments.rendered:
-        first = arguments.first_seed
-        seeds = range(first, first + arguments.rendered)
-        show_rendered(console, arguments.route, arguments.renderers, seeds)
-    if arguments.data is None:
+    given = arguments(
+        __doc__,
+        "data",
+        data=Path,
+        estimates=False,
+        rendered=int,
+        route="right-turn",
+        renderers=["gl", "tiny"],
+        first_seed=0,
+        frames=int,
+    )
+    if given.rendered:
+        show_rendered(given.route, given.renderers, range(given.first_seed, given.first_seed + given.rendered))
+    if given.data is None:
         return
-    found = [name for name in RECORDINGS if (arguments.data / name).is_dir()]
-    if not found:
-        parser.error(f"data must hold one of {', '.join(RECORDINGS)}, {arguments.data} has none")
-    recordings = [sse.load(arguments.data / name)[: arguments.frames] for name in found]
-    if arguments.estimates:
-        show_estimates(console, [drive for drive in recordings if isinstance(drive.noise, ColouredNoise)])
+    recordings = [sse.load(given.data / name)[: given.frames] for name in RECORDINGS if (given.data / name).is_dir()]
+    if given.estimates:
+        show_estimates([drive for drive in recordings if isinstance(drive.noise, ColouredNoise)])
         return
     for recording in recordings:
-        show_parts(console, recording)
+        show_parts(recording)
 
 
 if __name__ == "__main__":

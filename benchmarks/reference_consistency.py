@@ -11,17 +11,14 @@ its mean comes with its standard error over the seeds. No gate, so nothing is hi
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from joblib import Parallel, delayed
-from rich.console import Console
-from rich.table import Table
 from scipy.stats import chi2
 
 from filters import StereoNoise
+from harness import arguments, by_seed, mean_and_error, show
 from stereo_slam_env.benchmark.recordings.reference_problem import long_drive, short_turn
 from stereo_slam_env.evaluation.consistency import mean_band
 from stereo_slam_env.evaluation.filter_run import run_filter
@@ -50,7 +47,7 @@ CASES = (
 PROBLEMS = {"turn": short_turn, "long": long_drive}
 
 
-def run_seed(problem: str, noise: str, landmarks: int, seed: int) -> list[FilterRun]:
+def run_seed(seed: int, problem: str, noise: str, landmarks: int) -> list[FilterRun]:
     """All cases on the recording of one seed."""
     recording = PROBLEMS[problem](seed, noise, landmarks=landmarks)
     return [
@@ -80,7 +77,7 @@ def nis_figure(runs: list[FilterRun]) -> str:
 def landmark_figure(runs: list[FilterRun]) -> str:
     """Mean landmark NEES by 3 and its standard error."""
     by_run = np.array([np.nanmean(run.landmark_nees) for run in runs]) / 3
-    return f"{by_run.mean():.3f} ± {by_run.std(ddof=1) / np.sqrt(len(by_run)):.3f}"
+    return mean_and_error(by_run)
 
 
 def row(runs: list[FilterRun], band: tuple[float, float]) -> list[str]:
@@ -108,34 +105,15 @@ def row(runs: list[FilterRun], band: tuple[float, float]) -> list[str]:
 
 def main() -> None:
     """Run and print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("problem", choices=PROBLEMS)
-    parser.add_argument("--seeds", type=int, default=50)
-    parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--landmarks", type=int, default=90, help="most in one frame")
-    arguments = parser.parse_args()
-    band = mean_band(6, arguments.seeds)
-    console = Console(width=200)
+    given = arguments(__doc__, "problem", problem=tuple(PROBLEMS), seeds=50, jobs=2, landmarks=90)
+    band = mean_band(6, given.seeds)
+    heads = ("filter", "ANEES/6", "in band", "NIS/dof, in band", "landmark NEES/3", "drift %")
+    more = ("end yaw rms / claimed mrad", "near: σ / RMSE m, NEES", "far: σ / RMSE m, NEES", "ms")
     for noise in ("pixels", "uvd"):
-        seeds = range(arguments.seeds)
-        problem = (arguments.problem, noise, arguments.landmarks)
-        by_seed = Parallel(arguments.jobs)(delayed(run_seed)(*problem, seed) for seed in seeds)
-        title = f"{arguments.problem}, {noise} noise, {arguments.seeds} seeds"
-        table = Table(title=f"{title}; ANEES/6 band [{band[0] / 6:.2f}, {band[1] / 6:.2f}]")
-        heads = (
-            "filter",
-            "ANEES/6",
-            "in band",
-            "NIS/dof, in band",
-            "landmark NEES/3",
-            "drift %",
-            "end yaw rms / claimed mrad",
-        )
-        for head in (*heads, "near: σ / RMSE m, NEES", "far: σ / RMSE m, NEES", "ms"):
-            table.add_column(head)
-        for number, case in enumerate(CASES):
-            table.add_row(case.label, *row([runs[number] for runs in by_seed], band))
-        console.print(table)
+        runs = by_seed(run_seed, given.seeds, given.jobs, given.problem, noise, given.landmarks)
+        rows = [(case.label, *row([of[number] for of in runs], band)) for number, case in enumerate(CASES)]
+        title = f"{given.problem}, {noise} noise, {given.seeds} seeds"
+        show(f"{title}; ANEES/6 band [{band[0] / 6:.2f}, {band[1] / 6:.2f}]", (*heads, *more), rows)
 
 
 if __name__ == "__main__":

@@ -14,23 +14,19 @@ those of times of the same turn, median, because the machine's speed changes fro
 
 from __future__ import annotations
 
-import argparse
-import json
 import os
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
-from pathlib import Path
 
 import cv2
 import numpy as np
 import pybullet
-from rich.console import Console
-from rich.table import Table
 
 from filters import Pose
 from filters.geometry import rotations
 from filters.geometry.camera import StereoCamera
+from harness import arguments, show, undisturbed
 from stereo_slam_env.rendering import pinhole
 from stereo_slam_env.rendering.gl import GLRenderer
 from stereo_slam_env.rendering.images import StereoRenderer
@@ -141,30 +137,17 @@ def measure(size: str, bodies: int, turns: int, names: Sequence[str] = EVERYTHIN
 
 def main() -> None:
     """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--sizes", nargs="+", default=["1344x391", "320x240"], help="WIDTHxHEIGHT, px")
-    parser.add_argument("--bodies", type=int, nargs="+", default=[50, 300, 1000])
-    parser.add_argument("--turns", type=int, default=5, help="measurements at each of three places")
-    parser.add_argument("--json", type=Path, help="write the figures here, too")
-    arguments = parser.parse_args()
+    given = arguments(__doc__, sizes=["1344x391", "320x240"], bodies=[50, 300, 1000], turns=5)
     cv2.setNumThreads(1)
-    table = Table(title=f"ms of a stereo pair on {len(os.sched_getaffinity(0))} core(s)")
-    for column in ("size", "bodies", *EVERYTHING, "tiny / bare", "pairs/s of gl / tiny"):
-        table.add_column(column, justify="right")
     rows = []
-    for size in arguments.sizes:
-        for bodies in arguments.bodies:
-            times = {name: np.array(t) for name, t in measure(size, bodies, arguments.turns).items()}
-            milliseconds = {name: 1e3 * float(np.quantile(t, 0.2)) for name, t in times.items()}
-            overhead = float(np.median(times[TINY] / times[BARE]))
-            gain = float(np.median(times[TINY] / times[GL]))
-            rows.append({"size": size, "bodies": bodies, "milliseconds": milliseconds,
-                         "tiny_to_bare": overhead, "gl_to_tiny": gain})  # fmt: skip
-            cells = [f"{milliseconds[name]:.1f}" for name in EVERYTHING]
-            table.add_row(size, str(bodies), *cells, f"{overhead:.3f}", f"{gain:.1f}")
-    Console(width=120).print(table)
-    if arguments.json:
-        arguments.json.write_text(json.dumps(rows, indent=2) + "\n")
+    for size in given.sizes:
+        for bodies in given.bodies:
+            times = {name: np.array(t) for name, t in measure(size, bodies, given.turns).items()}
+            cells = [f"{1e3 * undisturbed(times[name]):.1f}" for name in EVERYTHING]
+            ratios = np.median(times[TINY] / times[BARE]), np.median(times[TINY] / times[GL])
+            rows.append((size, str(bodies), *cells, f"{ratios[0]:.3f}", f"{ratios[1]:.1f}"))
+    title = f"ms of a stereo pair on {len(os.sched_getaffinity(0))} core(s)"
+    show(title, ("size", "bodies", *EVERYTHING, "tiny / bare", "pairs/s of gl / tiny"), rows)
 
 
 if __name__ == "__main__":

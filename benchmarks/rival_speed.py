@@ -13,22 +13,15 @@ turns on the same measurements, after 50 frames, with one BLAS thread; processor
 
 from __future__ import annotations
 
-import argparse
-import json
-import sys
 import time
-from pathlib import Path
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 from threadpoolctl import threadpool_limits
 
+from filter_speed import filterpy_step
 from filters import Start, StereoEKF, StereoNoise, StereoObservation
 from filters.checks.conformance import REFERENCE_CAMERA as CAMERA
-
-sys.path.insert(0, str(Path(__file__).parent))
-from filter_speed import filterpy_step, undisturbed
+from harness import arguments, show, undisturbed
 
 try:
     import gtsam
@@ -157,24 +150,13 @@ def measure(landmarks: int, frames: int) -> tuple[dict[str, float], float]:
 
 def main() -> None:
     """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--landmarks", type=int, default=100)
-    parser.add_argument("--frames", type=int, default=60)
-    parser.add_argument("--json", type=Path, help="write the figures here, too")
-    arguments = parser.parse_args()
+    given = arguments(__doc__, landmarks=100, frames=60)
     with threadpool_limits(1):
-        seconds, entering = measure(arguments.landmarks, arguments.frames)
-    ours = {name: s for name, s in seconds.items() if name.startswith("shared anchors")}
-    table = Table(title=f"a frame with {arguments.landmarks} landmarks in view, {entering:.1f} of them new")
-    table.add_column("")
-    table.add_column("ms", justify="right")
-    for name in ours:
-        table.add_column(f"times {name}", justify="right")
-    for name, s in seconds.items():
-        table.add_row(name, f"{1e3 * s:.2f}", *(f"{s / own:.2f}" for own in ours.values()))
-    Console(width=120).print(table)
-    if arguments.json:
-        arguments.json.write_text(json.dumps({"milliseconds": {n: 1e3 * s for n, s in seconds.items()}}, indent=2))
+        taken, entering = measure(given.landmarks, given.frames)
+    ours = {name: s for name, s in taken.items() if name.startswith("shared anchors")}
+    rows = [(name, f"{1e3 * s:.2f}", *(f"{s / own:.2f}" for own in ours.values())) for name, s in taken.items()]
+    title = f"a frame with {given.landmarks} landmarks in view, {entering:.1f} of them new"
+    show(title, ("", "ms", *(f"times {name}" for name in ours)), rows)
 
 
 if __name__ == "__main__":

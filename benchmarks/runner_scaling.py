@@ -9,15 +9,12 @@ empty trial in a process of its own against one in this process. Target: 1.8 on 
 
 from __future__ import annotations
 
-import argparse
 import statistics
 import tempfile
 import time
 from pathlib import Path
 
-from rich.console import Console
-from rich.table import Table
-
+from harness import arguments, show
 from stereo_slam_env.benchmark import Scenario, run_benchmark
 from stereo_slam_env.benchmark.recordings.sources import ReferenceSource
 from stereo_slam_env.benchmark.running.isolation import run_isolated
@@ -45,29 +42,17 @@ def cost_of_a_process(repetitions: int = 20) -> float:
 
 def main() -> None:
     """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--rounds", type=int, default=3)
-    parser.add_argument("--frames", type=int, default=300)
-    parser.add_argument("--seeds", type=int, default=8)
-    parser.add_argument("--jobs", type=int, default=2)
-    arguments = parser.parse_args()
-    scenario = Scenario(
-        "scaling",
-        ReferenceSource("long_drive"),
-        filters=FILTERS,
-        seeds=tuple(range(arguments.seeds)),
-        frames=arguments.frames,
-        gate=None,
-    )
-    seconds(scenario, arguments.jobs)  # so that the processes of the pool are there, as in any longer run
-    rounds = [(seconds(scenario, 1), seconds(scenario, arguments.jobs)) for _ in range(arguments.rounds)]
-    table = Table("round", "1 job, s", f"{arguments.jobs} jobs, s", "ratio")
-    for number, (one, many) in enumerate(rounds):
-        table.add_row(str(number), f"{one:.1f}", f"{many:.1f}", f"{one / many:.2f}")
-    console = Console()
-    console.print(table)
-    console.print(f"median ratio {statistics.median(one / many for one, many in rounds):.2f}")
-    console.print(f"a process of its own costs {1000 * cost_of_a_process():.0f} ms a trial")
+    given = arguments(__doc__, rounds=3, frames=300, seeds=8, jobs=2)
+    source, drives = ReferenceSource("long_drive"), tuple(range(given.seeds))
+    scenario = Scenario("scaling", source, filters=FILTERS, seeds=drives, frames=given.frames, gate=None)
+    seconds(scenario, given.jobs)  # so that the processes of the pool are there, as in any longer run
+    rounds = [(seconds(scenario, 1), seconds(scenario, given.jobs)) for _ in range(given.rounds)]
+    rows = [
+        (str(number), f"{one:.1f}", f"{many:.1f}", f"{one / many:.2f}") for number, (one, many) in enumerate(rounds)
+    ]
+    median = statistics.median(one / many for one, many in rounds)
+    show(f"median ratio {median:.2f}", ("round", "1 job, s", f"{given.jobs} jobs, s", "ratio"), rows)
+    print(f"a process of its own costs {1000 * cost_of_a_process():.0f} ms a trial")
 
 
 if __name__ == "__main__":

@@ -20,10 +20,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
 from filters.validation import FloatArray
+from harness import show
 
 POINTS, FRAMES, SEEDS, LIFE = 70, 300, 40, 12
 STEP, CORRELATION, KEEP = 0.33, 0.8, math.exp(-0.1)
@@ -113,17 +112,16 @@ def squares(model: str, seed: int) -> FloatArray:
 
 def main() -> None:
     """Run and print."""
-    table = Table(title=f"{POINTS} points that slide by {RATE:.2f} px a frame, {SEEDS} seeds")
-    for number, head in enumerate(("points", *(f"{of}, {n}" for n in WINDOWS for of in ("rms px", "NEES")))):
-        table.add_column(head, justify="right" if number else "left")
+    rows = []
     for model in ("white", "walk", "rate"):
         runs = np.array([squares(model, seed) for seed in range(SEEDS)])
         mean, error = runs.mean(axis=0), runs.std(axis=0, ddof=1) / math.sqrt(SEEDS)
         rms = np.sqrt(mean[0])
         shown = [(rms, error[0] / (2.0 * rms)), (mean[1], error[1])]
         cells = [f"{value[k]:.2f} ± {spread[k]:.2f}" for k in range(len(WINDOWS)) for value, spread in shown]
-        table.add_row(model, *cells)
-    Console(width=100).print(table)
+        rows.append((model, *cells))
+    heads = ("points", *(f"{of}, {n}" for n in WINDOWS for of in ("rms px", "NEES")))
+    show(f"{POINTS} points that slide by {RATE:.2f} px a frame, {SEEDS} seeds", heads, rows)
 
 
 if __name__ == "__main__":

@@ -17,26 +17,22 @@ frame on the same frames, at the end.
 
 from __future__ import annotations
 
-import argparse
-import gc
 import json
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from rich.console import Console
 from rich.progress import track
-from rich.table import Table
 from threadpoolctl import threadpool_limits
 
 import stereo_slam_env  # noqa: F401 (registers the environments)
 from filters import ConstantVelocity, Start, StereoFilter, StereoNoise, StereoObservation, make_filter
 from filters.checks.conformance import REFERENCE_CAMERA as CAMERA
 from filters.geometry import rotations
+from harness import arguments, resident_megabytes, show
 
 LOOKS, LANDMARKS, TURNOVER, DT = 100, 12, 5, 0.1
 NOISE, MOTION = StereoNoise.independent_pixels(0.5), ConstantVelocity(1.0, 0.6)
@@ -76,22 +72,15 @@ class Log:
         return float(np.median(self.seconds[-tenth:]) / np.median(self.seconds[tenth : 2 * tenth]))
 
 
-def resident_megabytes() -> float:
-    """RSS of this process (Linux)."""
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return pages * 4096 / 1e6
-
-
 def run(log: Log, count: int, step: Callable[[], None], look: Callable[[], None], what: str) -> None:
     """Take `count` steps with a look after each hundredth part."""
     each = max(1, count // LOOKS)
-    for done in track(range(each, count + 1, each), what, console=Console(stderr=True)):
+    for done in track(range(each, count + 1, each), what):
         began = time.process_time()
         for _ in range(each):
             step()
         log.seconds.append(time.process_time() - began)
         look()
-        gc.collect()
         log.done.append(done)
         log.held.append(resident_megabytes())
 
@@ -202,24 +191,19 @@ def soak_environment(name: str, arguments: dict[str, Any], steps: int) -> Log:
     return log
 
 
-def show(title: str, log: Log, beside_fresh: float | None) -> None:
+def report(title: str, log: Log, beside_fresh: float | None) -> None:
     """Print ten looks and the verdict."""
-    table = Table()
-    for head in ("done", "process, MB", "ms each"):
-        table.add_column(head, justify="right")
     each = log.done[0]
-    for k in np.unique(np.linspace(0, len(log.done) - 1, 11).astype(int)):
-        table.add_row(f"{log.done[k]:,}", f"{log.held[k]:.1f}", f"{1e3 * log.seconds[k] / each:.3f}")
-    console = Console(width=120)
-    console.print(f"[bold]{title}[/bold]", highlight=False)
-    console.print(table)
-    console.print(f"memory: {log.slope:+.3f} MB per 100,000 ({verdict(log.slope < SLOPE_WANTED)})")
-    console.print(f"last tenth against the second, processor time: x {log.slower:.3f}")
+    rows = [
+        (f"{log.done[k]:,}", f"{log.held[k]:.1f}", f"{1e3 * log.seconds[k] / each:.3f}")
+        for k in np.unique(np.linspace(0, len(log.done) - 1, 11).astype(int))
+    ]
+    show(title, ("done", "process, MB", "ms each"), rows)
+    print(f"memory: {log.slope:+.3f} MB per 100,000 ({verdict(log.slope < SLOPE_WANTED)})")
+    print(f"last tenth against the second, processor time: x {log.slower:.3f}")
     if beside_fresh is not None:
-        console.print(
-            f"beside a fresh one, frame by frame: x {beside_fresh:.3f} ({verdict(beside_fresh < SLOWER_WANTED)})"
-        )
-    console.print("worst: " + ", ".join(f"{name.replace('_', ' ')} {value:.2g}" for name, value in log.worst.items()))
+        print(f"beside a fresh one, frame by frame: x {beside_fresh:.3f} ({verdict(beside_fresh < SLOWER_WANTED)})")
+    print("worst: " + ", ".join(f"{name.replace('_', ' ')} {value:.2g}" for name, value in log.worst.items()))
 
 
 def verdict(met: bool) -> str:
@@ -229,20 +213,21 @@ def verdict(met: bool) -> str:
 
 def main() -> None:
     """Run and print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--updates", type=int, default=1_000_000)
-    parser.add_argument("--filter", default="shared-anchor", help="name of a filter")
-    parser.add_argument("--options", type=json.loads, default={}, help="its options, as JSON")
-    parser.add_argument("--steps", type=int, default=100_000)
-    parser.add_argument("--env", default="StereoSlam/Drive-v0", help="id of an environment")
-    parser.add_argument("--kwargs", type=json.loads, default=CHEAP, help="its arguments, as JSON")
-    arguments = parser.parse_args()
-    if arguments.updates:
-        log, beside_fresh = soak_filter(arguments.filter, arguments.updates, arguments.options)
-        show(f"{arguments.updates:,} updates of {arguments.filter}", log, beside_fresh)
-    if arguments.steps:
-        log = soak_environment(arguments.env, arguments.kwargs, arguments.steps)
-        show(f"{arguments.steps:,} steps of {arguments.env} {json.dumps(arguments.kwargs)}", log, None)
+    given = arguments(
+        __doc__,
+        updates=1_000_000,
+        filter="shared-anchor",
+        options={},
+        steps=100_000,
+        env="StereoSlam/Drive-v0",
+        kwargs=CHEAP,
+    )
+    if given.updates:
+        log, beside_fresh = soak_filter(given.filter, given.updates, given.options)
+        report(f"{given.updates:,} updates of {given.filter}", log, beside_fresh)
+    if given.steps:
+        log = soak_environment(given.env, given.kwargs, given.steps)
+        report(f"{given.steps:,} steps of {given.env} {json.dumps(given.kwargs)}", log, None)
 
 
 if __name__ == "__main__":

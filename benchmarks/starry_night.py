@@ -11,18 +11,16 @@ and in W at the end of the run, where the map is still held.
 
 from __future__ import annotations
 
-import argparse
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from filters.catalogue.common_options import make_with_common_options
+from harness import arguments, show
 from stereo_slam_env.datasets import load
 from stereo_slam_env.datasets.starry_night import SHAPES, step_velocities
 from stereo_slam_env.evaluation.filter_run import run_filter
@@ -60,21 +58,21 @@ def over_steps(arrays: dict[str, np.ndarray], linear: np.ndarray, angular: np.nd
     return float(np.sqrt((off**2).sum(axis=1).mean())), float(np.degrees(rms))
 
 
-def readings(arrays: dict[str, np.ndarray]) -> Table:
-    """Which reading belongs to which step."""
+def readings(arrays: dict[str, np.ndarray]) -> None:
+    """Print which reading belongs to which step."""
     times, v, w = arrays["t"].reshape(-1), arrays["v_vk_vk_i"].T, arrays["w_vk_vk_i"].T
     late = np.vstack([v[:1], v[:-1]])
     ours = step_velocities(times, v, w)
-    table = Table("linear", "error m", "angular", "error deg", title=f"velocities carried over {SPAN} steps")
-    rows = [
+    choices = [
         ("of the end of the step", v, "as stored, of its beginning", np.vstack([w[:1], w[:-1]])),
         ("of its beginning (used)", late, "sign turned", -np.vstack([w[:1], w[:-1]])),
         ("", late, "sign turned, 0.11 s late (used)", ours[1]),
     ]
-    for linear_label, linear, angular_label, angular in rows:
+    rows = []
+    for linear_label, linear, angular_label, angular in choices:
         metres, degrees = over_steps(arrays, linear, angular)
-        table.add_row(linear_label, f"{metres:.3f}" if linear_label else "", angular_label, f"{degrees:.1f}")
-    return table
+        rows.append((linear_label, f"{metres:.3f}" if linear_label else "", angular_label, f"{degrees:.1f}"))
+    show(f"velocities carried over {SPAN} steps", ("linear", "error m", "angular", "error deg"), rows)
 
 
 def dead_reckoning(recording: Recording, sign: float = 1.0) -> float:
@@ -111,9 +109,9 @@ def residuals(recording: Recording, fitted: bool) -> np.ndarray:
     return np.concatenate(found).reshape(-1, 3)
 
 
-def measurements(folder: Path) -> Table:
-    """How well measurements fit the truth."""
-    table = Table("residuals px of u, v, d", "rms", "MAD sigma", "mean", title="measurements")
+def measurements(folder: Path) -> None:
+    """Print how well measurements fit the truth."""
+    rows = []
     everything, used = load(folder, max_row_difference=None), load(folder)
     for label, errors in (
         ("all, by motion capture", residuals(everything, False)),
@@ -123,8 +121,8 @@ def measurements(folder: Path) -> Table:
     ):
         mad = 1.4826 * np.median(np.abs(errors - np.median(errors, axis=0)), axis=0)
         figures = np.sqrt((errors**2).mean(axis=0)), mad, errors.mean(axis=0)
-        table.add_row(f"{label} ({len(errors)})", *(" ".join(f"{x:.2f}" for x in figure) for figure in figures))
-    return table
+        rows.append((f"{label} ({len(errors)})", *(" ".join(f"{x:.2f}" for x in figure) for figure in figures)))
+    show("measurements", ("residuals px of u, v, d", "rms", "MAD sigma", "mean"), rows)
 
 
 def map_error(recording: Recording, name: str, own: dict[str, Any], odometry: bool) -> str:
@@ -143,56 +141,45 @@ def map_error(recording: Recording, name: str, own: dict[str, Any], odometry: bo
     return f"{np.sqrt((off**2).mean()):.3f} ({len(off)})"
 
 
-def filters(recording: Recording) -> Table:
-    """How far off filters are."""
-    columns = (
-        "odometry",
-        "filter",
-        "position m",
-        "end m",
-        "rotation deg",
-        "NEES/6",
-        "NIS/dof",
-        "landmarks m",
-        "in W m",
-    )
-    table = Table(*columns, title=f"filters, {SETTINGS}")
+def filters(recording: Recording) -> None:
+    """Print how far off filters are."""
+    heads = ("odometry", "filter", "position m", "end m", "rotation deg", "NEES/6", "NIS/dof", "landmarks m", "in W m")
+    rows: list[tuple[str, ...]] = []
     for odometry in (True, False):
         for label, (name, own) in FILTERS.items():
             run = run_filter(recording, name, own, common_options=SETTINGS, use_odometry=odometry)
             if run.failure:
-                table.add_row("yes" if odometry else "no", label, run.failure)
+                rows.append(("yes" if odometry else "no", label, run.failure))
                 continue
             position = np.linalg.norm(run.true_positions - run.positions, axis=1)
             turned = Rotation.from_quat(run.orientations).inv() * Rotation.from_quat(run.true_orientations)
-            table.add_row(
-                "yes" if odometry else "no",
-                label,
-                f"{np.sqrt((position**2).mean()):.3f}",
-                f"{position[-1]:.3f}",
-                f"{np.degrees(np.sqrt((turned.magnitude() ** 2).mean())):.1f}",
-                f"{np.nanmean(run.pose_nees) / 6:.1f}",
-                f"{run.nis.sum() / run.nis_dof.sum():.2f}",
-                f"{np.nanmedian(run.landmark_rmse):.3f}",
-                map_error(recording, name, own, odometry),
+            rows.append(
+                (
+                    "yes" if odometry else "no",
+                    label,
+                    f"{np.sqrt((position**2).mean()):.3f}",
+                    f"{position[-1]:.3f}",
+                    f"{np.degrees(np.sqrt((turned.magnitude() ** 2).mean())):.1f}",
+                    f"{np.nanmean(run.pose_nees) / 6:.1f}",
+                    f"{run.nis.sum() / run.nis_dof.sum():.2f}",
+                    f"{np.nanmedian(run.landmark_rmse):.3f}",
+                    map_error(recording, name, own, odometry),
+                )
             )
-    return table
+    show(f"filters, {SETTINGS}", heads, rows)
 
 
 def main() -> None:
     """Run and print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path)
-    folder = parser.parse_args().folder
+    folder = arguments(__doc__, "folder", folder=Path).folder
     recording = load(folder)
-    console = Console(width=160)
-    console.print(readings(read_archive(folder / "starry_night.npz", SHAPES)))
-    console.print(
+    readings(read_archive(folder / "starry_night.npz", SHAPES))
+    print(
         f"dead reckoning ends {dead_reckoning(recording):.2f} m off, "
         f"{dead_reckoning(recording, -1.0):.2f} m with the sign as stored"
     )
-    console.print(measurements(folder))
-    console.print(filters(recording))
+    measurements(folder)
+    filters(recording)
 
 
 if __name__ == "__main__":

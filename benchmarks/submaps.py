@@ -16,20 +16,18 @@ the greatest difference between the two filters' poses in standard deviations, a
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 from scipy.spatial.transform import Rotation
 from threadpoolctl import threadpool_limits
 
 from filters import Start, StereoEKF, StereoFilter, StereoNoise, StereoObservation
 from filters.checks.conformance import REFERENCE_CAMERA as CAMERA
 from filters.submaps.submap_ekf import SubmapEKF
+from harness import arguments, show
 from stereo_slam_env.evaluation.consistency import mean_band
 
 NOISE = StereoNoise.independent_pixels(1.0)
@@ -68,15 +66,13 @@ def timed(slam: StereoFilter, frames: list[StereoObservation]) -> list[float]:
     return times
 
 
-def cost(console: Console, landmarks: int, seed: int, max_unseen: int) -> None:
+def cost(landmarks: int, seed: int, max_unseen: int) -> None:
     """Time of a frame as the map grows."""
     in_view = StereoEKF(CAMERA, NOISE, landmark="shared-anchor")
     whole_map = SubmapEKF(CAMERA, NOISE, max_unseen=max_unseen)
     for slam in (in_view, whole_map):
         slam.reset(Start(linear_velocity=(0, 0, SPEED), covariance=START))
-    table = Table(title=f"a frame with {IN_VIEW} landmarks in view, all kept by submaps (max_unseen={max_unseen})")
-    for column in ("in the map", "submaps", "MB", "ms, in view only", "ms, submaps", "median ratio", "mean ratio"):
-        table.add_column(column, justify="right")
+    rows = []
     frames, stage = street(seed), max(landmarks // 5, IN_VIEW)
     times: tuple[list[float], list[float]] = ([], [])
     while whole_map.size < landmarks:
@@ -85,20 +81,16 @@ def cost(console: Console, landmarks: int, seed: int, max_unseen: int) -> None:
         times[1].extend(timed(whole_map, burst))
         if whole_map.size >= stage:
             plain, ours = (np.array(each) for each in times)
-            table.add_row(
-                str(whole_map.size),
-                str(whole_map.submaps),
-                f"{whole_map.nbytes / 1e6:.0f}",
-                f"{1e3 * np.median(plain):.1f}",
-                f"{1e3 * np.median(ours):.1f}",
-                f"{np.median(ours) / np.median(plain):.2f}",
-                f"{ours.mean() / plain.mean():.2f}",
-            )
+            sizes = (str(whole_map.size), str(whole_map.submaps), f"{whole_map.nbytes / 1e6:.0f}")
+            medians = (f"{1e3 * np.median(each):.1f}" for each in (plain, ours))
+            ratios = (np.median(ours) / np.median(plain), ours.mean() / plain.mean())
+            rows.append((*sizes, *medians, *(f"{ratio:.2f}" for ratio in ratios)))
             times, stage = ([], []), stage + landmarks // 5
-    console.print(table)
+    heads = ("in the map", "submaps", "MB", "ms, in view only", "ms, submaps", "median ratio", "mean ratio")
+    show(f"a frame with {IN_VIEW} landmarks in view, all kept by submaps (max_unseen={max_unseen})", heads, rows)
     began = time.process_time()
     count = len(whole_map.landmarks.ids)
-    console.print(f"the whole map, {count} landmarks corrected: {time.process_time() - began:.2f} s")
+    print(f"the whole map, {count} landmarks corrected: {time.process_time() - began:.2f} s")
 
 
 @dataclass(frozen=True)
@@ -149,7 +141,7 @@ def followed(slam: StereoFilter, frames: list[Frame]) -> tuple[np.ndarray, np.nd
     return np.array(nees), np.array(positions), np.array(times)
 
 
-def loops(console: Console, seeds: int, points: int, max_unseen: int) -> None:
+def loops(seeds: int, points: int, max_unseen: int) -> None:
     """NEES on two laps, for both filters."""
     makers: dict[str, Callable[[], StereoFilter]] = {
         "full": lambda: StereoEKF(CAMERA, NOISE, landmark="shared-anchor", drop_unseen=False, gate=None),
@@ -167,41 +159,28 @@ def loops(console: Console, seeds: int, points: int, max_unseen: int) -> None:
         apart = np.abs(positions["full"][1:, 0] - positions["submaps"][1:, 0]) / positions["full"][1:, 1]
         difference = max(difference, float(apart.max()))
     band = mean_band(6, seeds)
-    table = Table(title=f"two laps of a circle, {points} points, {seeds} seeds, no gate")
-    for column in ("filter", "NEES/6, first lap", "second lap", "frames in band", "ms first lap", "ms second lap"):
-        table.add_column(column, justify="right")
+    rows = []
     for name in makers:
         by_frame = np.mean(nees[name], axis=0)[1:] / 6
         half = len(by_frame) // 2
         inside = np.mean((by_frame >= band[0] / 6) & (by_frame <= band[1] / 6))
         spent = 1e3 * np.median(times[name], axis=0)
-        table.add_row(
-            name,
-            f"{by_frame[:half].mean():.3f}",
-            f"{by_frame[half:].mean():.3f}",
-            f"{inside:.0%}",
-            f"{spent[:half].mean():.1f}",
-            f"{spent[half:].mean():.1f}",
-        )
-    console.print(table)
-    console.print(f"95 % band of NEES/6 in one frame: {band[0] / 6:.2f} to {band[1] / 6:.2f}")
-    console.print(f"greatest difference of the two positions: {difference:.1e} standard deviations")
+        means = (f"{lap.mean():.3f}" for lap in (by_frame[:half], by_frame[half:]))
+        rows.append((name, *means, f"{inside:.0%}", *(f"{lap.mean():.1f}" for lap in (spent[:half], spent[half:]))))
+    heads = ("filter", "NEES/6, first lap", "second lap", "frames in band", "ms first lap", "ms second lap")
+    show(f"two laps of a circle, {points} points, {seeds} seeds, no gate", heads, rows)
+    print(f"95 % band of NEES/6 in one frame: {band[0] / 6:.2f} to {band[1] / 6:.2f}")
+    print(f"greatest difference of the two positions: {difference:.1e} standard deviations")
 
 
 def main() -> None:
     """Read the command line and run."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=["cost", "loops"])
-    parser.add_argument("--landmarks", type=int, default=5000)
-    parser.add_argument("--points", type=int, default=150)
-    parser.add_argument("--seeds", type=int, default=20)
-    parser.add_argument("--max-unseen", type=int, default=16)
-    arguments = parser.parse_args()
+    given = arguments(__doc__, "what", what=("cost", "loops"), landmarks=5000, points=150, seeds=20, max_unseen=16)
     with threadpool_limits(1):
-        if arguments.what == "cost":
-            cost(Console(), arguments.landmarks, 0, arguments.max_unseen)
+        if given.what == "cost":
+            cost(given.landmarks, 0, given.max_unseen)
         else:
-            loops(Console(), arguments.seeds, arguments.points, arguments.max_unseen)
+            loops(given.seeds, given.points, given.max_unseen)
 
 
 if __name__ == "__main__":

@@ -4,6 +4,7 @@ from .catalogue.presets import ColouredNoiseEKF as ColouredNoiseEKF
 from .catalogue.presets import DualBearingEKF as DualBearingEKF
 from .catalogue.presets import EuclideanEKF as EuclideanEKF
 from .catalogue.presets import HybridEKF as HybridEKF
+from .catalogue.presets import InertialEKF as InertialEKF
 from .catalogue.presets import InverseDepthStereoEKF as InverseDepthStereoEKF
 from .catalogue.presets import MonocularEKF as MonocularEKF
 from .catalogue.presets import RightInvariantEKF as RightInvariantEKF
@@ -25,6 +26,8 @@ from .contract.beliefs import LandmarkBelief as LandmarkBelief
 from .contract.beliefs import PoseBelief as PoseBelief
 from .contract.beliefs import VelocityBelief as VelocityBelief
 from .contract.drift import LandmarkDrift as LandmarkDrift
+from .contract.inertial import InertialSamples as InertialSamples
+from .contract.inertial import InertialUnit as InertialUnit
 from .contract.noise import ColouredNoise as ColouredNoise
 from .contract.noise import StereoNoise as StereoNoise
 from .contract.observation import StereoObservation as StereoObservation
@@ -81,6 +84,7 @@ from .motions.model import LinearMeasurement as LinearMeasurement
 from .motions.model import MotionKernels as MotionKernels
 from .motions.model import MotionModel as MotionModel
 from .motions.model import MotionPrediction as MotionPrediction
+from .motions.strapdown import Strapdown as Strapdown
 from .motions.velocity_driven import VelocityDriven as VelocityDriven
 from .parts import available_parts as available_parts
 from .parts import make_part as make_part

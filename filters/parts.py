@@ -40,6 +40,7 @@ from filters.measurements.rectified_pair import LeftOnly, LeftThenRight, RangeBe
 from filters.measurements.unrectified_pair import UnrectifiedPair
 from filters.motions.constant_velocity import ConstantVelocity
 from filters.motions.model import MotionModel
+from filters.motions.strapdown import Strapdown
 from filters.motions.velocity_driven import VelocityDriven
 from filters.updates.extended import Extended
 from filters.updates.model import Linearisation
@@ -92,7 +93,7 @@ SLOTS: Mapping[str, Slot] = {
     ),
     "motion": Slot(
         MotionModel,
-        {"constant-velocity": ConstantVelocity, "velocity-driven": VelocityDriven},
+        {"constant-velocity": ConstantVelocity, "velocity-driven": VelocityDriven, "strapdown": Strapdown},
         "stereo_slam.motions",
     ),
     "error": Slot(
@@ -153,9 +154,9 @@ def available_parts(slot: str) -> dict[str, str]:
     return {name: (inspect.getdoc(make) or "no description").splitlines()[0] for name, make in _named(slot).items()}
 
 
-def kernels_of(part: object) -> Any:
+def kernels_of(part: Any) -> Any:
     """Kernels of a part: those that its own class states, since a subclass may have changed what they stand for."""
-    return vars(type(part)).get("kernels")
+    return part.kernels if "kernels" in vars(type(part)) else None
 
 
 def _settings(make: Callable[..., Any]) -> list[str]:

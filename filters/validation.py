@@ -13,6 +13,8 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 Made = TypeVar("Made")
+_ROUNDING = 1e-15
+"""Of the norm of a quaternion that has been normalised: it keeps its bits."""
 
 
 def unchecked(kind: type[Made], **fields: Any) -> Made:
@@ -148,7 +150,7 @@ def unit_quaternion(name: str, value: ArrayLike) -> FloatArray:
     norm = float(np.linalg.norm(quaternion))
     if abs(norm - 1.0) > 1e-3:
         raise ValueError(f"{name} must be a unit quaternion (xyzw), got norm {norm:.6g}: normalise it")
-    return quaternion / norm
+    return quaternion if abs(norm - 1.0) < _ROUNDING else quaternion / norm
 
 
 def unique_ids(name: str, value: ArrayLike) -> IntArray:

@@ -24,6 +24,7 @@ from stereo_slam_env.benchmark.storage.code_identity import code_digest
 from stereo_slam_env.benchmark.storage.run_archive import packed_bound, packed_run
 from stereo_slam_env.benchmark.storage.store import open_study
 from stereo_slam_env.evaluation.cramer_rao import cramer_rao_bound
+from stereo_slam_env.evaluation.drift_model import DriftModel, claim
 from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.policies.network import Network
 from stereo_slam_env.recording.archive import packed_recording
@@ -218,6 +219,29 @@ def trajectories() -> Files:
             save_trajectory(Path(folder) / name, made)
             files[name] = (Path(folder) / name).read_bytes()
     return files
+
+
+def layouts() -> Files:
+    """Five poses in the layouts of others: names, nanoseconds, blocks of covariances; a drift model and its claim."""
+    t = np.arange(5.0)
+    positions = np.column_stack([np.sin(t), 0.1 * t, t])
+    xyzw = np.tile([0.0, 0.0, 0.0, 1.0], (5, 1))
+    blocks = np.tile([0.01, 0.0, 0.0, 0.01, 0.0, 0.01] * 2, (5, 1))
+    tum = np.column_stack([t, positions, xyzw])
+    euroc = np.column_stack([_STAMP + 1e9 * t, positions, xyzw[:, [3, 0, 1, 2]]])
+    model = DriftModel(np.full((5, 6), 1e-4))
+    named = "t,tx,ty,tz,qx,qy,qz,qw,pxx,pxy,pxz,pyy,pyz,pzz,qrr,qrp,qry,qpp,qpy,qyy\n"
+    with TemporaryDirectory() as folder:
+        model.write(Path(folder) / "model.json")
+        save_trajectory(Path(folder) / "claimed.square", claim(Trajectory(positions, xyzw, t), model))
+        files = {name: (Path(folder) / name).read_bytes() for name in ("model.json", "claimed.square")}
+    return files | {
+        "openvins.txt": rows(np.column_stack([tum, blocks])),
+        "euroc.csv": b"#timestamp [ns],x [m],y [m],z [m],qw,qx,qy,qz\n" + rows(euroc).replace(b" ", b","),
+        "cnspy.csv": named.encode() + rows(np.column_stack([tum, blocks])).replace(b" ", b","),
+        "numbered.txt": rows(np.column_stack([t, np.tile(poses()[0], (5, 1))])),
+        "ros.txt": rows(np.column_stack([tum, np.tile(0.01 * np.eye(6).ravel(), (5, 1))])),
+    }
 
 
 def route() -> Files:

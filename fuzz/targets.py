@@ -15,10 +15,13 @@ from stereo_slam_env.benchmark import compare
 from stereo_slam_env.benchmark.scenarios.study import load_study
 from stereo_slam_env.benchmark.storage.run_archive import load_provenance, load_run
 from stereo_slam_env.benchmark.storage.store import read_study
+from stereo_slam_env.benchmark.storage.tables import results_of
 from stereo_slam_env.datasets import load, open_image_sequence
+from stereo_slam_env.evaluation.drift_model import DriftModel, claim
 from stereo_slam_env.evaluation.trajectory_score import evaluate_trajectory
 from stereo_slam_env.policies.network import Network
 from stereo_slam_env.recording.archive import load_recording
+from stereo_slam_env.recording.trajectory_files import load_trajectory
 from stereo_slam_env.training.ppo import LearningCurve
 from stereo_slam_env.world.routes import kitti_route
 
@@ -54,6 +57,7 @@ def targets() -> tuple[Target, ...]:
         Target("recording", seeds.recording(), lambda folder: load_recording(folder / "drive.npz"), True),
         Target("run", seeds.run(), _run, True),
         Target("trajectories", seeds.trajectories(), _score, True),
+        Target("layouts", seeds.layouts(), _layouts, True),
         Target("route", seeds.route(), lambda folder: kitti_route(folder / "poses.txt"), True),
         Target("network", seeds.network(), lambda folder: Network.load(folder / "network.npz"), True),
         Target("scenario", seeds.scenario(), _scenarios, True),
@@ -67,7 +71,7 @@ def _finished(folder: Path) -> object:
     """What `report` and the next start of the same run read of a finished one."""
     (directory,) = read_study(folder).cells
     compare(folder, folder)
-    return directory.results(), directory.missing(), directory.recording_content(0)
+    return results_of(directory), directory.missing(), directory.recording_content(0)
 
 
 def _training(folder: Path) -> object:
@@ -95,6 +99,15 @@ def _score(folder: Path) -> object:
         for reference in ("run.tum", "run.square")
         for align in ("none", "rigid")
     ]
+
+
+def _layouts(folder: Path) -> object:
+    """Trajectories in the layouts of others, and what a drift model claims for one of them."""
+    found = [
+        load_trajectory(folder / name)
+        for name in ("openvins.txt", "euroc.csv", "cnspy.csv", "numbered.txt", "ros.txt", "claimed.square")
+    ]
+    return found, claim(found[0], DriftModel.read(folder / "model.json"))
 
 
 def _scenarios(folder: Path) -> object:

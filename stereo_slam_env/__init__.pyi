@@ -17,6 +17,9 @@ from .envs.drive import StereoDriveEnv as StereoDriveEnv
 from .envs.drive_gaze import StereoDriveGazeEnv as StereoDriveGazeEnv
 from .envs.gaze import StereoGazeEnv as StereoGazeEnv
 from .envs.recorder import RenderedDrive as RenderedDrive
+from .evaluation.drift_calibration import calibrate as calibrate
+from .evaluation.drift_model import DriftModel as DriftModel
+from .evaluation.drift_model import claim as claim
 from .evaluation.trajectory_score import TrajectoryScore as TrajectoryScore
 from .evaluation.trajectory_score import evaluate_trajectory as evaluate_trajectory
 from .files.package_versions import __version__ as __version__

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import inspect
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -143,12 +144,14 @@ class FilterLoop:
     reference : Reference
         What the truth of the frames is.
     use_odometry : bool
-        Whether `predict` is given the odometry of the frames.
+        Whether `predict` is given the odometry of the frames. It is given their inertial samples if it has an argument
+        for them; the log says so once if not.
     """
 
     def __init__(self, slam: StereoFilter, reference: Reference = SIMULATION, *, use_odometry: bool = True) -> None:
         self.slam = slam
         self._reference, self._use_odometry = reference, use_odometry
+        self._takes_samples = "inertial" in inspect.signature(slam.predict).parameters
         self._number, self._time = -1, 0.0
         self._first_truth: Pose | None = None
 
@@ -171,7 +174,7 @@ class FilterLoop:
         """
         number, began = self._number + 1, time.perf_counter()
         if number:
-            self.slam.predict(frame.timestamp - self._time, frame.odometry if self._use_odometry else None)
+            self._predict(frame)
         predicted = time.perf_counter()
         self._number, self._time = number, frame.timestamp
         if number == 0:
@@ -183,6 +186,16 @@ class FilterLoop:
         updated = time.perf_counter()
         seconds = predicted - began, updated - measured
         return Moment(number, frame, self.slam, report, self._reference, *seconds, self._first_truth)
+
+    def _predict(self, frame: Frame) -> None:
+        dt, odometry = frame.timestamp - self._time, frame.odometry if self._use_odometry else None
+        if frame.inertial is None:
+            self.slam.predict(dt, odometry)
+        elif self._takes_samples:
+            self.slam.predict(dt, odometry, frame.inertial)
+        else:
+            self.slam.say_unused("inertial")
+            self.slam.predict(dt, odometry)
 
 
 def run(

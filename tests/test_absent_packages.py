@@ -14,6 +14,7 @@ import pytest
 
 import stereo_slam_env as sse
 from filters.extras import CORE, install_command
+from stereo_slam_env.cli.app import main
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -73,6 +74,19 @@ def test_a_trajectory_is_judged(files):
     assert (code, error) == (0, "")
     (score,) = json.loads(out)["scores"]
     assert score == json.loads(json.dumps(sse.evaluate_trajectory(*files).as_dict()))
+
+
+def test_a_covariance_is_learned_and_claimed(files, tmp_path):
+    """The model and the trajectory are those where everything is there, to the last byte."""
+    estimate, truth = files
+    for folder, command in (("without", command_without), ("with", lambda absent, *a: (main([*map(str, a)]), "", ""))):
+        (tmp_path / folder).mkdir()
+        model, claimed = tmp_path / folder / "model.json", tmp_path / folder / "claimed.square"
+        learned = command(EVERYTHING_HEAVY, "calibrate", estimate, estimate, "--truth", truth, "--out", model)
+        assert (learned[0], learned[2]) == (0, "")
+        assert command(EVERYTHING_HEAVY, "claim", estimate, model, "--out", claimed)[0] == 0
+    for name in ("model.json", "claimed.square"):
+        assert (tmp_path / "without" / name).read_bytes() == (tmp_path / "with" / name).read_bytes()
 
 
 def test_filters_run_and_pass_their_checks():

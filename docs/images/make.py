@@ -19,9 +19,9 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 
-import concepts
-import drives
-import runs
+import pictures_of_concepts as concepts
+import pictures_of_drives as drives
+import pictures_of_runs as runs
 
 HERE = Path(__file__).resolve().parent
 REPEATABLE: Mapping[str, Callable[[Path], None]] = {

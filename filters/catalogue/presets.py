@@ -74,6 +74,17 @@ RightInvariantEKF = _named(
     landmark="shared-anchor",
     error="right-invariant",
 )
+InertialEKF = _named(
+    "InertialEKF",
+    """Stereo-inertial EKF: strapdown motion, shared-anchor inverse depth, right-invariant errors.
+
+    Needs samples of an inertial unit in every step. `motion={"name": "strapdown", "sigma_gravity": 10.0}` starts
+    without a vertical; see `Strapdown` for what else may be unknown.
+    """,
+    landmark="shared-anchor",
+    motion="strapdown",
+    error="right-invariant",
+)
 UnscentedStereoFilter = _named(
     "UnscentedStereoFilter",
     """Shared-anchor inverse-depth stereo filter with unscented updates on the measured sub-state.
@@ -95,8 +106,8 @@ class ColouredNoiseEKF(StereoEKF):
     """Stereo EKF for errors that last from frame to frame, as those of tracks in real images do.
 
     What a `ColouredNoise` states becomes process noise of landmarks, a gauge walk, and variables for the misalignment
-    of camera and reference and for the offset of the disparities; where the noise states nothing, it is taken for
-    white. Shared anchors, right-invariant errors, and the joint test over the frame where there is a gate.
+    of camera and reference and for the offset of the disparities; a scale that is not known is added to the covariance
+    of `pose` and `relative_pose`. Where the noise states nothing, it is taken for white. Shared anchors, right-invariant errors, and the joint test over the frame where there is a gate.
     """
 
     open_options = StereoEKF.open_options - {"landmark", "measurement", "error", "consensus", "drift", "gauge_walk"}
@@ -146,6 +157,7 @@ PRESETS: Mapping[str, type[StereoFilter]] = {
     "shared-anchor": SharedAnchorEKF,
     "hybrid": HybridEKF,
     "right-invariant": RightInvariantEKF,
+    "inertial": InertialEKF,
     "unscented": UnscentedStereoFilter,
     "monocular": MonocularEKF,
     "coloured-noise": ColouredNoiseEKF,

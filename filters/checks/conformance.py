@@ -1,7 +1,8 @@
 """`check_filter`: the checks that every filter must pass (after scikit-learn's `check_estimator`).
 
 Most checks use a short drive past a cloud of points and need no reference implementation; accuracy is held against
-`inverse-depth` on longer drives. Camera and noise are the filter's own. A filter that asks for odometry is given some.
+`inverse-depth` on longer drives. Camera and noise are the filter's own. A filter that asks for odometry
+or inertial samples is given some.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from filters.checks.drives import DT, SPEED, StraightDrive, WindingDrive
 from filters.consistency import fault_of
 from filters.contract.beliefs import Forecast, PoseBelief
 from filters.contract.foreign_text import first_line, type_name
+from filters.contract.inertial import InertialSamples
 from filters.contract.noise import StereoNoise
 from filters.contract.observation import StereoObservation
 from filters.contract.odometry import BodyVelocity
@@ -156,18 +158,21 @@ def _driven(make: Make, frames: int = 5) -> tuple[StereoFilter, StraightDrive]:
 def _drive_on(stereo_filter: StereoFilter, drive: StraightDrive, frames: range, scale: float = 1.0) -> None:
     for frame in frames:
         if frame:
-            _predict(stereo_filter, drive.odometry(frame, scale))
+            _predict(stereo_filter, drive.odometry(frame, scale), drive.inertial(frame, scale))
         stereo_filter.update(drive.observe(frame, scale))
 
 
-def _predict(stereo_filter: StereoFilter, odometry: BodyVelocity) -> None:
-    """Predict a step of a drive, with odometry only if the filter refuses to go without."""
+def _predict(stereo_filter: StereoFilter, odometry: BodyVelocity, inertial: InertialSamples) -> None:
+    """Predict a step of a drive, with odometry or inertial samples only if the filter refuses to go without."""
     try:
         stereo_filter.predict(DT)
     except ValueError as error:
-        if "odometry" not in str(error):
+        if "odometry" in str(error):
+            stereo_filter.predict(DT, odometry)
+        elif "inertial" in str(error):
+            stereo_filter.predict(DT, inertial=inertial)
+        else:
             raise
-        stereo_filter.predict(DT, odometry)
 
 
 def shown_arrays(stereo_filter: StereoFilter) -> tuple[FloatArray, ...]:
@@ -330,7 +335,8 @@ def check_prediction_loses_certainty(make: Make) -> None:
     """Predicting makes the pose less certain, and moves it by velocity times dt."""
     stereo_filter = _started(make)
     before = np.trace(stereo_filter.pose.covariance)
-    _predict(stereo_filter, StraightDrive.past(stereo_filter).odometry(1, 0.0))
+    drive = StraightDrive.past(stereo_filter)
+    _predict(stereo_filter, drive.odometry(1, 0.0), drive.inertial(1, 0.0))
     assert np.trace(stereo_filter.pose.covariance) > before, "the pose covariance did not grow"
     moved = stereo_filter.pose.position
     assert np.allclose(moved, (0, 0, SPEED * DT), atol=1e-9), f"moved to {moved}"
@@ -377,7 +383,7 @@ def _errors_on_long_drives(stereo_filter: StereoFilter) -> tuple[tuple[float, fl
         )
         for number, frame in enumerate(drive.frames):
             if number:
-                _predict(stereo_filter, frame.odometry)
+                _predict(stereo_filter, frame.odometry, frame.inertial)
             report = stereo_filter.update(frame.observation)
             used |= set(report.rejected.tolist()) != set(frame.observation.ids.tolist())
             errors.append(stereo_filter.pose_error(frame.position, frame.orientation)[0])
@@ -414,7 +420,7 @@ def _delays(make: Make) -> bool:
     seen: list[list[int]] = []
     for observation in [*(drive.observe(frame) for frame in range(5)), _EMPTY]:  # in the last one all tracks end
         if seen:
-            _predict(stereo_filter, drive.odometry(len(seen)))
+            _predict(stereo_filter, drive.odometry(len(seen)), drive.inertial(len(seen)))
         told.append(sorted(_told(stereo_filter.update(observation))))
         seen.append(sorted(observation.ids.tolist()))
     return any(told) and told != seen
@@ -435,7 +441,7 @@ def check_report(make: Make) -> None:
     told: Counter[int] = Counter()
     for observation in observations + [_EMPTY] * (LONGEST_DELAY if delayed else 0):
         if seen:
-            _predict(stereo_filter, drive.odometry(1))
+            _predict(stereo_filter, drive.odometry(1), drive.inertial(1))
         silent = not told and not len(stereo_filter.landmarks.ids)
         report = stereo_filter.update(observation)
         assert isinstance(report, UpdateReport), f"update returned {type(report).__name__}"
@@ -462,8 +468,8 @@ def check_order(make: Make) -> None:
     for frame in range(6):
         observation = drive.observe(frame)
         if frame:
-            _predict(first, drive.odometry(frame))
-            _predict(second, drive.odometry(frame))
+            _predict(first, drive.odometry(frame), drive.inertial(frame))
+            _predict(second, drive.odometry(frame), drive.inertial(frame))
         first.update(observation)
         second.update(observation.select(rng.permutation(len(observation))))
     _assert_same("in another order", _shown(first), _shown(second))
@@ -495,6 +501,8 @@ def check_bad_input(make: Make) -> None:
         "forecast of an unknown id": lambda: stereo_filter.forecast([10**9]),
         "pose_error with NaN": lambda: stereo_filter.pose_error(nan3, (0, 0, 0, 1)),
     }
+    if "inertial" in inspect.signature(stereo_filter.predict).parameters:
+        attempts["predict with wrong inertial samples"] = lambda: stereo_filter.predict(DT, inertial=np.zeros(6))  # type: ignore[arg-type]
     for name, attempt in attempts.items():
         try:
             attempt()
@@ -518,7 +526,7 @@ def check_negative_disparity(make: Make) -> None:
         ids = observation.ids.copy()
         ids[:3] += 500
         uvd[3, 2] = -0.2
-        _predict(stereo_filter, drive.odometry(frame))
+        _predict(stereo_filter, drive.odometry(frame), drive.inertial(frame))
         stereo_filter.update(StereoObservation(ids, uvd))
         assert_healthy(stereo_filter)
         stereo_filter.forecast()
@@ -527,7 +535,7 @@ def check_negative_disparity(make: Make) -> None:
 def check_empty_observation(make: Make) -> None:
     """A frame without measurements changes no pose, unless updates are delayed."""
     stereo_filter, drive = _driven(make)
-    _predict(stereo_filter, drive.odometry(5))
+    _predict(stereo_filter, drive.odometry(5), drive.inertial(5))
     before = _shown(stereo_filter)
     report = stereo_filter.update(_EMPTY)
     after = _shown(stereo_filter)
@@ -556,7 +564,7 @@ def check_forget(make: Make) -> None:
     stereo_filter.forget(gone)
     missing = set(gone.tolist())
     for frame in range(5, 6 + (LONGEST_DELAY if _delays(make) else 0)):
-        _predict(stereo_filter, drive.odometry(frame))
+        _predict(stereo_filter, drive.odometry(frame), drive.inertial(frame))
         missing -= set(stereo_filter.update(drive.observe(frame)).initialised.tolist())
     assert not missing, "forgotten ids were not started again"
     assert_healthy(stereo_filter)

@@ -5,7 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
+from scipy.interpolate import CubicSpline
 
+from filters.contract.inertial import InertialSamples, InertialUnit
 from filters.contract.noise import StereoNoise
 from filters.contract.observation import StereoObservation
 from filters.contract.odometry import BodyVelocity
@@ -21,6 +24,9 @@ VISIBLE = 15
 NEAREST, FARTHEST = 4.0, 45.0
 ODOMETRY_SIGMAS = np.repeat([0.1, 0.01], 3)
 """Of the odometry that a filter is given if it asks for some: m/s, then rad/s."""
+UNIT = InertialUnit(np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]), 2e-4, 2e-3, 2e-5, 3e-3)
+"""Whose samples a filter is given if it asks for some: at the left camera and turned as that, gravity along y."""
+_SAMPLES, _GRAVITY = 20, np.array([0.0, 9.81, 0.0])
 _HEADING, _HEADING_PERIOD = 0.5, 8.0
 _SPEED_CHANGE, _SPEED_PERIOD = 1.5, 6.0
 
@@ -54,6 +60,11 @@ class StraightDrive:
         rng = np.random.default_rng([self.seed, frame, 1])
         return _odometry(np.array([0.0, 0.0, SPEED]), np.zeros(3), scale * rng.standard_normal(6))
 
+    def inertial(self, frame: int, scale: float = 1.0) -> InertialSamples:
+        """Samples of the step to the frame, with errors of `scale` times the noise of `UNIT`."""
+        rng = np.random.default_rng([self.seed, frame, 2])
+        return _samples(np.zeros((_SAMPLES, 3)), np.tile(-_GRAVITY, (_SAMPLES, 1)), rng, scale)
+
     def observe(self, frame: int, scale: float = 1.0) -> StereoObservation:
         """All points, with errors of `scale` times the noise."""
         rng = np.random.default_rng([self.seed, frame])
@@ -64,12 +75,13 @@ class StraightDrive:
 
 @dataclass(frozen=True, eq=False)
 class WindingFrame:
-    """True pose of the camera (r^WC in m, q^WC), its measurements, and the odometry of the step to it."""
+    """True pose of the camera (r^WC in m, q^WC), its measurements, odometry and inertial samples of the step to it."""
 
     position: FloatArray
     orientation: FloatArray
     observation: StereoObservation
     odometry: BodyVelocity
+    inertial: InertialSamples
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +104,7 @@ class WindingDrive:
         """The drive of that seed for this rig."""
         rng = np.random.default_rng([seed, FRAMES])
         times = DT * np.arange(FRAMES)
-        headings = _HEADING * np.sin(2.0 * np.pi * times / _HEADING_PERIOD)
+        headings = _heading(times)
         speeds = SPEED + _SPEED_CHANGE * np.sin(2.0 * np.pi * times / _SPEED_PERIOD)
         steps = DT * speeds[:, None] * np.stack([np.sin(headings), np.zeros(FRAMES), np.cos(headings)], axis=1)
         positions = np.cumsum(steps, axis=0) - steps
@@ -100,7 +112,8 @@ class WindingDrive:
         ids: IntArray = np.zeros(0, dtype=np.int64)
         points, frames = np.zeros((0, 3)), []
         entered = 0
-        of_odometry = np.random.default_rng([seed, FRAMES, 1])
+        of_odometry, of_unit = (np.random.default_rng([seed, FRAMES, which]) for which in (1, 2))
+        path = CubicSpline(times, positions)
         for number, (position, heading) in enumerate(zip(positions, headings, strict=True)):
             orientation = rotations.exp_quaternion(np.array([0.0, heading, 0.0]))
             R_wc = rotations.matrix(orientation)
@@ -119,9 +132,30 @@ class WindingDrive:
             R_mid = rotations.matrix(rotations.exp_quaternion(np.array([0.0, heading - 0.5 * turn, 0.0])))
             linear, angular = (position - positions[before]) @ R_mid / DT, np.array([0.0, turn / DT, 0.0])
             odometry = _odometry(linear, angular, of_odometry.standard_normal(6))
-            frames.append(WindingFrame(position, orientation, StereoObservation(ids, uvd), odometry))
+            ends = times[before] + DT / _SAMPLES * np.arange(_SAMPLES + 1)
+            middles = 0.5 * (ends[1:] + ends[:-1])
+            forces = np.diff(path(ends, 1), axis=0) * _SAMPLES / DT - _GRAVITY
+            along = rotations.exp_quaternion(np.outer(_heading(middles), [0.0, 1.0, 0.0]))
+            forces = np.einsum("kij,ki->kj", rotations.matrix(along), forces)
+            rates = np.outer(np.diff(_heading(ends)) * _SAMPLES / DT, [0.0, 1.0, 0.0])
+            inertial = _samples(rates, forces, of_unit, 1.0)
+            frames.append(WindingFrame(position, orientation, StereoObservation(ids, uvd), odometry, inertial))
         turning = np.array([0.0, 2.0 * np.pi * _HEADING / _HEADING_PERIOD, 0.0])
         return cls(np.array([0.0, 0.0, SPEED]), turning, tuple(frames))
+
+
+def _heading(times: ArrayLike) -> FloatArray:
+    """Of the winding road at these times, rad."""
+    headings: FloatArray = _HEADING * np.sin(2.0 * np.pi * np.asarray(times) / _HEADING_PERIOD)
+    return headings
+
+
+def _samples(rates: FloatArray, forces: FloatArray, rng: np.random.Generator, scale: float) -> InertialSamples:
+    """Samples of a step in equal times, with errors of `scale` times the noise of `UNIT`."""
+    densities = np.repeat([UNIT.gyro_density, UNIT.accelerometer_density], 3)
+    errors = scale * densities / np.sqrt(DT / _SAMPLES) * rng.standard_normal((_SAMPLES, 6))
+    times: FloatArray = DT / _SAMPLES * np.arange(1.0, _SAMPLES + 1.0)
+    return InertialSamples(times, rates + errors[:, :3], forces + errors[:, 3:], UNIT)
 
 
 def _odometry(linear: FloatArray, angular: FloatArray, errors: FloatArray) -> BodyVelocity:

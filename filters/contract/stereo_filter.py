@@ -7,6 +7,7 @@ Orientations are unit quaternions xyzw; R_wc takes camera vectors into W. SI uni
 from __future__ import annotations
 
 import inspect
+import logging
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import Any, ClassVar
@@ -15,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from filters.contract.beliefs import Forecast, LandmarkBelief, PoseBelief, VelocityBelief
+from filters.contract.inertial import InertialSamples
 from filters.contract.noise import StereoNoise
 from filters.contract.observation import StereoObservation
 from filters.contract.odometry import BodyVelocity
@@ -22,6 +24,8 @@ from filters.contract.start import Start
 from filters.contract.update_report import UpdateReport
 from filters.geometry.camera import StereoCamera
 from filters.validation import FloatArray, IntArray, positive, unique_ids
+
+_log = logging.getLogger(__name__)
 
 
 def check_rig(camera: StereoCamera, noise: StereoNoise) -> None:
@@ -41,6 +45,23 @@ def time_step(dt: object) -> float:
     step = positive("dt", dt)
     if step > LONGEST_STEP:
         raise ValueError(f"dt must be at most {LONGEST_STEP:g} s, got {step:g}: reset the filter after so long a gap")
+    return step
+
+
+def check_step(dt: object, odometry: object, inertial: object) -> float:
+    """Return `dt` as seconds, or raise a `ValueError` if these are not what `StereoFilter.predict` takes."""
+    step = time_step(dt)
+    if odometry is not None and type(odometry) is not BodyVelocity:
+        if isinstance(odometry, BodyVelocity):
+            own = type(odometry).__name__
+            raise ValueError(
+                f"odometry must be a BodyVelocity itself, got the subclass {own}: what it adds is not used"
+            )
+        raise ValueError(f"odometry must be a BodyVelocity or None, got {type(odometry).__name__}")
+    if inertial is not None:
+        if not isinstance(inertial, InertialSamples):
+            raise ValueError(f"inertial must be InertialSamples or None, got {type(inertial).__name__}")
+        inertial.check_step(step)
     return step
 
 
@@ -81,8 +102,20 @@ class StereoFilter(ABC):
         """Start again from `start`, with an empty map. Raises `ValueError` if that is no `Start`."""
 
     @abstractmethod
-    def predict(self, dt: float, odometry: BodyVelocity | None = None) -> None:
-        """Move the belief forward by `dt` seconds, above 0 and up to 100 (Eq. 6, 11, 12)."""
+    def predict(self, dt: float, odometry: BodyVelocity | None = None, inertial: InertialSamples | None = None) -> None:
+        """Move the belief forward by `dt` seconds, above 0 and up to 100 (Eq. 6, 11, 12).
+
+        What is known of the step besides is given as odometry, as samples of an inertial unit, or as both. A filter
+        that makes no use of one of them says so once, in the log: see `say_unused`.
+        """
+
+    def say_unused(self, name: str) -> None:
+        """Say in the log, once for this filter, that an input of `predict` has no effect: "odometry" or "inertial"."""
+        said = vars(self).setdefault("_said_unused", set())
+        if name not in said:
+            said.add(name)
+            what = "inertial samples" if name == "inertial" else name
+            _log.warning("%s makes no use of the %s that it is given", type(self).__name__, what)
 
     @abstractmethod
     def update(self, observation: StereoObservation) -> UpdateReport:

@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from filters.contract.beliefs import Forecast
+from filters.contract.inertial import InertialSamples
 from filters.contract.observation import StereoObservation
 from filters.contract.odometry import BodyVelocity
 from filters.contract.start import Start
-from filters.contract.stereo_filter import AT_ORIGIN, LONGEST_STEP, check_start, time_step
+from filters.contract.stereo_filter import AT_ORIGIN, LONGEST_STEP, check_start, check_step, time_step
 from filters.contract.update_report import UpdateReport
 from filters.engine.compiled.readout import points_at, relative_landmarks
 from filters.engine.compiled.units import of_part
@@ -22,24 +23,20 @@ from filters.engine.engine import Engine
 from filters.engine.frames import Observations, Odometry, Outcome
 from filters.engine.row import Row, report
 from filters.engine.stereo_ekf import StereoEKF
+from filters.motions.model import input_of
 from filters.validation import BoolArray, FloatArray, IntArray, whole_number
 
 
 @dataclass(frozen=True, eq=False)
 class Reports(Sequence[UpdateReport]):
-    """Reports of a batch, each made when it is asked for.
-
-    Attributes
-    ----------
-    offsets, ids : (B + 1,), (M,) int64
-        Measurements of filter b are offsets[b] to offsets[b + 1] - 1, ids ascending.
-    outcome : Outcome
-        What became of them.
-    """
+    """Reports of a batch, each made when it is asked for."""
 
     offsets: IntArray
+    """(B + 1,): measurements of filter b are offsets[b] to offsets[b + 1] - 1, ids ascending."""
     ids: IntArray
+    """(M,): measurements of filter b are offsets[b] to offsets[b + 1] - 1, ids ascending."""
     outcome: Outcome
+    """What became of them."""
 
     def __len__(self) -> int:
         return len(self.offsets) - 1
@@ -57,27 +54,18 @@ class Reports(Sequence[UpdateReport]):
 
 @dataclass(frozen=True, eq=False)
 class RelativeLandmarks:
-    """The maps of a batch as its cameras see them.
-
-    Attributes
-    ----------
-    offsets : (B + 1,) int64
-        Landmarks of filter b are offsets[b] to offsets[b + 1] - 1, ids ascending.
-    ids : (M,) int64
-        Landmarks.
-    points_c : (M, 3)
-        Positions in the camera frame, m.
-    covariances : (M, 3, 3)
-        Of those, m^2; errors of the pose and their correlation count.
-    located : (M,) bool
-        Whether the landmark is in front of its anchor, at a finite distance.
-    """
+    """The maps of a batch as its cameras see them."""
 
     offsets: IntArray
+    """(B + 1,): landmarks of filter b are offsets[b] to offsets[b + 1] - 1, ids ascending."""
     ids: IntArray
+    """(M,): landmarks."""
     points_c: FloatArray
+    """(M, 3): positions in the camera frame, m."""
     covariances: FloatArray
+    """(M, 3, 3): of those, m^2; errors of the pose and their correlation count."""
     located: BoolArray
+    """(M,): whether the landmark is in front of its anchor, at a finite distance."""
 
 
 _METHODS = ("reset", "predict", "update", "forecast", "pose", "velocity", "pose_error", "state_size", "state")
@@ -206,7 +194,7 @@ class FilterBatch(Sequence[StereoEKF]):
         points_at(of_part(self._engine.recipe.landmark, "point"), plan.landmark, values, points, by_own)
         state = storage.P, storage.x, storage.blocks, storage.own, storage.anchor, storage.counts
         written = found.points_c, found.covariances, found.located
-        relative_landmarks(*state, plan.leading, plan.anchored, points, by_own, offsets, *written)
+        relative_landmarks(*state, plan.leading, plan.anchors > 0, points, by_own, offsets, *written)
         return found
 
     def reset(self, starts: Start | Sequence[Start] = AT_ORIGIN) -> None:
@@ -218,9 +206,15 @@ class FilterBatch(Sequence[StereoEKF]):
         for slam, start in zip(self._filters, each, strict=True):
             slam.reset(start)
 
-    def predict(self, dt: ArrayLike, odometry: Sequence[BodyVelocity | None] | None = None) -> None:
+    def predict(
+        self,
+        dt: ArrayLike,
+        odometry: Sequence[BodyVelocity | None] | None = None,
+        inertial: Sequence[InertialSamples | None] | None = None,
+    ) -> None:
         """Move every filter forward by dt > 0 s, a number or (B,)."""
-        self._engine.step(self._steps(dt), None, self._odometry(odometry))
+        steps = self._steps(dt)
+        self._engine.step(steps, None, self._inputs(steps, odometry, inertial))
 
     def update(self, observations: Sequence[StereoObservation | None]) -> Reports:
         """Use the frame of every filter; None: it has none, and stays as it is."""
@@ -231,10 +225,11 @@ class FilterBatch(Sequence[StereoEKF]):
         dt: ArrayLike,
         observations: Sequence[StereoObservation | None],
         odometry: Sequence[BodyVelocity | None] | None = None,
+        inertial: Sequence[InertialSamples | None] | None = None,
     ) -> Reports:
         """Predict and update in one call."""
-        steps, fused = self._steps(dt), self._odometry(odometry)
-        return self._report(steps, self._packed(observations), fused)
+        steps = self._steps(dt)
+        return self._report(steps, self._packed(observations), self._inputs(steps, odometry, inertial))
 
     def step_arrays(self, dt: ArrayLike, ids: IntArray, uvd: FloatArray, R: FloatArray | None = None) -> Reports:
         """Predict and update from arrays of one shape, as vector environments have them.
@@ -250,7 +245,8 @@ class FilterBatch(Sequence[StereoEKF]):
         R : (B, N, 3, 3), (3, 3) or None
             Noise, px^2; None: of each filter.
         """
-        steps, odometry = self._steps(dt), self._odometry(None)
+        steps = self._steps(dt)
+        odometry = self._inputs(steps, None, None)
         ids, uvd = np.asarray(ids), np.asarray(uvd, dtype=np.float64)
         if ids.ndim != 2 or len(ids) != len(self) or ids.dtype.kind not in "iu":
             raise ValueError(f"ids must be integers of shape ({len(self)}, N), got {ids.dtype} {ids.shape}")
@@ -292,15 +288,22 @@ class FilterBatch(Sequence[StereoEKF]):
             raise ValueError(f"dt must be {wanted}, got {dt!r}")
         return steps
 
-    def _odometry(self, odometry: Sequence[BodyVelocity | None] | None) -> Odometry | None:
-        """Odometry of each filter, as its motion can use it; None: there is none at all."""
-        given = [None] * len(self) if odometry is None else list(odometry)
-        self._check_length("odometry", given)
-        for entry in given:
-            if entry is not None and not isinstance(entry, BodyVelocity):
-                raise ValueError(f"odometry must be a BodyVelocity or None for each filter, got {entry!r}")
-            self._filters[0].options.motion.check_odometry(entry)
-        return None if odometry is None else Odometry.of(given)
+    def _inputs(
+        self,
+        steps: FloatArray,
+        odometry: Sequence[BodyVelocity | None] | None,
+        inertial: Sequence[InertialSamples | None] | None,
+    ) -> Odometry | None:
+        """What the motion takes of each filter's step; None: there is nothing at all."""
+        velocities = [None] * len(self) if odometry is None else list(odometry)
+        samples = [None] * len(self) if inertial is None else list(inertial)
+        self._check_length("odometry", velocities)
+        self._check_length("inertial", samples)
+        for each in zip(steps, velocities, samples, strict=True):
+            check_step(*each)
+        first = self._filters[0]
+        given = [input_of(first.options.motion, first, *each) for each in zip(velocities, samples, strict=True)]
+        return None if odometry is None and inertial is None else Odometry.of(given)
 
     def _packed(self, observations: Sequence[StereoObservation | None]) -> Observations:
         """Observations one after the other, ids ascending."""

@@ -14,7 +14,6 @@ import numpy as np
 
 from filters.contract.drift import in_own_numbers, step_covariances
 from filters.contract.observation import StereoObservation
-from filters.contract.odometry import BodyVelocity
 from filters.engine import selection
 from filters.engine.compiled.blas import PLAIN
 from filters.engine.compiled.frame import FIRST, MOVED, SETTLED
@@ -29,7 +28,7 @@ from filters.engine.values import ValuePlaces
 from filters.geometry import rotations
 from filters.geometry.camera import StereoCamera
 from filters.measurements.model import Stage
-from filters.motions.model import ROTATION, measure_odometry, predict_camera
+from filters.motions.model import ROTATION, StepInput, measure_odometry, predict_camera
 from filters.state.joint_state import Clone, JointState, world_rotation_of_variables
 from filters.state.linearised import LinearisedMeasurements
 from filters.state.transport import Transport
@@ -59,18 +58,12 @@ class Room(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Parts:
-    """Parts of the filters of an engine, and the rig.
-
-    Attributes
-    ----------
-    camera : StereoCamera
-        The rig.
-    options : Options
-        Of the filters.
-    """
+    """Parts of the filters of an engine, and the rig."""
 
     camera: StereoCamera
+    """The rig."""
     options: Options
+    """Of the filters."""
 
 
 class Doors:
@@ -115,7 +108,7 @@ class Doors:
 
     # --- before the frame ---
 
-    def predict(self, b: int, dt: float, odometry: BodyVelocity | None) -> tuple[FloatArray, ...]:
+    def predict(self, b: int, dt: float, odometry: StepInput | None) -> tuple[FloatArray, ...]:
         """The step of filter b by numbers: values, F and Q of the leading rows; then nu, H and R of the odometry."""
         motion, layout, error = self._options.motion, self._options.layout, self._options.error
         before = self._values.camera(self._room.storage.x[b].copy())
@@ -176,9 +169,9 @@ class Doors:
             S.first[b, :blocks, : model.value_size],
             S.ids[b, :landmarks],
             S.own[b, :landmarks],
-            S.anchor[b, :landmarks],
+            S.anchor[b, :landmarks, 0],
             held=held,
-            clones=clones_at(values, S.kind[b], held),
+            clones={**clones_at(values, S.kind[b], held), **anchor_poses(values, S.anchor[b, :landmarks])},
         )
 
     # --- in the frame ---
@@ -214,8 +207,9 @@ class Doors:
         room.H[selected, :size, :measured] = linear.by_leading
         room.H[selected, :size, measured : measured + linear.by_map.shape[2]] = linear.by_map
         room.R[selected, :size, :size] = linear.R
-        room.base[selected, 0] = linear.map_rows[:, 0]
-        room.base[selected, 1] = linear.map_rows[:, -self._options.landmark.size]
+        anchors, own = self._room.recipe.anchors, -self._options.landmark.size
+        room.base[selected, 2 - anchors : 2] = linear.map_rows[:, :own:3]
+        room.base[selected, 2] = linear.map_rows[:, own]
 
     def _move(self, b: int, room: Scratch, what: int, count: int) -> None:
         """The state corrected by delta, and the Jacobian that carries P along."""
@@ -261,8 +255,9 @@ class Doors:
             return
         seen = unchecked(StereoObservation, ids=frame.ids[chosen], uvd=frame.uvd[chosen], v_right=None, R=None)
         new = start_landmarks(options.measurement, self._rig, state, seen, frame.R[chosen])
-        J, parameters, anchored = new.by_leading, new.started.parameters, new.started.anchored
-        by_anchor = np.eye(3, J.shape[2])
+        J, parameters = new.by_leading, new.started.parameters
+        anchored = new.started.anchored | options.landmark.in_anchor
+        by_anchor = np.eye(len(room.by_anchor), J.shape[2])
         if options.error.constrains:
             here = np.where(anchored[:, None], state.camera.position, np.nan)
             effect = state.model.world_rotation(here, parameters)
@@ -308,7 +303,7 @@ class Doors:
         index = np.flatnonzero(linear)
         if len(index) == 0:
             return
-        np.subtract.at(S.users[b], S.anchor[b, index], 1)
+        np.subtract.at(S.users[b], S.anchor[b, index, 0], 1)
         S.kind[b, state.parameter_block[index]] = POINT
         state.become_points(index, self._options.error.linearisation_point(state) or state)
 
@@ -322,8 +317,9 @@ class Doors:
         motion, distance = image_motion(turn, now.R_wc.T @ (now.position - room.before[:3]), seen)
         sigma = options.gauge_walk * np.sqrt(motion)
         B = directions(at.world_rotation(), at.world_translation(), at.camera.position, sigma, distance)
-        for clone in at.clones.values():  # they stay where the camera was
-            B[at.block_rows(clone.blocks)] = 0.0
+        for name, clone in at.clones.items():  # they stay where the camera was, those that no landmark hangs on
+            if isinstance(name, str):
+                B[at.block_rows(clone.blocks)] = 0.0
         room.HP[:6, : len(B)] = B.T
 
     def _carry(self, b: int, room: Scratch, back: int, count: int) -> None:
@@ -352,7 +348,13 @@ class Doors:
         state.P[rows[:, :, None], rows[:, None, :]] += in_own_numbers(Q, by_own)
 
 
-def clones_at(values: FloatArray, kind: IntArray, held: IntArray) -> dict[str, Clone]:
+def anchor_poses(values: FloatArray, anchors: IntArray) -> dict[str | int, Clone]:
+    """Poses that are anchors (N, 2), copies, by the block of their position."""
+    poses = np.unique(anchors[anchors[:, 1] >= 0], axis=0)
+    return {int(p): Clone(values[p, :3].copy(), values[q, :4].copy(), np.array([p, q])) for p, q in poses}
+
+
+def clones_at(values: FloatArray, kind: IntArray, held: IntArray) -> dict[str | int, Clone]:
     """Clones of the pose among the held blocks, copies, in the order in which they were made, by their numbers."""
     positions = np.flatnonzero(kind[held] == CLONE_POSITION)
     return {

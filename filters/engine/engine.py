@@ -57,7 +57,7 @@ class Engine:
         self.count = count
         self.threads = max(1, min(threads, count))
         self.parts = parts
-        asks = parts is not None and (recipe.asks or recipe.motion is None)
+        asks = recipe.asks or recipe.changes or recipe.motion is None
         self._doors = Doors(parts, weakref.proxy(self)) if asks and parts is not None else None
         self._fuses = self._odometry_there = False
         motion = None if parts is None else parts.options.motion
@@ -104,9 +104,9 @@ class Engine:
 
     def reset(self, index: int, x: FloatArray, P: FloatArray) -> None:
         """Start filter `index` again with leading values x (values,) and covariance P (leading, leading)."""
-        none = np.zeros(0, dtype=np.int64)
+        none, anchors = np.zeros(0, dtype=np.int64), np.zeros((0, 2), dtype=np.int64)
         nothing = np.zeros((0, self.recipe.block_values))
-        self.load(index, FilterState(x, x, P, nothing, nothing, none, none, none, none, none))
+        self.load(index, FilterState(x, x, P, nothing, nothing, none, none, none, anchors, none))
 
     def load(self, index: int, state: FilterState) -> None:
         """Put the state of filter `index` there."""

@@ -8,71 +8,53 @@ from dataclasses import dataclass
 import numpy as np
 
 from filters.contract.odometry import BodyVelocity
+from filters.motions.model import StepInput
 from filters.validation import BoolArray, FloatArray, IntArray, unchecked
 
 
 @dataclass(frozen=True, eq=False)
 class Observations:
-    """Measurements of B filters, one after the other.
-
-    Attributes
-    ----------
-    seen : (B,) bool
-        Whether a filter has an observation: one without measurements is something else than none.
-    offsets : (B + 1,) int64
-        The measurements of filter b are offsets[b] to offsets[b + 1] - 1.
-    ids : (M,) int64
-        Ascending for each filter.
-    uvd : (M, 3)
-        Measurements, px.
-    R : (M, 3, 3) or (3, 3)
-        Their noise, or one for all, px^2.
-    with_right : (B,) bool
-        Whether the right row is measured on its own.
-    v_right : (M,), optional
-        The right row, px.
-    """
+    """Measurements of B filters, one after the other."""
 
     seen: BoolArray
+    """(B,): whether a filter has an observation: one without measurements is something else than none."""
     offsets: IntArray
+    """(B + 1,): the measurements of filter b are offsets[b] to offsets[b + 1] - 1."""
     ids: IntArray
+    """(M,): ascending for each filter."""
     uvd: FloatArray
+    """(M, 3): measurements, px."""
     R: FloatArray
+    """(M, 3, 3): their noise, or one for all, px^2."""
     with_right: BoolArray
+    """(B,): whether the right row is measured on its own."""
     v_right: FloatArray | None = None
+    """(M,): the right row, px."""
 
 
 @dataclass(frozen=True, eq=False)
 class Odometry:
-    """Odometry of B filters.
-
-    Attributes
-    ----------
-    fused : (B,) bool
-        Whose there is.
-    values : (B, 6)
-        Linear and angular velocity, camera frame.
-    covariances : (B, 6, 6) or (6, 6)
-        Of those.
-    given : sequence of BodyVelocity or None, optional
-        As it was given, for motions that know more of it.
-    """
+    """Odometry of B filters."""
 
     fused: BoolArray
+    """(B,): whose there is."""
     values: FloatArray
+    """(B, 6): linear and angular velocity, camera frame; 0 where there are inertial samples."""
     covariances: FloatArray
-    given: Sequence[BodyVelocity | None] | None = None
+    """(B, 6, 6): of those."""
+    given: Sequence[StepInput | None] | None = None
+    """As it was given, for motions that know more of it."""
 
     @classmethod
-    def of(cls, given: Sequence[BodyVelocity | None]) -> Odometry:
+    def of(cls, given: Sequence[StepInput | None]) -> Odometry:
         """Odometry of each filter; None: it has none."""
         values, covariances = np.zeros((len(given), 6)), np.zeros((len(given), 6, 6))
         for b, entry in enumerate(given):
-            if entry is not None:
+            if isinstance(entry, BodyVelocity):
                 values[b, :3], values[b, 3:], covariances[b] = entry.linear, entry.angular, entry.covariance
         return cls(np.array([entry is not None for entry in given]), values, covariances, given)
 
-    def of_filter(self, b: int) -> BodyVelocity | None:
+    def of_filter(self, b: int) -> StepInput | None:
         """That of filter b."""
         if self.given is not None:
             return self.given[b]
@@ -85,19 +67,13 @@ class Odometry:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What became of the measurements.
-
-    Attributes
-    ----------
-    fates : (M,) uint8
-        `frame.USED`, BEHIND, GATED, FAILED, STARTED or REJECTED.
-    nis, dof : (B,)
-        Normalised innovation squared and its degrees of freedom.
-    dropped : tuple of (K,) int64
-        Ids that left the map of each filter.
-    """
+    """What became of the measurements."""
 
     fates: IntArray
+    """(M,): `frame.USED`, BEHIND, GATED, FAILED, STARTED or REJECTED."""
     nis: FloatArray
+    """(B,): normalised innovation squared."""
     dof: IntArray
+    """(B,): its degrees of freedom."""
     dropped: tuple[IntArray, ...]
+    """Ids that left the map of each filter."""

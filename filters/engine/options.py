@@ -110,6 +110,12 @@ class Options:
                 "error must keep what cannot be observed unobservable with gauge_walk, "
                 f'got {type(self.error).__name__}: use "first-estimates" or "right-invariant"'
             )
+        landmark = self.landmark
+        if landmark.in_anchor and self.error.constrains:
+            raise ValueError(
+                f"landmark {type(landmark).__name__} is in the frame of its anchor: error must not be first-estimates, "
+                f"got {type(self.error).__name__}"
+            )
         if self.landmark.in_camera and (self.error.constrains or self.max_landmarks is not None):
             name = type(self.landmark).__name__
             raise ValueError(
@@ -131,7 +137,7 @@ class Options:
 def _can_shift(landmark: LandmarkModel) -> bool:
     """Whether it says what a shift of the world does to landmarks without an anchor."""
     own = type(landmark)
-    if own.in_camera:
+    if own.in_camera or own.in_anchor:
         return True
     return own.shifted is not LandmarkModel.shifted or own.world_translation is not LandmarkModel.world_translation
 
@@ -147,8 +153,13 @@ def _check_landmark(landmark: LandmarkModel) -> None:
         raise ValueError(f"prior of landmark {name} must be None, got {prior!r}: all {size} numbers are measured")
     if size > 3 and not landmark.steady:
         raise ValueError(f"size of landmark {name} must be 3 where landmarks may become points, got {size}")
-    if landmark.in_camera and (landmark.anchored or landmark.submaps or kernels_of(landmark) is not None):
-        raise ValueError(f"landmark {name} is in the frame of the camera: it must have no anchors, submaps or kernels")
+    for frame, flag in (("the camera", landmark.in_camera), ("its anchor", landmark.in_anchor)):
+        others = landmark.anchored or landmark.submaps or (landmark.in_camera and landmark.in_anchor)
+        if flag and (others or not landmark.steady or kernels_of(landmark) is not None):
+            raise ValueError(
+                f"landmark {name} is in the frame of {frame}: it must have no anchors, submaps or kernels, "
+                "and not become a point"
+            )
     if kernels_of(landmark) is not None and (landmark.seen_vectors != 1 or landmark.seen_size < 4):
         raise ValueError(
             f"kernels of landmark {name} must be None: compiled ones are of points, and of what goes along"

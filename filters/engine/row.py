@@ -11,13 +11,12 @@ import numpy as np
 from filters.contract.known_names import require_known
 from filters.contract.noise import StereoNoise
 from filters.contract.observation import StereoObservation
-from filters.contract.odometry import BodyVelocity
 from filters.contract.update_report import UpdateReport
 from filters.contract.variables import VELOCITY
 from filters.engine.compiled import storage as fates
 from filters.engine.compiled.recipe import Recipe
 from filters.engine.compiled.storage import CLONE_POSITION, CLONE_ROTATION, OWN, POINT, FilterState
-from filters.engine.doors import Parts, clones_at
+from filters.engine.doors import Parts, anchor_poses, clones_at
 from filters.engine.engine import Engine
 from filters.engine.frames import Observations, Odometry, Outcome
 from filters.engine.options import Options
@@ -27,7 +26,7 @@ from filters.geometry.machine_code import settings_of
 from filters.geometry.poses import Pose
 from filters.geometry.retractions import ADDITIVE
 from filters.measurements.model import MeasurementModel
-from filters.motions.model import CameraState
+from filters.motions.model import CameraState, StepInput
 from filters.parts import SLOTS, kernels_of
 from filters.state import symmetric
 from filters.state.joint_state import JointState
@@ -78,7 +77,7 @@ def recipe_of(camera: StereoCamera, options: Options) -> Recipe:
         value_size=model.value_size,
         seen_size=model.seen_size,
         prior=() if model.prior is None else tuple(map(tuple, np.asarray(model.prior).tolist())),
-        anchored=model.anchored,
+        anchors=2 if model.in_anchor else int(model.anchored),
         shares_anchors=model.shares_anchors,
         additive=model.additive,
         follows=model.follows,
@@ -117,38 +116,30 @@ def _settings(part: object, kernels: Any) -> tuple[float, ...]:
 
 @dataclass(eq=False)
 class Row:
-    """One filter of an engine: what `StereoEKF` asks of it.
-
-    Attributes
-    ----------
-    engine : Engine
-        Its engine, perhaps with others.
-    options : Options
-        Of the filter.
-    number : int
-        Which filter of the engine it is.
-    clones : list of str
-        Names of the clones of the pose, in the order in which they were made.
-    """
+    """One filter of an engine: what `StereoEKF` asks of it."""
 
     engine: Engine
+    """Its engine, perhaps with others."""
     options: Options
+    """Of the filter."""
     number: int = 0
+    """Which filter of the engine it is."""
     clones: list[str] = field(default_factory=list)
+    """Names of the clones of the pose, in the order in which they were made."""
 
     @classmethod
     def of(cls, camera: StereoCamera, options: Options) -> Row:
         """A filter with an engine of its own."""
         return cls(Engine(recipe_of(camera, options), parts=Parts(camera, options)), options)
 
-    def predict(self, dt: float, odometry: BodyVelocity | None) -> None:
+    def predict(self, dt: float, odometry: StepInput | None) -> None:
         """Move the belief forward by dt, then fuse what odometry adds."""
         steps = np.zeros(self.engine.count)
         steps[self.number] = dt
         if odometry is None:
             self.engine.step(steps, None)
             return
-        given: list[BodyVelocity | None] = [None] * self.engine.count
+        given: list[StepInput | None] = [None] * self.engine.count
         given[self.number] = odometry
         self.engine.step(steps, None, Odometry.of(given))
 
@@ -193,9 +184,9 @@ class Row:
             (index,) = np.nonzero(self.ids == name)
             if len(index) == 0:
                 raise ValueError(f"ids must be in the map, not there: {name}: see landmarks.ids")
-            anchor, own = (layout.size + size * block for block in (S.anchor[b, index[0]], S.own[b, index[0]]))
-            there = [anchor + np.arange(3)] if S.anchor[b, index[0]] >= 0 else []
-            return np.concatenate([*there, own + np.arange(size)])
+            anchor, own = S.anchor[b, index[0]], layout.size + size * S.own[b, index[0]] + np.arange(size)
+            there = layout.size + size * anchor[anchor >= 0, None] + np.arange(3)
+            return np.concatenate([there.ravel(), own])
         return (layout.size + size * blocks[:, None] + np.arange(3)).ravel()
 
     def _clone_blocks(self, name: str) -> IntArray:
@@ -236,6 +227,7 @@ class Row:
         """A copy of what it knows; to be assigned after a change."""
         state, values = self.engine.export(self.number), ValuePlaces(self.options.layout)
         size = self.options.landmark.value_size
+        clones = clones_at(state.blocks, state.kind, state.held)
         return JointState(
             self.options.layout,
             values.camera(state.x),
@@ -246,9 +238,9 @@ class Row:
             state.first[:, :size],
             state.ids,
             state.own,
-            state.anchor,
+            state.anchor[:, 0],
             held=state.held,
-            clones=dict(zip(self.clones, clones_at(state.blocks, state.kind, state.held).values(), strict=True)),
+            clones={**dict(zip(self.clones, clones.values(), strict=True)), **anchor_poses(state.blocks, state.anchor)},
         )
 
     @state.setter
@@ -265,6 +257,9 @@ class Row:
         plan = self.engine.recipe.plan
         points = free & (plan.changes or plan.points)
         kind[own[~points]] = OWN
+        turns = np.full(len(state), -1)
+        if state.model.in_anchor:
+            turns = state.anchor_poses()[2]
         for clone in state.clones.values():
             position, rotation = number[clone.blocks]
             kind[position], kind[rotation] = CLONE_POSITION, CLONE_ROTATION
@@ -282,11 +277,11 @@ class Row:
                 kind=kind,
                 ids=state.ids,
                 own=own,
-                anchor=number[state.anchor_block],
+                anchor=number[np.column_stack([state.anchor_block, turns])],
                 held=number[state.held],
             ),
         )
-        self.clones = list(state.clones)
+        self.clones = [name for name in state.clones if isinstance(name, str)]
 
     def move_to(self, camera: CameraState) -> None:
         """Put the values of the named variables elsewhere."""

@@ -13,7 +13,7 @@ import numpy as np
 
 from filters.geometry.camera import StereoCamera
 from filters.measurements.model import MeasurementModel, Stage
-from filters.motions.model import POSE_SIZE
+from filters.motions.model import POSE_SIZE, POSITION
 from filters.state import symmetric
 from filters.state.joint_state import JointState
 from filters.state.linearised import LinearisedMeasurements
@@ -26,21 +26,14 @@ STEP = np.diag(np.repeat([1.0, 0.1], 3) ** 2)
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """Next measurements of M landmarks, (u, v, d) each, jointly with the next pose.
-
-    Attributes
-    ----------
-    pose : (6, 6)
-        Covariance of the next pose without them.
-    cross : (6, 3 M)
-        Covariance of the next pose with the measurements.
-    S : (3 M, 3 M)
-        Covariance of the measurements.
-    """
+    """Next measurements of M landmarks, (u, v, d) each, jointly with the next pose."""
 
     pose: FloatArray
+    """(6, 6): covariance of the next pose without them."""
     cross: FloatArray
+    """(6, 3 M): covariance of the next pose with the measurements."""
     S: FloatArray
+    """(3 M, 3 M): covariance of the measurements."""
 
 
 def next_measurements(
@@ -115,13 +108,15 @@ def most_informative(candidates: Candidates, count: int) -> BoolArray:
 def _by_step(sensor: MeasurementModel, camera: StereoCamera, state: JointState, uvd: FloatArray) -> FloatArray:
     """Derivative of (u, v, d) of landmarks now seen there by a step of the camera; (N, 3) -> (N, 3, 6)."""
     model, here, values = state.model, state.camera, sensor.values_at(state.camera)
-    seen_w = model.with_axes(here.R_wc, sensor.backproject(camera, uvd, values))
-    new = model.started(here.position, *model.apart(seen_w))
-    anchors = np.where(new.anchored[:, None], here.position, np.nan) if model.anchored else None
-    seen = model.relative_to(here.position, anchors, new.parameters)
-    points_c = model.with_axes(here.R_wc.T, seen.homogeneous)
+    position, R_wc = state.viewpoint
+    new = model.started(position, *model.apart(model.with_axes(R_wc, sensor.backproject(camera, uvd, values))))
+    anchors = np.where(new.anchored[:, None], position, np.nan) if model.anchored else None
+    seen = model.relative_to(position, anchors, new.parameters)
+    points_c = model.with_axes(R_wc.T, seen.homogeneous)
     by_point = sensor.jacobians(camera, points_c, values).by_point[:, :3]
-    return chain_rule(here.R_wc, seen, points_c, by_point, model.seen_vectors)[0]
+    by_step = chain_rule(R_wc, seen, points_c, by_point, model.seen_vectors)[0]
+    by_step[:, :, POSITION] = by_step[:, :, POSITION] @ (R_wc @ here.R_wc.T)
+    return by_step
 
 
 def joint_innovation_covariance(measurements: LinearisedMeasurements, HP: FloatArray) -> FloatArray:

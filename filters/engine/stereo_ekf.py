@@ -13,12 +13,13 @@ from numpy.typing import ArrayLike
 
 from filters.contract.beliefs import Forecast, LandmarkBelief, PoseBelief, VelocityBelief
 from filters.contract.drift import LandmarkDrift
+from filters.contract.inertial import InertialSamples
 from filters.contract.known_names import require_known
 from filters.contract.noise import StereoNoise
 from filters.contract.observation import StereoObservation
 from filters.contract.odometry import BodyVelocity
 from filters.contract.start import Start
-from filters.contract.stereo_filter import AT_ORIGIN, StereoFilter, check_rig, check_start, time_step
+from filters.contract.stereo_filter import AT_ORIGIN, StereoFilter, check_rig, check_start, check_step
 from filters.contract.update_report import Correction, UpdateReport
 from filters.contract.variables import POSE, VELOCITY, VariableBelief
 from filters.engine.gating import gate_limit
@@ -29,7 +30,7 @@ from filters.geometry.camera import StereoCamera
 from filters.geometry.poses import Pose, relative_jacobian
 from filters.landmarks.model import LandmarkModel
 from filters.measurements.model import MeasurementModel
-from filters.motions.model import CameraState, MotionModel
+from filters.motions.model import CameraState, MotionModel, input_of
 from filters.parts import Named
 from filters.state.joint_state import JointState
 from filters.updates.model import Linearisation
@@ -58,8 +59,8 @@ class StereoEKF(StereoFilter):
     noise : StereoNoise
         R of (u, v, d) for measurements that bring none of their own.
     motion : str, mapping or MotionModel
-        Motion model: "constant-velocity" (Eq. 6) or "velocity-driven". As of the other parts: a name, a table of
-        settings, or an object, see `filters.make_part`.
+        Motion model: "constant-velocity" (Eq. 6), "velocity-driven" or "strapdown". As of the other parts: a name, a
+        table of settings, or an object, see `filters.make_part`.
     gate : float or None
         Probability with which a consistent measurement of a landmark passes the chi-square gate; None: no gate.
     landmark : str, mapping or LandmarkModel
@@ -153,13 +154,10 @@ class StereoEKF(StereoFilter):
         check_start(start)
         self.state = JointState.at(start, self.options.layout, self.options.landmark)
 
-    def predict(self, dt: float, odometry: BodyVelocity | None = None) -> None:
+    def predict(self, dt: float, odometry: BodyVelocity | None = None, inertial: InertialSamples | None = None) -> None:
         """Move the belief forward (Eq. 6, 11, 12), then fuse what odometry adds."""
-        dt = time_step(dt)
-        if odometry is not None and not isinstance(odometry, BodyVelocity):
-            raise ValueError(f"odometry must be a BodyVelocity or None, got {odometry!r}")
-        self.options.motion.check_odometry(odometry)
-        self._row.predict(dt, odometry)
+        dt = check_step(dt, odometry, inertial)
+        self._row.predict(dt, input_of(self.options.motion, self, odometry, inertial))
 
     def update(self, observation: StereoObservation) -> UpdateReport:
         """Known ids correct the state, unseen ones leave, new ones enter; see `StereoFilter.update`."""

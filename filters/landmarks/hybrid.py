@@ -9,14 +9,15 @@ Derivation: docs/derivations/euclidean.md.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 
 from filters.landmarks.euclidean import Euclidean
-from filters.landmarks.inverse_depth import InverseDepth, ray_direction
-from filters.landmarks.model import LandmarkModel, ScaledPoints, StartedLandmarks
+from filters.landmarks.inverse_depth import KERNELS, InverseDepth, ray, ray_direction
+from filters.landmarks.model import LandmarkKernels, LandmarkModel, ScaledPoints, StartedLandmarks
 from filters.validation import BoolArray, FloatArray, positive
 
 _INVERSE_DEPTH, _EUCLIDEAN = InverseDepth(), Euclidean()
@@ -52,6 +53,18 @@ def linearity_index(
     return np.where(rho > 0.0, index, np.inf)
 
 
+def _become(
+    settings: FloatArray, to_anchor: FloatArray, values: FloatArray, variances: FloatArray, becomes: BoolArray
+) -> None:
+    """Whether Civera's index is below the limit, the first setting."""
+    for i in range(len(values)):
+        rho, (x, y, z) = values[i, 2], ray(values[i, 0], values[i, 1])
+        sx, sy, sz = rho * to_anchor[i, 0] + x, rho * to_anchor[i, 1] + y, rho * to_anchor[i, 2] + z
+        across, squared = abs(sx * x + sy * y + sz * z), sx * sx + sy * sy + sz * sz
+        sigma = math.sqrt(max(variances[i, 2], 0.0))
+        becomes[i] = rho > 0.0 and 4.0 * sigma * across < settings[0] * rho * squared
+
+
 @dataclass(frozen=True)
 class Hybrid(LandmarkModel):
     """Inverse depth with shared anchors, or XYZ; a landmark whose anchor is NaN is XYZ.
@@ -70,11 +83,22 @@ class Hybrid(LandmarkModel):
     anchored: ClassVar[bool] = True
     shares_anchors: ClassVar[bool] = True
     steady: ClassVar[bool] = False
+    follows: ClassVar[tuple[int, ...]] = InverseDepth.follows
 
     def __post_init__(self) -> None:
         for name in ("linearity_limit", "near_distance"):
             if getattr(self, name) is not None:
                 positive(name, getattr(self, name))
+
+    @property
+    def kernels(self) -> LandmarkKernels | None:  # type: ignore[override]
+        """Those of inverse depth, and when that ends. None with a `near_distance`."""
+        return None if self.near_distance is not None else replace(KERNELS, become=_become, settings=("limit",))
+
+    @property
+    def limit(self) -> float:
+        """`linearity_limit`, 0 for none."""
+        return self.linearity_limit or 0.0
 
     def can_start(self, h_w: FloatArray, scale: FloatArray) -> BoolArray:
         """As inverse depth."""

@@ -74,7 +74,8 @@ def angles_jacobian(h_w: FloatArray) -> FloatArray:
 
 
 @compiled
-def _ray(theta: float, phi: float) -> rotations.Three:
+def ray(theta: float, phi: float) -> rotations.Three:
+    """`ray_direction` of one landmark."""
     across = math.cos(phi)
     return across * math.sin(theta), -math.sin(phi), across * math.cos(theta)
 
@@ -90,7 +91,7 @@ def _angles_jacobian(x: float, y: float, z: float) -> tuple[float, ...]:
 @compiled
 def _rotation_of(theta: float, phi: float) -> tuple[float, ...]:
     """-A [m]x, row by row (2, 3)."""
-    x, y, z = _ray(theta, phi)
+    x, y, z = ray(theta, phi)
     a = _angles_jacobian(x, y, z)
     return (  # -a^T [m]x = (m x a)^T
         *(y * a[2] - z * a[1], z * a[0] - x * a[2], x * a[1] - y * a[0]),

@@ -99,6 +99,9 @@ class LandmarkKernels:
     behind them that do not turn."""
     rotation: Callable[..., None] | None = None
     """Function (settings, values (M, v), effect (M, n, 3)): `LandmarkModel.world_rotation`."""
+    become: Callable[..., None] | None = None
+    """Function (settings, to_anchor (M, 3), values (M, v), variances (M, n), becomes (M,) bool): `become_points`, from
+    the way from the camera to the anchor. The other kernels are of landmarks that have not become points."""
     settings: tuple[str, ...] = ()
     """Attributes of the part whose numbers are the first argument."""
 
@@ -133,6 +136,9 @@ class LandmarkModel:
     in_camera: ClassVar[bool] = False
     """Whether values are in the frame of the camera, so that its motion moves them (`in_frame`): then all functions
     are in that frame, the camera position is zero, and there are no anchors, kernels or first-estimates Jacobians."""
+    in_anchor: ClassVar[bool] = False
+    """Whether values are in the frame of the camera from which the landmark was first seen. That pose is its anchor, a
+    clone in the state. All functions are in that frame, and there is the rest that is said of `in_camera`."""
     prior: FloatArray | None = None
     """Covariance (size - 3, size - 3) of the error numbers behind the third, which the first measurement of a landmark
     leaves open: about the values from `parameters_of`, independent of all else."""
@@ -161,7 +167,7 @@ class LandmarkModel:
 
     def rotated(self, anchors: FloatArray | None, parameters: FloatArray, R: FloatArray) -> FloatArray:
         """Values in a world rotated about its origin, without the anchors; R (3, 3) -> (M, v)."""
-        if self.in_camera:
+        if self.in_camera or self.in_anchor:
             return parameters
         raise NotImplementedError(f"{type(self).__name__} must have rotated: see LandmarkModel")
 

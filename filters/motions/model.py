@@ -12,12 +12,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
+from filters.contract.inertial import InertialSamples
 from filters.contract.odometry import BodyVelocity
 from filters.contract.start import Start
+from filters.contract.stereo_filter import StereoFilter
 from filters.contract.variables import POSE, VELOCITY, Variable
 from filters.geometry import differences, rotations
 from filters.geometry.machine_code import settings_of
@@ -29,6 +31,8 @@ POSITION, ROTATION, LINEAR, ANGULAR = slice(0, 3), slice(3, 6), slice(6, 9), sli
 POSE_SIZE, VELOCITY_SIZE = 6, 6
 CAMERA_SIZE = POSE_SIZE + VELOCITY_SIZE
 _ROTATION_VECTOR = RotationVector()
+StepInput = BodyVelocity | InertialSamples
+"""What may be known of a step besides its length."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,21 +125,25 @@ class MotionModel:
     kernels: ClassVar[MotionKernels | None] = None
     """The same, compiled. They hold for the class that states them, not for its subclasses."""
 
-    def check_odometry(self, odometry: BodyVelocity | None) -> None:
+    takes: ClassVar[type[BodyVelocity] | type[InertialSamples]] = BodyVelocity
+    """What it is given of a step as `odometry`: velocities, or `InertialSamples`, which filters have as `inertial`."""
+
+    def check_odometry(self, odometry: Any) -> None:
         """Raise a `ValueError` if the model cannot make a step with this odometry."""
 
-    def move(self, state: CameraState, dt: float, odometry: BodyVelocity | None, noise: FloatArray) -> CameraState:
+    def move(self, state: CameraState, dt: float, odometry: Any, noise: FloatArray) -> CameraState:
         """State after `dt` > 0 seconds with this noise (k,)."""
         raise NotImplementedError(f"{type(self).__name__} must have move and noise, or predict: see MotionModel")
 
-    def noise(self, dt: float, odometry: BodyVelocity | None) -> FloatArray:
+    def noise(self, dt: float, odometry: Any) -> FloatArray:
         """Covariance (k, k) of the noise of a step."""
         raise NotImplementedError(f"{type(self).__name__} must have move and noise, or predict: see MotionModel")
 
-    def predict(self, state: CameraState, dt: float, odometry: BodyVelocity | None) -> MotionPrediction:
+    def predict(self, state: CameraState, dt: float, odometry: Any) -> MotionPrediction:
         """Predicted state, its Jacobians and its noise after `dt` > 0 seconds (Eq. 6, 12)."""
         size = _size(self)
         if self.kernels is not None:
+            self.check_odometry(odometry)
             before, F, Q = self.numbers_of(state), np.zeros((size, size)), np.zeros((size, size))
             moved, given = before.copy(), self.odometry_numbers(odometry)
             self.kernels.step(settings_of(self, self.kernels), before, dt, given, moved, F, Q)
@@ -151,7 +159,7 @@ class MotionModel:
         G = differences.jacobian(lambda n: self.difference(there, self.move(state, dt, odometry, n)), len(Q))
         return MotionPrediction(there, F, G, Q)
 
-    def odometry_measurement(self, state: CameraState, dt: float, odometry: BodyVelocity) -> LinearMeasurement | None:
+    def odometry_measurement(self, state: CameraState, dt: float, odometry: Any) -> LinearMeasurement | None:
         """Odometry of the step as a measurement of the predicted state; None: the prediction has used it up."""
         if self.kernels is None or self.kernels.measure is None:
             return None
@@ -161,7 +169,7 @@ class MotionModel:
         self.kernels.measure(settings_of(self, self.kernels), self.numbers_of(state), dt, given, *written)
         return measured
 
-    def odometry_numbers(self, odometry: BodyVelocity | None) -> FloatArray:
+    def odometry_numbers(self, odometry: Any) -> FloatArray:
         """What kernels take of the odometry of a step, (K, w): velocities, then their covariance; none: no rows."""
         if odometry is None:
             return np.zeros((0, 6))
@@ -213,9 +221,19 @@ class MotionModel:
         )
 
 
-def predict_camera(
-    motion: MotionModel, state: CameraState, dt: float, odometry: BodyVelocity | None
-) -> MotionPrediction:
+def input_of(
+    motion: MotionModel, slam: StereoFilter, odometry: BodyVelocity | None, inertial: InertialSamples | None
+) -> StepInput | None:
+    """Of what is known of a step, what the motion takes; the filter says once what it makes no use of."""
+    takes_samples = motion.takes is InertialSamples
+    given, unused, name = (inertial, odometry, "odometry") if takes_samples else (odometry, inertial, "inertial")
+    if unused is not None:
+        slam.say_unused(name)
+    motion.check_odometry(given)
+    return given
+
+
+def predict_camera(motion: MotionModel, state: CameraState, dt: float, odometry: StepInput | None) -> MotionPrediction:
     """Prediction of a motion model for one camera, with its shapes checked.
 
     Raises
@@ -245,7 +263,7 @@ def predict_camera(
 
 
 def measure_odometry(
-    motion: MotionModel, state: CameraState, dt: float, odometry: BodyVelocity
+    motion: MotionModel, state: CameraState, dt: float, odometry: StepInput
 ) -> LinearMeasurement | None:
     """Odometry of one camera as a measurement, with its shapes checked; None: it adds nothing.
 

@@ -12,7 +12,6 @@ to who comes and goes, not to the size of P; only when too many blocks stand emp
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -26,9 +25,6 @@ from filters.state.layout import Layout
 from filters.validation import BoolArray, FloatArray, IntArray
 
 _EMPTY_SHARE = 1 / 8  # of the blocks: where carrying empty rows through every update costs more than leaving them out
-
-Adjust = Callable[[FloatArray, FloatArray], FloatArray]
-"""(J of new blocks by leading rows (m, c), effect of a rotation of the world on them (m, 3)) -> J to be used."""
 
 
 def _no_landmarks() -> IntArray:
@@ -98,8 +94,8 @@ class JointState:
     """(E,): blocks without a landmark or anchor, ascending."""
     held: IntArray = field(default_factory=_no_landmarks)
     """(H,): blocks that stay whether or not a landmark uses them, in the order in which they were held."""
-    clones: dict[str, Clone] = field(default_factory=dict)
-    """Clones of the pose by name; their blocks are held."""
+    clones: dict[str | int, Clone] = field(default_factory=dict)
+    """Clones of the pose by name; their blocks are held. Anchors of landmarks `in_anchor`, by their first block."""
 
     @classmethod
     def at(cls, start: Start, layout: Layout, model: LandmarkModel) -> JointState:
@@ -118,10 +114,36 @@ class JointState:
 
     @property
     def viewpoint(self) -> tuple[FloatArray, FloatArray]:
-        """Position and orientation of the camera in the frame of the landmarks."""
-        if self.model.in_camera:
+        """Position and orientation of the camera in the frame in which landmarks start."""
+        if self.model.in_camera or self.model.in_anchor:
             return np.zeros(3), np.eye(3)
         return self.camera.position, self.camera.R_wc
+
+    def anchor_poses(self, index: IntArray | slice = slice(None)) -> tuple[FloatArray, FloatArray, IntArray]:
+        """Anchors of landmarks `in_anchor`: positions (M, 3), R_wa (M, 3, 3), blocks of the orientations (M,)."""
+        blocks, which = np.unique(self.anchor_block[index], return_inverse=True)
+        poses = [self.clones[block] for block in blocks.tolist()]
+        positions, orientations = np.zeros((len(poses), 3)), np.zeros((len(poses), 4))
+        turns = np.zeros(len(poses), dtype=np.int64)
+        for i, pose in enumerate(poses):
+            positions[i], orientations[i], turns[i] = pose.position, pose.orientation, pose.blocks[1]
+        return positions[which], rotations.matrix(orientations)[which], turns[which]
+
+    def seen_from(self, index: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Position and orientation of the camera in the frame of landmarks, or of each (M, ...)."""
+        if not self.model.in_anchor:
+            return self.viewpoint
+        positions, R_wa, _ = self.anchor_poses(index)
+        R_aw = R_wa.transpose(0, 2, 1)
+        return rotations.turned(R_aw, self.camera.position - positions), R_aw @ self.camera.R_wc
+
+    def through_anchors(self, index: IntArray, by_pose: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Jacobians by the pose in W and by the anchors, from that (M, k, 6) by the pose in the anchors' frames."""
+        (r_a, R_ac), R_wa = self.seen_from(index), self.anchor_poses(index)[1]
+        by_position, by_rotation = by_pose[:, :, POSITION], by_pose[:, :, ROTATION]
+        in_world = by_position @ R_wa.transpose(0, 2, 1)
+        by_turn = by_position @ rotations.skew(r_a) - by_rotation @ R_ac.transpose(0, 2, 1)
+        return np.concatenate([in_world, by_rotation], axis=2), np.concatenate([-in_world, by_turn], axis=2)
 
     @property
     def rows_in_use(self) -> IntArray:
@@ -144,11 +166,14 @@ class JointState:
         return anchors
 
     def map_rows(self, index: IntArray) -> IntArray:
-        """Rows of P that belong to each landmark, anchor first; (M, 3 + size) or (M, size).
+        """Rows of P that belong to each landmark, anchor first; (M, size), (M, 3 + size) or, of a pose, (M, 6 + size).
 
         Where there are anchors, a landmark without one has its own first rows twice.
         """
         own = self.own_rows(index)
+        if self.model.in_anchor:
+            first = self.layout.size + self.size * np.stack([self.anchor_block[index], self.anchor_poses(index)[2]], 1)
+            return np.hstack([(first[:, :, None] + np.arange(3)).reshape(-1, 6), own])
         if not self.model.anchored:
             return own
         anchor, block = self.anchor_block[index], self.parameter_block[index]
@@ -169,14 +194,14 @@ class JointState:
         return np.vstack([world_rotation_of_variables(self.layout, self.camera), effect.reshape(-1, 3)])
 
     def world_translation(self) -> FloatArray:
-        """Effect of a shift of the world on the error state, clones of the pose left out; (n, 3)."""
+        """Effect of a shift of the world on the error state, (n, 3)."""
         effect = self._effect(np.eye(3))
         effect[self.parameter_block] = 0.0  # rays have no place of their own
         free = np.flatnonzero(self.anchor_block < 0)
         if len(free):
             effect[self.parameter_block[free]] = self.model.world_translation(self.parameters(free))
         for clone in self.clones.values():
-            effect[clone.blocks] = 0.0
+            effect[clone.blocks[1]] = 0.0
         leading = np.zeros((self.layout.size, 3))
         leading[POSITION] = np.eye(3)
         return np.vstack([leading, effect.reshape(-1, 3)])
@@ -194,7 +219,7 @@ class JointState:
         blocks[own] = self.model.first_estimates(self.anchors(), self.first_blocks[own], self.blocks[own])
         return replace(self, camera=self.predicted, blocks=blocks)
 
-    def augment(self, new: NewLandmarks, adjust: Adjust | None = None) -> None:
+    def augment(self, new: NewLandmarks) -> None:
         """Add landmarks with their covariance and their cross-covariance with everything else (Eq. 19-25).
 
         Eq. 25 as printed leaves out the correlation of the new landmark with the old map, which it inherits
@@ -213,12 +238,6 @@ class JointState:
         by_leading[:anchors, :3, :3] = np.eye(3)
         by_leading[anchors:] = new.by_leading
         J = by_leading.reshape(-1, leading)
-        if adjust is not None:
-            effect = np.zeros((len(blocks), self.size, 3))
-            effect[:, :3] = -rotations.skew(blocks[:, :3])
-            here = np.where(started.anchored[:, None], self.camera.position, np.nan)
-            effect[anchors:] = self.model.world_rotation(here, started.parameters)
-            J = adjust(J, effect.reshape(-1, 3))
         taken = self._take_blocks(len(blocks))
         anchor_block, parameter_block = taken[:anchors], taken[anchors:]
         rows = self.block_rows(taken)
@@ -345,12 +364,6 @@ class JointState:
         nothing = np.zeros((2, self.blocks.shape[1]))
         blocks = self.append(nothing, nothing, cross, own)
         self.clones = {**self.clones, name: Clone(self.camera.position, self.camera.orientation, blocks)}
-
-    def forget_clone(self, name: str) -> None:
-        """Marginalise a clone out."""
-        blocks = self.clones[name].blocks
-        self.clones = {other: clone for other, clone in self.clones.items() if other != name}
-        self.rest(np.zeros(len(self), dtype=bool), self.held[~np.isin(self.held, blocks)])
 
     def adopt(self, ids: IntArray, parameter_block: IntArray, anchor_block: IntArray) -> None:
         """Make landmarks of blocks that are here already; (M,) each, anchor block -1 where there is none."""

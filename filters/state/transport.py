@@ -62,12 +62,12 @@ class Transport:
             place = np.full((len(delta) - size) // block, -1)
             place[(self.rows[:, 0] - size) // block] = np.arange(len(self.rows))
             parts = []
-            for columns in (slice(0, count - block), slice(count - block, count)):  # of the anchor, and its own
-                width = columns.stop - columns.start
-                if width:
-                    which = place[(measurements.map_rows[:, columns.start] - size) // block]
-                    J = np.where((which < 0)[:, None, None], np.eye(block), self.own[which])[:, :width, :width]
-                    parts.append(by_map[:, :, columns] @ J)
+            for start in (*range(0, count - block, 3), count - block):  # of anchors, and its own
+                columns = slice(start, start + 3 if start < count - block else count)
+                width = columns.stop - start
+                which = place[(measurements.map_rows[:, start] - size) // block]
+                J = np.where((which < 0)[:, None, None], np.eye(block), self.own[which])[:, :width, :width]
+                parts.append(by_map[:, :, columns] @ J)
             by_map = np.concatenate(parts, axis=2)
         earlier = replace(measurements, by_leading=by_leading, by_map=by_map)
         return replace(earlier, innovation=measurements.innovation + earlier.times(delta))

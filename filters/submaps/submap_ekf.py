@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from filters.contract.beliefs import Forecast, LandmarkBelief, PoseBelief, VelocityBelief
+from filters.contract.inertial import InertialSamples
 from filters.contract.noise import StereoNoise
 from filters.contract.observation import StereoObservation
 from filters.contract.odometry import BodyVelocity
@@ -94,9 +95,9 @@ class SubmapEKF(StereoFilter):
         self._chain = SubmapChain()
         self._recent.clear()
 
-    def predict(self, dt: float, odometry: BodyVelocity | None = None) -> None:
+    def predict(self, dt: float, odometry: BodyVelocity | None = None, inertial: InertialSamples | None = None) -> None:
         """Move the belief forward (Eq. 6, 11, 12), then fuse what odometry adds."""
-        self._active.predict(dt, odometry)
+        self._active.predict(dt, odometry, inertial)
 
     def update(self, observation: StereoObservation) -> UpdateReport:
         """Landmarks at rest that are seen again are brought back first, those long unseen come to rest last."""

@@ -36,13 +36,16 @@ class Extended(Linearisation):
     ) -> LinearisedMeasurements:
         """H by the chain rule through Eq. 8-10, and through the variables that the sensor names."""
         at = state if point is None else point
-        position, R_wc = at.viewpoint
+        position, R_wc = at.seen_from(index)
         seen = at.model.relative_to(position, at.anchors(index), at.parameters(index))
-        points_c = at.model.with_axes(R_wc.T, seen.homogeneous)
+        points_c = at.model.with_axes(R_wc.swapaxes(-1, -2), seen.homogeneous)
         jacobians = sensor.jacobians(camera, points_c, sensor.values_at(at.camera))
         by_pose, by_map = chain_rule(R_wc, seen, points_c, stage.T @ jacobians.by_point, at.model.seen_vectors)
         if at.model.in_camera:
             by_pose[:] = 0.0
+        if at.model.in_anchor:
+            by_pose, by_anchor = at.through_anchors(index, by_pose)
+            by_map = np.concatenate([by_anchor, by_map], axis=2)
         by_variable = {name: stage.T @ J for name, J in jacobians.by_variable.items()}
         by_leading = sensor.by_leading(by_pose, by_variable, at.camera)
         if point is not None:
@@ -60,7 +63,7 @@ def chain_rule(
     Parameters
     ----------
     R_wc : (3, 3)
-        Orientation.
+        Orientation, or that of the camera in the frame of each, (M, 3, 3).
     seen : ScaledPoints
         M landmarks relative to the camera centre.
     points_c : (M, seen_size)
@@ -78,7 +81,7 @@ def chain_rule(
     z_by_world, by_rotation = z_by_point.copy(), np.zeros((*z_by_point.shape[:2], 3))
     for i in range(vectors):
         vector = slice(3 * i, 3 * i + 3)
-        z_by_world[:, :, vector] = z_by_point[:, :, vector] @ R_wc.T
+        z_by_world[:, :, vector] = z_by_point[:, :, vector] @ R_wc.swapaxes(-1, -2)
         by_rotation += z_by_point[:, :, vector] @ rotations.skew(points_c[:, vector])
     by_pose = np.empty((*z_by_point.shape[:2], POSE_SIZE))
     by_pose[:, :, POSITION], by_pose[:, :, ROTATION] = z_by_world @ seen.by_position, by_rotation

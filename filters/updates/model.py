@@ -51,6 +51,6 @@ class Linearisation:
 
 def points_in_camera(state: JointState, index: IntArray) -> FloatArray:
     """What is seen of the landmarks at `index`, in the camera frame: homogeneous points, (M, seen_size)."""
-    position, R_wc = state.viewpoint
+    position, R_wc = state.seen_from(index)
     seen = state.model.homogeneous(position, state.anchors(index), state.parameters(index))
-    return state.model.with_axes(R_wc.T, seen)
+    return state.model.with_axes(R_wc.swapaxes(-1, -2), seen)

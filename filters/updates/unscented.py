@@ -15,6 +15,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from filters.extras import require_core
+from filters.geometry import rotations
 from filters.geometry.camera import StereoCamera
 from filters.measurements.model import MeasurementModel, Stage
 from filters.motions.model import POSE_SIZE, POSITION, ROTATION
@@ -103,8 +104,15 @@ def _measured_at(
     anchors = state.anchors(index)
     if anchors is not None:
         anchors = anchors[repeated] + flat[:, POSE_SIZE : POSE_SIZE + 3]
-    (position, R_wc), moves = state.viewpoint, not state.model.in_camera
-    seen = state.model.homogeneous(position + moves * flat[:, POSITION], anchors, parameters)
-    R_wc = R_wc @ Rotation.from_rotvec(moves * flat[:, ROTATION]).as_matrix()
+    position, R_wc = state.camera.position, state.camera.R_wc
+    if state.model.in_camera:
+        position, R_wc, flat = *state.viewpoint, 0.0 * flat
+    position, R_wc = position + flat[:, POSITION], R_wc @ Rotation.from_rotvec(flat[:, ROTATION]).as_matrix()
+    if state.model.in_anchor:
+        place, R_wa, _ = state.anchor_poses(index[repeated])
+        R_aw = (R_wa @ Rotation.from_rotvec(flat[:, POSE_SIZE + 3 : POSE_SIZE + 6]).as_matrix()).transpose(0, 2, 1)
+        position = rotations.turned(R_aw, position - place - flat[:, POSE_SIZE : POSE_SIZE + 3])
+        R_wc = R_aw @ R_wc
+    seen = state.model.homogeneous(position, anchors, parameters)
     points_c = state.model.with_axes(R_wc.transpose(0, 2, 1), seen)
     return sensor.predict(camera, points_c, state.camera.variables).reshape(count, samples, -1)

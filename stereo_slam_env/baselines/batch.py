@@ -12,6 +12,7 @@ from filters import (
     BodyVelocity,
     CameraState,
     Forecast,
+    InertialSamples,
     LandmarkBelief,
     MotionModel,
     Start,
@@ -123,9 +124,9 @@ class BatchSmoother(CameraFilter):
         self._solve()
         return self._graph.smoothed()
 
-    def predict(self, dt: float, odometry: BodyVelocity | None = None) -> None:
+    def predict(self, dt: float, odometry: BodyVelocity | None = None, inertial: InertialSamples | None = None) -> None:
         """Move the guide forward; the step enters the graph with the next frame."""
-        super().predict(dt, odometry)
+        super().predict(dt, odometry, inertial)
         self._guide.predict(dt, odometry)
         self._steps.append(_Step(float(dt), odometry, *self._pose_of_guide()))
         self._follow_guide()

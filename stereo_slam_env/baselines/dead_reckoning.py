@@ -13,6 +13,7 @@ from filters import (
     BodyVelocity,
     CameraState,
     Forecast,
+    InertialSamples,
     LandmarkBelief,
     MotionModel,
     PoseBelief,
@@ -25,11 +26,11 @@ from filters import (
     VelocityBelief,
     VelocityDriven,
 )
-from filters.contract.stereo_filter import AT_ORIGIN, check_rig, check_start
+from filters.contract.stereo_filter import AT_ORIGIN, check_rig, check_start, check_step
 from filters.geometry import rotations
 from filters.motions.model import POSE_SIZE, predict_camera
 from filters.parts import Named, make_part
-from filters.validation import FloatArray, IntArray, finite_array, positive, unique_ids, unit_quaternion
+from filters.validation import FloatArray, IntArray, finite_array, unique_ids, unit_quaternion
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,11 +95,11 @@ class CameraFilter(StereoFilter):
     def _restart(self) -> None:
         """Forget whatever a subclass keeps besides the belief, which is already the new one."""
 
-    def predict(self, dt: float, odometry: BodyVelocity | None = None) -> None:
+    def predict(self, dt: float, odometry: BodyVelocity | None = None, inertial: InertialSamples | None = None) -> None:
         """Move the belief forward; see `CameraBelief.predicted`."""
-        dt = positive("dt", dt)
-        if odometry is not None and not isinstance(odometry, BodyVelocity):
-            raise ValueError(f"odometry must be a BodyVelocity or None, got {odometry!r}")
+        dt = check_step(dt, odometry, inertial)
+        if inertial is not None:
+            self.say_unused("inertial")
         self._move(dt, odometry)
 
     def _move(self, dt: float, odometry: BodyVelocity | None) -> None:

@@ -8,7 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2
 
-from filters import BodyVelocity, CameraState, MotionModel, StereoCamera, StereoNoise, StereoObservation, UpdateReport
+from filters import (
+    BodyVelocity,
+    CameraState,
+    InertialSamples,
+    MotionModel,
+    StereoCamera,
+    StereoNoise,
+    StereoObservation,
+    UpdateReport,
+)
 from filters.geometry import rotations
 from filters.motions.model import ANGULAR, LINEAR, POSE_SIZE, POSITION, ROTATION
 from filters.parts import Named
@@ -98,9 +107,9 @@ class FrameToFrame(CameraFilter):
         self._elapsed = 0.0
         self._fallbacks = 0
 
-    def predict(self, dt: float, odometry: BodyVelocity | None = None) -> None:
+    def predict(self, dt: float, odometry: BodyVelocity | None = None, inertial: InertialSamples | None = None) -> None:
         """Move the belief forward, in case that the step cannot be measured."""
-        super().predict(dt, odometry)
+        super().predict(dt, odometry, inertial)
         self._elapsed += float(dt)
 
     def forget(self, ids: Sequence[int] | IntArray) -> None:

@@ -27,7 +27,6 @@ from .statistics.comparison import compare as compare
 from .statistics.differences import CONFIDENCE as CONFIDENCE
 from .statistics.differences import MIN_PAIRS as MIN_PAIRS
 from .statistics.differences import Difference as Difference
-from .statistics.differences import mean_interval as mean_interval
 from .statistics.differences import paired_difference as paired_difference
 from .statistics.measures import compare_all as compare_all
 from .statistics.verdict import judge as judge

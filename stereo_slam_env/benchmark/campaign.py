@@ -31,13 +31,13 @@ from stereo_slam_env.benchmark.scenarios.scenario import (
 from stereo_slam_env.benchmark.scenarios.streams import check_source
 from stereo_slam_env.benchmark.scenarios.study import Study, load_study, preset_study
 from stereo_slam_env.benchmark.storage.store import (
-    CellResult,
     RunDirectory,
     StudyDirectory,
     open_study,
     prepared_study,
     root_of,
 )
+from stereo_slam_env.benchmark.storage.tables import CellResult, write_results
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
 from stereo_slam_env.evaluation.run_figures import Figures
 from stereo_slam_env.files.folders import claimed_folder
@@ -171,7 +171,7 @@ def run_checked(
     with claimed_folder(root_of(directory.out)), _terminated_like_interrupted():
         directory = open_study(directory.out, directory.study)
         _run_missing(directory.cells, backend, progress or (lambda done, total: None))
-        results = directory.write_results()
+        results = write_results(directory)
         page = None if write_report is None else write_report(directory, results)
     return BenchmarkResult(directory.out, tuple(results), page)
 

@@ -16,12 +16,23 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from stereo_slam_env.cli import bench as cli_bench
+from stereo_slam_env.cli import claim as cli_claim
 from stereo_slam_env.cli import evaluate as cli_evaluate
 from stereo_slam_env.cli import scenes as cli_scenes
 from stereo_slam_env.cli import studies as cli_studies
 from stereo_slam_env.cli import train as cli_train
 from stereo_slam_env.cli import view as cli_view
-from stereo_slam_env.cli.parts import Interrupted, JsonOption, console, group, refuse, show_json, show_lines, show_place
+from stereo_slam_env.cli.parts import (
+    Interrupted,
+    JsonOption,
+    TakesTruths,
+    console,
+    group,
+    refuse,
+    show_json,
+    show_lines,
+    show_place,
+)
 
 if TYPE_CHECKING:
     from sys import UnraisableHookArgs
@@ -40,7 +51,9 @@ app.add_typer(policies_app, name="policies")
 app.add_typer(cli_scenes.app, name="scenes")
 app.command()(cli_bench.bench)
 app.command()(cli_bench.replay)
-app.command()(cli_evaluate.evaluate)
+app.command(cls=TakesTruths)(cli_evaluate.evaluate)
+app.command(cls=TakesTruths)(cli_claim.calibrate)
+app.command()(cli_claim.claim)
 app.command()(cli_studies.faults)
 app.command()(cli_studies.paper)
 app.command()(cli_train.train)
@@ -136,6 +149,7 @@ def report(
 ) -> None:
     """Write tables and report of a finished run again; with a second run, say what changed significantly."""
     from stereo_slam_env.benchmark.storage.store import read_study, root_of
+    from stereo_slam_env.benchmark.storage.tables import write_results
     from stereo_slam_env.files.folders import claimed_folder
     from stereo_slam_env.report.benchmark_report import write_report_of
     from stereo_slam_env.report.console import show_cells
@@ -145,7 +159,7 @@ def report(
         return
     study = read_study(directory)
     with claimed_folder(root_of(study.out)):
-        results = study.write_results()
+        results = write_results(study)
         if trajectories:
             study.write_trajectories()
         page = write_report_of(study, results)

@@ -8,7 +8,15 @@ from typing import Annotated
 
 import typer
 
-from stereo_slam_env.cli.parts import JsonOption, console, show_json
+from stereo_slam_env.cli.parts import (
+    BodyEstimatedOption,
+    BodyOption,
+    JsonOption,
+    TruthOption,
+    body_from,
+    console,
+    show_json,
+)
 
 
 def evaluate(
@@ -17,9 +25,10 @@ def evaluate(
         typer.Argument(
             help="Trajectories, the reference last: TUM, KITTI, EuRoC, OpenVINS, cnspy, SQUARE, ROS, or BAG:/topic. "
             "Several estimates are runs of one estimator.",
-            metavar="EST... REF",
+            metavar="EST... [REF]",
         ),
     ],
+    truth: TruthOption = [],  # noqa: B006
     against: Annotated[
         Path | None,
         typer.Option("--against", help="A second estimate: which of the two is better?", metavar="EST2"),
@@ -38,18 +47,8 @@ def evaluate(
         typer.Option("--align-seconds", help="Align by the first so many seconds; 0: by one pose.", show_default="all"),
     ] = None,
     up: Annotated[str, typer.Option("--up", help="Axis of gravity in the reference's world: x, y or z.")] = "z",
-    body: Annotated[
-        Path | None,
-        typer.Option(
-            "--body",
-            help="Pose of the reference's body in the estimate's: JSON with R (9 numbers) and t (m).",
-            metavar="T.json",
-            show_default="the same body",
-        ),
-    ] = None,
-    body_estimated: Annotated[
-        bool, typer.Option("--body-estimated", help="Take the pose of the body that fits best.")
-    ] = False,
+    body: BodyOption = None,
+    body_estimated: BodyEstimatedOption = False,
     offset: Annotated[
         str, typer.Option("--time-offset", help="Seconds to add to the estimate's times, or 'auto'.", metavar="S")
     ] = "0",
@@ -71,7 +70,6 @@ def evaluate(
 ) -> None:
     """Judge any trajectory: its errors, and whether the covariance that it claims can be believed."""
     from stereo_slam_env.benchmark.recordings.source import checked
-    from stereo_slam_env.evaluation.body_frames import read_body
     from stereo_slam_env.evaluation.gauges import AlignmentKind
     from stereo_slam_env.evaluation.trajectory_runs import score_runs
     from stereo_slam_env.evaluation.trajectory_score import SCHEMA, evaluate_trajectory
@@ -80,38 +78,41 @@ def evaluate(
     from stereo_slam_env.recording.trajectory_files import load_trajectory
     from stereo_slam_env.report.trajectory_table import show_runs_score, show_trajectory_scores
 
-    *estimates, reference = files
+    *estimates, last = files
+    references = truth or [last]
+    if truth:
+        estimates.append(last)
     if not estimates:
-        raise ValueError(f"evaluate needs an estimate and a reference, got {reference} alone")
+        raise ValueError(f"evaluate needs an estimate and a reference, got {last} alone")
+    if len(references) not in (1, len(estimates)):
+        raise ValueError(f"--truth must name one reference, or one for each of {len(estimates)}, got {len(references)}")
     if out is not None:
         if out.suffix == ".json":
             raise ValueError(f"--out must be a folder, got {out}: for the figures alone, --json prints them")
         require_writable(out)
     if len(estimates) > 1 and against is not None:
         raise ValueError("--against compares one estimate with another: give one estimate, not runs")
-    if body is not None and body_estimated:
-        raise ValueError("--body gives what --body-estimated looks for: leave one of them out")
     how = None if align is None else checked("--align", align, AlignmentKind)
-    T_bc = None if body is None else read_body(body)
-    truth = load_trajectory(reference)
+    T_bc = body_from(body, body_estimated)
+    truths = [load_trajectory(path) for path in references]
     estimates += [] if against is None else [against]
     scores = [
         evaluate_trajectory(
             path,
-            truth,
+            truths[k % len(truths)],
             align=how,
             align_seconds=align_seconds,
             up=up,
-            body="estimated" if body_estimated else T_bc,
+            body=T_bc,
             time_offset="auto" if offset == "auto" else _seconds(offset),
             interpolate=interpolate,
             max_gap=max_gap,
             pair=pair,
         )
-        for path in estimates
+        for k, path in enumerate(estimates)
     ]
     verdict = scores[0].against(scores[1]) if against is not None else None
-    runs = score_runs(scores) if len(files) > 2 else None
+    runs = score_runs(scores) if len(scores) > 1 and against is None else None
     figures = {
         "schema": SCHEMA,
         "scores": [score.as_dict() for score in scores],

@@ -7,13 +7,16 @@ import inspect
 import sys
 from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
+from typer.core import TyperCommand
 
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.text import Text
+
+    from filters import Pose
 
 
 FiltersOption = Annotated[
@@ -23,10 +26,49 @@ FiltersOption = Annotated[
     ),
 ]
 JobsOption = Annotated[int, typer.Option("--jobs", help="Processes, one BLAS thread each.", min=1)]
+BodyOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--body",
+        help="Pose of the reference's body in the estimate's: JSON with R (9 numbers) and t (m).",
+        metavar="T.json",
+        show_default="the same body",
+    ),
+]
+BodyEstimatedOption = Annotated[
+    bool, typer.Option("--body-estimated", help="Take the pose of the body that fits best.")
+]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON instead, for other programs.")]
+TruthOption = Annotated[
+    list[Path], typer.Option("--truth", help="A reference for each, in the same order, or one.", metavar="REF...")
+]
 OutOption = Annotated[
     Path | None, typer.Option("--out", help="Run directory; an interrupted run in it is resumed.", show_default="new")
 ]
+
+
+def body_from(path: Path | None, estimated: bool) -> Pose | Literal["estimated"] | None:
+    """The pose of the reference's body that `--body` and `--body-estimated` say."""
+    from stereo_slam_env.evaluation.body_frames import read_body
+
+    if path is not None and estimated:
+        raise ValueError("--body gives what --body-estimated looks for: leave one of them out")
+    return "estimated" if estimated else None if path is None else read_body(path)
+
+
+class TakesTruths(TyperCommand):
+    """A command whose `--truth` takes all files up to the next option, as a shell writes out `--truth *.csv`."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Repeat the option before each of its files."""
+        said: list[str] = []
+        taking = False
+        for argument, following in zip(args, [*args[1:], "-"], strict=False):
+            taking = argument == "--truth" or (taking and not argument.startswith("-"))
+            if argument == "--truth" and not following.startswith("-"):
+                continue
+            said += ["--truth", argument] if taking and argument != "--truth" else [argument]
+        return super().parse_args(ctx, said)
 
 
 class Interrupted(Exception):

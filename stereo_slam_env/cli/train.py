@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -24,6 +24,14 @@ def train(
     environment: Annotated[str, typer.Option("--environment", help="Id of one with a head.")] = "StereoSlam/Gaze-v0",
     arguments: Annotated[str, typer.Option("--arguments", help="Of the environment, as JSON.")] = "{}",
     filter_name: Annotated[str, typer.Option("--filter", help="The filter in the loop.")] = "shared-anchor",
+    reward: Annotated[
+        str, typer.Option("--reward", help="information: what a belief gains. error: the truth.")
+    ] = "information",
+    criterion: Annotated[str, typer.Option("--criterion", help="Of the information on the pose.")] = "log-det",
+    belief: Annotated[str, typer.Option("--belief", help="Whose information: filter or reference.")] = "filter",
+    nees_gate: Annotated[
+        float | None, typer.Option("--nees-gate", help="Nothing is paid while the NEES leaves this band.")
+    ] = None,
     out: OutOption = None,
 ) -> None:
     """Train a network with PPO to look where a filter learns most; needs the extra rl."""
@@ -36,7 +44,8 @@ def train(
 
     directory = out or new_directory("train")
     require_writable(directory)
-    task = GazeTask(environment, _arguments(arguments), filter_name)
+    paid: dict[str, Any] = {"reward": reward, "criterion": criterion, "belief": belief, "nees_gate": nees_gate}
+    task = GazeTask(environment, _arguments(arguments), filter_name, **paid)
     settings = PPOSettings(decisions=decisions, seed=seed, environments=environments, threads=threads)
     try:
         with progress_bar(console(stderr=True), "decisions") as progress:

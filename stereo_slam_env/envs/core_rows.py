@@ -74,6 +74,8 @@ class CoreRows(Rows):
             options.tracking,
             noise=options.noise,
             sigma=options.sigma,
+            lasting=options.lasting,
+            lasting_time=options.lasting_time,
             odometry_sigmas=(options.odometry_sigma_linear, options.odometry_sigma_angular),
             perturbation=options.perturbation,
             steered=isinstance(options, DriveOptions) and options.policy == "agent",
@@ -95,7 +97,10 @@ class CoreRows(Rows):
     @property
     def noise(self) -> StereoNoise:
         """Covariance to assume of a measurement that does not come with its own."""
-        return TYPICAL_NOISE if self._sees_images else self._pixel_noise.stereo_noise
+        if self._sees_images:
+            return TYPICAL_NOISE
+        white, lasting = self._pixel_noise.stereo_noise, self.options.lasting
+        return StereoNoise(white.R + StereoNoise.independent_pixels(lasting).R) if lasting else white
 
     # --- episodes ---------------------------------------------------------------------------------------------------
 
@@ -259,6 +264,10 @@ class CoreRows(Rows):
         """See `World`."""
         return np.asarray(self.simulator.fleet.step * FRAME_PERIOD, dtype=np.float64)
 
+    def true_positions(self) -> FloatArray:
+        """See `World`."""
+        return self.simulator.fleet.pose[:, :3].copy()
+
     def told(self, name: str) -> FloatArray:
         """See `World`."""
         if name == "distance":
@@ -298,7 +307,7 @@ class CoreRows(Rows):
             largest, slack = float(camera.width), _IMAGE_SLACK
         else:
             largest = camera.disparity_constant / options.tracking.nearest
-            slack = self._pixel_noise.largest_error  # so the bounds hold without clipping
+            slack = self._pixel_noise.largest_error + 10.0 * options.lasting  # so the bounds hold without clipping
         high = np.array([camera.width, camera.height, largest]) + slack
         low = np.full(3, -slack)
         velocity = MAX_VELOCITY.astype(np.float32)

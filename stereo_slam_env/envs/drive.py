@@ -105,6 +105,8 @@ class StereoDriveEnv(StereoEnv):
     | `render_images` | `False` | add the rendered views to the observation (slow) |
     | `noise` | `"pixels"` | of landmarks: `"pixels"`, `"heavy-tailed"`, `"quantised"` or `"uvd"`, see below |
     | `sigma` | `1.0` | standard deviation of the noise, px |
+    | `lasting` | `0.0` | standard deviation of the errors that last, see below, px |
+    | `lasting_time` | `None` | their correlation time, s; None: they never change |
     | `max_landmarks` | `90` | most landmarks in one frame, N |
     | `refill_below` | `None` | take up new landmarks when fewer are left; None: 72 % of `max_landmarks` |
     | `revisit` | `False` | whether a lost landmark can be tracked again under its id |
@@ -126,6 +128,9 @@ class StereoDriveEnv(StereoEnv):
 
     Noise of landmarks: `"pixels"`: u, v of both views have independent Gaussian errors; `"heavy-tailed"`: the same with
     rare gross errors, as in rendered images; `"quantised"`: rounded to whole pixels; `"uvd"`: u, v, d are independent.
+    To these come, with `lasting`, errors that last: each landmark has one in each coordinate of both images, which
+    changes as a Gauss-Markov process of first order. A filter is told the R of both parts together, and takes it for
+    white noise.
 
     `reset(options={"scene": "keep"})` drives through the same scene once more.
 

@@ -53,6 +53,8 @@ class StereoOptions:
     render_images: bool = False
     noise: NoiseName = "pixels"
     sigma: float = 1.0
+    lasting: float = 0.0
+    lasting_time: float | None = None
     max_landmarks: int = 90
     refill_below: int | None = None
     revisit: bool = False
@@ -79,6 +81,9 @@ class StereoOptions:
         else:  # numbers that are not given are those of the usual rig
             object.__setattr__(self, "rig", camera_of(self.rig, str(type(self).rig)))
         positive("sigma", self.sigma)
+        positive("lasting", self.lasting, allow_zero=True)
+        if self.lasting_time is not None:
+            positive("lasting_time", self.lasting_time)
         _number("visibility", self.visibility, 2 * TrackingPolicy.nearest, TrackingPolicy.farthest)
         if self.blank_from is not None:
             positive("blank_from", self.blank_from, allow_zero=True)

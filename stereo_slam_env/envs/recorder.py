@@ -185,4 +185,4 @@ class RenderedDrive:
             for observation in islice(_drive(env, self._seed), self._count):
                 frame = env.frame
                 left, right = grey(observation["left"]), grey(observation["right"])
-                yield StereoPair(frame.timestamp, left, right, frame.truth, frame.odometry)
+                yield StereoPair(frame.timestamp, left, right, frame.truth, frame.odometry, frame.inertial)

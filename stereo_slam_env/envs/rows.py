@@ -67,6 +67,9 @@ class World(Protocol):
     def told(self, name: str) -> FloatArray:
         """A number of `info`, after the last step; (B,)."""
 
+    def true_positions(self) -> FloatArray:
+        """True positions of the left cameras, in W, m; (B, 3)."""
+
     def frame(self, b: int) -> Frame:
         """The frame in full precision."""
 
@@ -282,6 +285,13 @@ class OneRow(Rows):
     def told(self, name: str) -> FloatArray:
         """See `World`."""
         return np.array([self._said[1][name]], dtype=np.float64)
+
+    def true_positions(self) -> FloatArray:
+        """See `World`; a `ValueError` where a frame has no truth."""
+        truth = self.frame(0).truth
+        if truth is None:
+            raise ValueError("the environment must have the truth: its frames have truth = None")
+        return truth.position[None]
 
     def measured(self, which: BoolArray) -> Measured:
         """See `World`."""

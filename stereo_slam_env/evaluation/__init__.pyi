@@ -3,6 +3,7 @@
 from .consistency import mean_band as mean_band
 from .consistency import share_inside as share_inside
 from .filter_run import run_filter as run_filter
+from .intervals import studentised_interval as studentised_interval
 from .map_scoring import LandmarkTrace as LandmarkTrace
 from .results import FilterRun as FilterRun
 from .results import FilterSummary as FilterSummary

@@ -91,7 +91,8 @@ def _step(batch: FilterBatch, rows: Sequence[_BatchRow], k: int, *, use_odometry
             for row, frame in zip(rows, frames, strict=True)
         ]
         given = [frame.odometry if use_odometry and frame is not None else None for frame in frames]
-        reports = batch.step(dt, observations, given if any(given) else None)
+        samples = [None if frame is None else frame.inertial for frame in frames]
+        reports = batch.step(dt, observations, given if any(given) else None, samples if any(samples) else None)
     beliefs = _beliefs(batch)
     forecasts = batch.forecasts() if score_map else None
     for b, (row, frame) in enumerate(zip(rows, frames, strict=True)):

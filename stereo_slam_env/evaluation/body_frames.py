@@ -30,8 +30,8 @@ _BEYOND = 5.0
 """... nor one of fewer claimed deviations, which may be an error as claimed."""
 _LINE = 0.01
 """Positions that spread by a smaller share of the path are on a line."""
-_FITS_BETTER = 10.0
-"""A swapped reading is named where it fits so many times better."""
+_FITS_BETTER = 5.0
+"""A swapped reading is named where it fits so many times better; errors of a degree leave no more."""
 
 
 @dataclass(frozen=True)
@@ -147,14 +147,14 @@ def _of_relative_motions(
 
 
 def swapped_reading(estimate: Trajectory, reference: Trajectory) -> str:
-    """Which other reading of paired files fits ten times better, in a sentence; empty where none does."""
+    """Which other reading of paired files fits five times better, in a sentence; empty where none does."""
     plain = _misfit(estimate, reference)
     for words, swapped in _READINGS.items():
         other = _misfit(swapped(estimate), reference)
         turned = other[0] * _FITS_BETTER < plain[0] and other[1] < 1.1 * plain[1]
         moved = other[1] * _FITS_BETTER < plain[1] and other[0] < 1.1 * plain[0]
         if turned or moved:
-            return f"the files fit ten times better where {words}: write it so"
+            return f"the files fit five times better where {words}: write it so"
     return ""
 
 

@@ -12,8 +12,8 @@ from filters import nees
 from filters.consistency import are_definite
 from filters.motions.model import POSE_SIZE, POSITION, ROTATION
 from filters.validation import FloatArray
-from stereo_slam_env.evaluation.bootstrap import MeanInterval, mean_interval
 from stereo_slam_env.evaluation.consistency import DOF, mean_band
+from stereo_slam_env.evaluation.intervals import MeanInterval, mean_interval
 from stereo_slam_env.recording.trajectory import Trajectory
 
 PARTS = {"pose": slice(0, POSE_SIZE), "position": POSITION, "rotation": ROTATION}

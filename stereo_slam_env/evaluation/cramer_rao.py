@@ -33,30 +33,12 @@ from filters.motions.model import POSE_SIZE, CameraState, MotionModel
 from filters.validation import BoolArray, FloatArray, IntArray, unchecked
 from stereo_slam_env.recording.recording import Frame, LandmarkTruth, Recording
 
-RESAMPLES = 10_000
-_MOST_DRAWN = 2_000_000
-
 
 @dataclass(frozen=True, eq=False)
 class Bound:
     """Lower bound of the error covariance of any unbiased filter, frame by frame."""
 
     pose: FloatArray  # (K, 6, 6): of position in W, m, and rotation in the camera frame, rad, after the frame's update
-
-
-def efficiency_interval(bounds: FloatArray, errors: FloatArray, confidence: float = 0.95) -> tuple[float, float]:
-    """Bootstrap interval of the efficiency over runs, the ratio of both root mean squares, in percent.
-
-    By percentiles, seeded: a ratio of means of squares, which are far from Gaussian, has no useful standard error. With
-    ten runs it is a rough one. `bounds` and `errors` (N,) are of each run, in one unit.
-    """
-    generator, count = np.random.default_rng(0), len(bounds)
-    ratios = []
-    for part in np.array_split(np.arange(RESAMPLES), -(-RESAMPLES * count // _MOST_DRAWN)):  # for little memory
-        drawn = generator.integers(count, size=(len(part), count))
-        ratios.append(np.sqrt(np.square(bounds)[drawn].sum(axis=1) / np.square(errors)[drawn].sum(axis=1)))
-    low, high = 100.0 * np.quantile(np.concatenate(ratios), [0.5 - 0.5 * confidence, 0.5 + 0.5 * confidence])
-    return float(low), float(high)
 
 
 def cramer_rao_bound(

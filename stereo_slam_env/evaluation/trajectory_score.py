@@ -17,7 +17,6 @@ from filters import Pose
 from filters.validation import BoolArray, FloatArray, finite_number, positive
 from stereo_slam_env.evaluation import trajectory_metrics as metrics
 from stereo_slam_env.evaluation.body_frames import find_body_offset
-from stereo_slam_env.evaluation.bootstrap import MeanInterval, block_length, mean_interval, stationary_rows
 from stereo_slam_env.evaluation.claims import ClaimScore, score_claims
 from stereo_slam_env.evaluation.comparability import find_obstacles, gauge_of
 from stereo_slam_env.evaluation.gauge_scores import GaugeScore, claimed_through, score_gauges, scored_rows
@@ -29,12 +28,13 @@ from stereo_slam_env.evaluation.gauges import (
     find_alignment,
     is_zero_at_start,
 )
+from stereo_slam_env.evaluation.intervals import MeanInterval, block_length, mean_interval, stationary_rows
 from stereo_slam_env.evaluation.synchronisation import FEWEST, MAX_GAP, find_time_offset, paired, shifted
 from stereo_slam_env.evaluation.trajectory_windows import LENGTHS, WindowScore, score_windows
 from stereo_slam_env.recording.trajectory import Trajectory
 from stereo_slam_env.recording.trajectory_files import load_trajectory
 
-SCHEMA = 2
+SCHEMA = 3
 """Version of what `TrajectoryScore.as_dict` gives."""
 
 

@@ -66,7 +66,7 @@ def record_tracks(
             watch(pair, tracked)
         if number == 1 and start.covariance is None and tracker.last_step is not None:
             start = _moving_start(start, *tracker.last_step)
-        taken.append(Frame(pair.timestamp, tracked.observation, pair.odometry, pair.truth))
+        taken.append(Frame(pair.timestamp, tracked.observation, pair.odometry, pair.truth, inertial=pair.inertial))
         if progress is not None:
             progress(number + 1, wanted)
     recording = Recording(

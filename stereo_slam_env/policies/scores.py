@@ -32,7 +32,7 @@ REFERENCE_RETURNS: Mapping[str, tuple[float, float]] = MappingProxyType(
     }
 )
 """Mean returns of actions at random and of the best policy known, by id, with default arguments; measured by
-`python benchmarks/task_scores.py`, and those of the last three by `python benchmarks/task_baselines.py`."""
+`python benchmarks/task_scores.py`."""
 
 
 def normalised_score(environment: str, returns: ArrayLike) -> FloatArray:

@@ -1,8 +1,8 @@
 """A `Recording` as one npz file and back, bit for bit, without pickles.
 
 What all frames have lies end to end in flat arrays. What a frame may lack (rows of the right image, covariances,
-odometry, truth) is kept for the frames that have it, and `has.*` says which those are. `about` is JSON: format version,
-name, camera, noise that lasts, source, and what the truth is.
+odometry, inertial samples, truth) is kept for the frames that have it, and `has.*` says which those are. `about` is
+JSON: format version, name, camera, noise that lasts, source, and what the truth is.
 """
 
 from __future__ import annotations
@@ -20,6 +20,8 @@ from numpy.typing import NDArray
 from filters import (
     BodyVelocity,
     ColouredNoise,
+    InertialSamples,
+    InertialUnit,
     Pose,
     Start,
     StereoCamera,
@@ -48,6 +50,10 @@ _PARTS: Mapping[str, tuple[type, Mapping[str, tuple[int, ...]]]] = {
     "truth_velocity": (Velocity, {"linear": (3,), "angular": (3,)}),
 }
 """What a frame may have besides its observation: its type, and the shapes of its arrays."""
+_UNIT_OF_SAMPLES: Mapping[str, tuple[int, ...]] = {"position": (3,), "orientation": (4,)} | dict.fromkeys(
+    ("gyro_density", "accelerometer_density", "gyro_walk", "accelerometer_walk"), ()
+)
+_SAMPLES: Mapping[str, tuple[int, ...]] = {"times": (), "angular_rates": (3,), "specific_forces": (3,)}
 _START = {"position": (3,), "orientation": (4,), "linear_velocity": (3,), "angular_velocity": (3,)}
 
 _KINDS = {"numbers": "fiu", "integers": "iu", "truth values": "b"}
@@ -70,7 +76,8 @@ def save_recording(path: str | Path, recording: Recording) -> None:
     Raises
     ------
     ValueError
-        `path` does not end in .npz, or the source of the recording is not JSON-able.
+        `path` does not end in .npz, the source of the recording is not JSON-able, or its odometry or samples are of a
+        subclass, whose additions would be lost.
     """
     path = Path(path)
     if path.suffix != ".npz":
@@ -80,7 +87,13 @@ def save_recording(path: str | Path, recording: Recording) -> None:
 
 
 def packed_recording(recording: Recording) -> bytes:
-    """Bytes that `save_recording` writes; a `ValueError` where the source of the recording is not JSON-able."""
+    """Bytes that `save_recording` writes; raises as that."""
+    for k, frame in enumerate(recording.frames):
+        for given, kind in ((frame.odometry, BodyVelocity), (frame.inertial, InertialSamples)):
+            if given is not None and type(given) is not kind:
+                raise ValueError(
+                    f"frame {k} has a {type(given).__name__}, not a {kind.__name__} itself: what it adds would be lost"
+                )
     camera = {name: _plain(value) for name, value in dataclasses.asdict(recording.camera).items()}
     about = {
         "format": FORMAT,
@@ -171,6 +184,7 @@ def _arrays_of(recording: Recording) -> Arrays:
     heads = [frame.head for frame in frames]
     arrays["has.head"] = np.array([head is not None for head in heads], dtype=np.bool_)
     arrays["head"] = _joined((head[None] for head in heads if head is not None), (2,))
+    arrays |= _inertial_arrays([frame.inertial for frame in frames])
     arrays |= {f"start.{name}": np.asarray(getattr(recording.start, name)) for name in _START}
     if recording.start.covariance is not None:
         arrays["start.covariance"] = np.asarray(recording.start.covariance)
@@ -195,6 +209,7 @@ def _recording_of(about: Mapping[str, Any], arrays: Arrays) -> Recording:
     R = _parts(arrays, "R", (3, 3), counts)
     others = {part: _entries(arrays, part, len(timestamps)) for part in _PARTS}
     others["head"] = _heads(arrays, len(timestamps))
+    others["inertial"] = _inertial_entries(arrays, len(timestamps))
     frames = []
     for k, (begin, end) in enumerate(zip((ends - counts).tolist(), ends.tolist(), strict=True)):
         observation = StereoObservation(ids[begin:end], uvd[begin:end], v_right[k], R[k])
@@ -267,6 +282,40 @@ def _heads(arrays: Arrays, frames: int) -> list[FloatArray | None]:
     has = _has(arrays, "head", frames)
     angles = iter(_shaped(arrays, "head", (int(has.sum()), 2)))
     return [next(angles) if there else None for there in has]
+
+
+def _inertial_arrays(samples: Sequence[InertialSamples | None]) -> Arrays:
+    """Samples end to end, how many each frame has, and the unit of each frame that has some."""
+    there = [entry for entry in samples if entry is not None]
+    arrays = {
+        "has.inertial": np.array([entry is not None for entry in samples], dtype=np.bool_),
+        "inertial.counts": np.array([len(entry.times) for entry in there], dtype=np.int64),
+    }
+    for name, shape in _SAMPLES.items():
+        arrays[f"inertial.{name}"] = _joined((getattr(entry, name) for entry in there), shape)
+    for name, shape in _UNIT_OF_SAMPLES.items():
+        units = (np.asarray(getattr(entry.unit, name))[None] for entry in there)
+        arrays[f"inertial.unit.{name}"] = _joined(units, shape)
+    return arrays
+
+
+def _inertial_entries(arrays: Arrays, frames: int) -> list[InertialSamples | None]:
+    """Samples of each frame, or None; recordings made before there were any have none."""
+    if "has.inertial" not in arrays:
+        return [None] * frames
+    has = _has(arrays, "inertial", frames)
+    counts = _shaped(arrays, "inertial.counts", (int(has.sum()),), "integers")
+    if (counts < 1).any():
+        raise ValueError("array inertial.counts must be >= 1")
+    ends, total = np.cumsum(counts), int(counts.sum())
+    times, rates, forces = (_shaped(arrays, f"inertial.{name}", (total, *s)) for name, s in _SAMPLES.items())
+    units = [_shaped(arrays, f"inertial.unit.{name}", (len(counts), *s)) for name, s in _UNIT_OF_SAMPLES.items()]
+    steps: list[InertialSamples | None] = [None] * frames
+    for entry, k in enumerate(np.flatnonzero(has).tolist()):
+        mine = slice(int(ends[entry] - counts[entry]), int(ends[entry]))
+        unit = InertialUnit(*(numbers[entry] for numbers in units))
+        steps[k] = InertialSamples(times[mine], rates[mine], forces[mine], unit)
+    return steps
 
 
 def _has(arrays: Arrays, name: str, frames: int) -> NDArray[Any]:

@@ -13,7 +13,7 @@ from typing import Any, Literal, Protocol, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from filters import BodyVelocity, Pose, Start, StereoCamera, StereoNoise, StereoObservation
+from filters import BodyVelocity, InertialSamples, Pose, Start, StereoCamera, StereoNoise, StereoObservation
 from filters.contract.known_names import require_known
 from filters.geometry import rotations
 from filters.geometry.poses import relative_jacobian
@@ -44,6 +44,8 @@ class Frame:
     """True velocity over the step from the previous frame to this one (as in Eq. 6)."""
     head: FloatArray | None = None
     """(2,): pan and tilt of the head that carries the eyes, rad; None where they are fixed to the car."""
+    inertial: InertialSamples | None = None
+    """What an inertial unit measured over the step from the previous frame to this one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,6 +227,7 @@ class StereoPair:
     right: GreyImage
     truth: Pose | None = None  # true pose of the left camera in W
     odometry: BodyVelocity | None = None  # mean body velocity of the step from the previous pair to this one
+    inertial: InertialSamples | None = None  # what an inertial unit measured over that step
 
 
 class ImageSequence(Protocol):

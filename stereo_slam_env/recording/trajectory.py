@@ -15,6 +15,7 @@ from filters import Pose
 from filters.geometry import rotations
 from filters.motions.model import POSE_SIZE, POSITION, ROTATION
 from filters.validation import BoolArray, FloatArray, IntArray, finite_array
+from stereo_slam_env.recording.drift import Drift
 
 Tangent = Literal["position-rotation", "position-quaternion", "right", "left"]
 """Definition of a pose error, position part first; hats are estimates.
@@ -60,6 +61,8 @@ class Trajectory:
     """(K,), ascending: which frames of the drive the rows are, where some are missing. None: not numbered."""
     notes: tuple[str, ...] = ()
     """What was left out or taken for granted where it was read, each in a sentence."""
+    drift: Drift | None = None
+    """What the claimed errors of two poses have in common, if they are those of an odometry. None: not said."""
 
     def __post_init__(self) -> None:
         positions = finite_array("positions", self.positions, ("K", 3))
@@ -111,7 +114,7 @@ class Trajectory:
         """The trajectory of some rows, by number or mask."""
         names = ("positions", "orientations", "timestamps", "covariances", "frame_numbers")
         parts = {name: part[index] for name in names if (part := getattr(self, name)) is not None}
-        return replace(self, **parts)
+        return replace(self, **parts, drift=None if self.drift is None else self.drift.rows(index))
 
     def errors(self, positions: FloatArray, orientations: FloatArray) -> FloatArray:
         """Errors (K, 6) against true poses, in the definition of `tangent`."""
@@ -149,10 +152,17 @@ class Trajectory:
 
     def _carried(self, positions: FloatArray, orientations: FloatArray, J: FloatArray) -> Trajectory:
         """At other poses, with J (6, 6) or (K, 6, 6) from the errors of `PoseBelief` here to those there."""
-        covariances = self.pose_covariances
-        if covariances is not None:
-            covariances = transformed(tangent_jacobian(self.tangent, positions, orientations) @ J, covariances)
-        return replace(self, positions=positions, orientations=orientations, covariances=covariances)
+        if self.covariances is None:
+            return replace(self, positions=positions, orientations=orientations)
+        before = tangent_jacobian(self.tangent, self.positions, self.orientations)
+        J = tangent_jacobian(self.tangent, positions, orientations) @ J @ np.linalg.inv(before)
+        return replace(
+            self,
+            positions=positions,
+            orientations=orientations,
+            covariances=transformed(J, self.covariances),
+            drift=None if self.drift is None else self.drift.through(J),
+        )
 
 
 def pose_errors(

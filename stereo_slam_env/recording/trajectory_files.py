@@ -5,14 +5,15 @@ numbers; or the row of TUM alone ("deterministic").
 
 SQUARE (Rønning, `smfeval` 0.4, 2026) knows the logarithms of SE(3) on either side. Errors whose position part is a
 displacement are its right perturbation to first order; a further key, TANGENT_CHART, which other readers skip, says
-which they are, so that a NEES comes out to the last digit.
+which they are, so that a NEES comes out to the last digit. DRIFT_WHITE and DRIFT_LASTING, 6 variances each, say what
+the errors of two poses of an odometry have in common, see `drift`.
 """
 
 from __future__ import annotations
 
 import io
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import astuple, replace
 from functools import partial
 from pathlib import Path
 from typing import IO, Any, get_args
@@ -23,6 +24,7 @@ from filters.geometry import rotations
 from filters.motions.model import POSE_SIZE
 from stereo_slam_env.files.folders import write_atomically
 from stereo_slam_env.files.readers import read_text
+from stereo_slam_env.recording.drift import DriftParts, drift_of
 from stereo_slam_env.recording.trajectory import Gauge, Tangent, Trajectory, tangent_jacobian, transformed
 from stereo_slam_env.recording.trajectory_bags import bag_and_topic, read_bag
 from stereo_slam_env.recording.trajectory_layouts import KNOWN, SQUARE_COLUMNS, UNNAMED, split_columns, trajectory_of
@@ -36,6 +38,9 @@ _CHARTS: Mapping[str, Tangent] = {
 _NAMES = {tangent: chart for chart, tangent in _CHARTS.items()}
 _SIDES: Mapping[str, Tangent] = {"right_perturbation": "right", "left_perturbation": "left"}
 _ORDERS = {"translation_rotation": np.arange(POSE_SIZE), "rotation_translation": np.array([3, 4, 5, 0, 1, 2])}
+_NO_BODY = "body"
+"""What stands in a header where the body is not said."""
+_DRIFT = ("DRIFT_WHITE", "DRIFT_LASTING")
 _GAUGES: Mapping[str, Gauge] = {gauge: gauge for gauge in get_args(Gauge)}
 
 
@@ -70,10 +75,12 @@ def load_trajectory(path: str | Path) -> Trajectory:
     if not header:
         return trajectory_of(split_columns(path, text), {"name": path.stem, "gauge": None})
     about = _about(path, header)
-    names, order = about.pop("names"), about.pop("order")
+    names, order, drift = about.pop("names"), about.pop("order"), about.pop("drift")
     found = trajectory_of(split_columns(path, text, names), about)
     if found.covariances is not None:
         found = replace(found, covariances=found.covariances[:, order[:, None], order])
+        if drift is not None:
+            found = replace(found, drift=drift_of(found.positions, found.orientations, drift))
     return found if found.tangent in _SIDES.values() else _turned(found, into_body=False)
 
 
@@ -117,7 +124,7 @@ def _write_square(trajectory: Trajectory, stream: IO[bytes]) -> None:
         "FORMAT": FORMAT,
         "REPRESENTATION": "deterministic",
         "POSE_FRAME": "world",
-        "BODY_FRAME": trajectory.body or "body",
+        "BODY_FRAME": trajectory.body or _NO_BODY,
         "GAUGE": trajectory.gauge or "fixed",
         "TIMESTAMP_UNIT": "seconds",
         "ALGORITHM": " ".join(trajectory.name.split()) or "unknown",
@@ -133,6 +140,9 @@ def _write_square(trajectory: Trajectory, stream: IO[bytes]) -> None:
             "ROTATION_PARAM": "axis_angle",
         }
         header |= {"TANGENT_CHART": chart} if (chart := _NAMES.get(trajectory.tangent)) else {}
+        if trajectory.tangent == "right" and trajectory.drift is not None and trajectory.drift.parts is not None:
+            for key, numbers in zip(_DRIFT, astuple(trajectory.drift.parts), strict=True):
+                header[key] = " ".join(f"{number:.17g}" for number in numbers)
         in_file = trajectory if trajectory.tangent in _SIDES.values() else _turned(trajectory, into_body=True)
         assert in_file.covariances is not None
         columns.append(in_file.covariances[:, _LOWER[0], _LOWER[1]])
@@ -186,5 +196,23 @@ def _about(path: Path, header: Mapping[str, str]) -> dict[str, Any]:
         "order": one_of("TANGENT_ORDER", _ORDERS, "translation_rotation"),
         "gauge": one_of("GAUGE", _GAUGES, "fixed"),
         "name": header.get("ALGORITHM") or path.stem,
-        "body": header.get("BODY_FRAME"),
+        "body": None if header.get("BODY_FRAME") == _NO_BODY else header.get("BODY_FRAME"),
+        "drift": _drift_parts(path, header),
     }
+
+
+def _drift_parts(path: Path, header: Mapping[str, str]) -> DriftParts | None:
+    if not any(key in header for key in _DRIFT):
+        return None
+    parts = []
+    for key in _DRIFT:
+        try:
+            numbers = [float(number) for number in header.get(key, "").split()]
+        except ValueError:
+            numbers = []
+        if len(numbers) != POSE_SIZE or not all(0.0 <= number < np.inf for number in numbers):
+            raise ValueError(f"{path}: {key} must be 6 variances, got {header.get(key, 'none')[:60]!r}")
+        parts.append(tuple(numbers))
+    if header.get("TANGENT_CONVENTION") == "left_perturbation" or "TANGENT_CHART" in header:
+        raise ValueError(f"{path}: {_DRIFT[0]} is of a right_perturbation without TANGENT_CHART: write it so")
+    return DriftParts(*parts)

@@ -12,14 +12,16 @@ from markupsafe import Markup
 
 from stereo_slam_env.benchmark.scenarios.study import Study
 from stereo_slam_env.benchmark.statistics.attribution import Attribution, attribute_runs
-from stereo_slam_env.benchmark.statistics.differences import CONFIDENCE, MIN_PAIRS, Finding, listed, mean_interval
+from stereo_slam_env.benchmark.statistics.differences import CONFIDENCE, MIN_PAIRS, Finding, listed
 from stereo_slam_env.benchmark.statistics.measures import EFFICIENCY, POSE_NEES, POSITION
 from stereo_slam_env.benchmark.statistics.policy_verdict import Looks, baseline_of
 from stereo_slam_env.benchmark.statistics.verdict import Verdict, consistency, judge
 from stereo_slam_env.benchmark.storage.run_trajectory_files import seed_name
-from stereo_slam_env.benchmark.storage.store import CellResult, StudyDirectory
+from stereo_slam_env.benchmark.storage.store import StudyDirectory
+from stereo_slam_env.benchmark.storage.tables import CellResult
 from stereo_slam_env.evaluation.consistency import DOF, mean_band
 from stereo_slam_env.evaluation.figures import Figure
+from stereo_slam_env.evaluation.intervals import studentised_interval
 from stereo_slam_env.evaluation.results import FilterSummary
 from stereo_slam_env.recording.archive import load_recording
 from stereo_slam_env.report.charts.factors import FactorResponse, plot_factor
@@ -239,7 +241,7 @@ def _mean_and_interval(cells: Sequence[Mapping[int | None, float]]) -> tuple[flo
     mean = float(np.exp(logs.mean())) if len(logs) else float("nan")
     if len(logs) < MIN_PAIRS:
         return mean, float("nan"), float("nan")
-    low, high = mean_interval(logs[:, None], CONFIDENCE, 0)
+    low, high = studentised_interval(logs[:, None], CONFIDENCE)
     return mean, float(np.exp(low[0])), float(np.exp(high[0]))
 
 

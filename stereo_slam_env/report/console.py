@@ -31,7 +31,7 @@ from stereo_slam_env.benchmark.statistics.measures import EFFICIENCY, POSE_NEES
 from stereo_slam_env.benchmark.statistics.policy_verdict import baseline_of, judge_policies
 from stereo_slam_env.benchmark.statistics.remarks import innovation_remarks, limit_reached, reference_remarks
 from stereo_slam_env.benchmark.statistics.verdict import judge, pose_nees
-from stereo_slam_env.benchmark.storage.store import CellResult
+from stereo_slam_env.benchmark.storage.tables import CellResult
 from stereo_slam_env.evaluation.figures import FIGURES, UNKNOWN, Figure
 from stereo_slam_env.evaluation.results import FilterSummary
 from stereo_slam_env.frontend.settings import TrackerSettings

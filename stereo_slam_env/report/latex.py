@@ -3,10 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from stereo_slam_env.report.page_tables import Cell, Column
 
 _COMMANDS = {
     **{special: f"\\{special}" for special in "&%$#_{}"},
@@ -35,20 +31,15 @@ def latex_text(text: str) -> str:
     return "".join(_COMMANDS.get(character, character) for character in " ".join(text.split()))
 
 
-def latex_table(columns: Sequence[Column], rows: Sequence[Sequence[Cell]]) -> str:
-    """A `tabular`: headings, then units where there are any, then the rows; a note stands in brackets."""
-    kinds = "".join("r" if column.kind == "number" and i else "l" for i, column in enumerate(columns))
-    heads = [_row([column.heading for column in columns])]
-    if any(column.unit for column in columns):
-        heads.append(_row([column.unit for column in columns]))
-    body = [_row([f"{cell.text} ({cell.note})" if cell.note else cell.text for cell in row]) for row in rows]
+def latex_table(alignment: str, heads: Sequence[Sequence[str]], rows: Sequence[Sequence[str]]) -> str:
+    """A `tabular` with columns aligned by the letters "l" and "r": lines of headings, then the rows."""
     lines = [
         r"% needs \usepackage{booktabs}",
-        rf"\begin{{tabular}}{{{kinds}}}",
+        rf"\begin{{tabular}}{{{alignment}}}",
         r"\toprule",
-        *heads,
+        *map(_row, heads),
         r"\midrule",
-        *body,
+        *map(_row, rows),
         r"\bottomrule",
         r"\end{tabular}",
     ]

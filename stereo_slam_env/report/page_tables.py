@@ -108,7 +108,10 @@ def table(
     look = "answers" if answers else "wide" if wide else ""
     placed = [[_placed(cell) for cell in row] for row in rows]
     if latex is not None:
-        text = latex_table(columns, placed).encode()
+        alignment = "".join("r" if column.kind == "number" and i else "l" for i, column in enumerate(columns))
+        heads = [[column.heading for column in columns], [column.unit for column in columns]]
+        body = [[f"{cell.text} ({cell.note})" if cell.note else cell.text for cell in row] for row in placed]
+        text = latex_table(alignment, [head for head in heads if any(head)], body).encode()
         latex.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(latex, lambda stream: stream.write(text))
     return part("table", columns, placed, look, f"{latex.parent.name}/{latex.name}" if latex is not None else "")

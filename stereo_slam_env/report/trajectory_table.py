@@ -164,14 +164,17 @@ def _windows(scores: Sequence[TrajectoryScore]) -> list[_Row]:
         def text(value: Callable[[WindowScore], str], seconds: float = seconds) -> Callable[[TrajectoryScore], str]:
             return lambda score: next((value(w) for w in score.windows if w.seconds == seconds), UNKNOWN)
 
-        def least(window: WindowScore) -> str:
-            return UNKNOWN if window.least_nees is None else f"≥ {window.least_nees / 6.0:.2f}"
+        def claimed(window: WindowScore) -> str:
+            if window.nees is None:
+                return UNKNOWN
+            value = f"{window.nees / 6.0:.2f}"
+            return f"≥ {value}" if window.coverage is None else f"{value} ({100.0 * window.coverage:.0f} % inside)"
 
         def error(window: WindowScore) -> str:
             return f"{window.translation_rmse_m:.3f} m, {window.rotation_rmse_deg:.3f}° ({window.windows})"
 
         rows.append((f"motion over {seconds:g} s, RMSE (windows)", text(error)))
-        rows.append(("  its NEES / 6, at least", text(least)))
+        rows.append(("  its NEES / 6 (share inside the 90 % ellipsoid)", text(claimed)))
     return rows
 
 

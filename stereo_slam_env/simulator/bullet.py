@@ -7,6 +7,7 @@ import numpy as np
 from filters.geometry.poses import Pose
 from filters.validation import BoolArray, FloatArray, IntArray
 from stereo_slam_env.sensing.rigs import CAMERA_HEIGHT
+from stereo_slam_env.simulator.motion import CHOICE
 from stereo_slam_env.simulator.state import Fleet, Rules, Sensed
 from stereo_slam_env.world.frames import R_SW, WorldFrame
 from stereo_slam_env.world.physics import PhysicsWorld
@@ -32,14 +33,25 @@ class BulletAnswers:
         tracked = sensed.ids[b, : sensed.number[b]]
         asked = tracked[fleet.inside[b, tracked] == 1]
         fleet.seen[b, asked] = self._seen(rules, fleet, b, pose, asked)
-        if np.count_nonzero(fleet.seen[b, asked]) < rules.refill_below:
-            others = fleet.inside[b, : fleet.sizes[b, 0]] == 1
-            others[tracked] = False
-            fresh = np.flatnonzero(others)
-            fleet.seen[b, fresh] = self._seen(rules, fleet, b, pose, fresh)
+        kept = int(np.count_nonzero(fleet.seen[b, asked]))
+        if kept < rules.refill_below:
+            self._draw(rules, fleet, b, pose, tracked, rules.most - kept)
         R_wc = body.R_wc
         middle = self._frame.to_scene(body.position + R_wc @ np.array(self._car.body_c))
         fleet.touching[b] = world.ego_collides(middle, self._frame.rotation_to_scene(R_wc) @ R_SW.T)
+
+    def _draw(self, rules: Rules, fleet: Fleet, b: int, pose: Pose, tracked: IntArray, wanted: int) -> None:
+        """Rays for landmarks in the order in which `sensing.draw` will take them, for as many as it can need."""
+        fresh = (fleet.inside[b, : fleet.sizes[b, 0]] == 1) & ~fleet.lost[b, : fleet.sizes[b, 0]]
+        fresh[tracked] = False
+        candidates, used = np.flatnonzero(fresh), fleet.used[b, CHOICE]
+        depths = pose.R_wc[:, 2] @ (fleet.landmarks[b][:, candidates] - pose.position[:, None])
+        order = candidates[np.argsort(fleet.exponentials[b, used : used + len(candidates)] * depths)]
+        fleet.seen[b, order] = False
+        while wanted > 0 and len(order):
+            tested, order = order[: 2 * wanted], order[2 * wanted :]
+            fleet.seen[b, tested] = self._seen(rules, fleet, b, pose, tested)
+            wanted -= int(np.count_nonzero(fleet.seen[b, tested]))
 
     def close(self) -> None:
         """Stop the engines."""

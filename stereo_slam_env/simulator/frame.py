@@ -37,7 +37,7 @@ def _begin(rules: Rules, fleet: Fleet, b: int) -> None:
     body[6] = 1.0
     fleet.pose[b, :] = body
     fleet.step[b], fleet.nearest[b], fleet.farthest[b], fleet.distance[b] = 0, 0, 0.0, 0.0
-    fleet.lost[b, :] = False
+    fleet.lost[b, :], fleet.measured_at[b, :] = False, -1
     if rules.steered:
         fleet.car[b, 0], fleet.car[b, 1], fleet.car[b, 2] = rules.speeds[0], 0.0, 0.0
         velocity[2] = rules.speeds[0]

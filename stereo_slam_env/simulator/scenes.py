@@ -58,7 +58,7 @@ def with_room(fleet: Fleet, scene: SceneArrays) -> Fleet:
         room if need <= room else need + need // 4 for need, room in zip(needed, there, strict=True)
     )
     shapes = {
-        **dict.fromkeys(("lost", "inside", "seen"), (landmarks,)),
+        **dict.fromkeys(("lost", "inside", "seen", "lasting", "measured_at"), (landmarks,)),
         "landmarks": (3, landmarks),
         **dict.fromkeys(("solids", "bounds", "links"), (solids,)),
         "tracks": (bodies, frames),

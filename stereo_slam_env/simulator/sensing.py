@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -118,6 +119,8 @@ def observe(
     ids[kept:] = -1
     sensed.number[b] = kept
     project(rules, fleet, sensed, b, kept)
+    if rules.lasting[0] > 0.0:
+        add_lasting_errors(rules, fleet, sensed, b, kept)
     add_noise(rules, fleet, sensed, b, kept)
 
 
@@ -170,6 +173,30 @@ def project(rules: Rules, fleet: Fleet, sensed: Sensed, b: int, count: int) -> N
         x, y, z = back(R, points[0, i] - pose[0], points[1, i] - pose[1], points[2, i] - pose[2])
         u, v, d = fx * x / z + cx, fy * y / z + cy, scale / z
         sensed.uvd[b, k, 0], sensed.uvd[b, k, 1], sensed.uvd[b, k, 2], sensed.v_right[b, k] = u, v, d, v
+
+
+@njit(**KERNEL)
+def add_lasting_errors(rules: Rules, fleet: Fleet, sensed: Sensed, b: int, count: int) -> None:
+    """Errors of each landmark that last: a Gauss-Markov process of first order in each coordinate of both images.
+
+    It is drawn from its stationary distribution when the landmark is first measured, and goes on over the frames in
+    which it is not.
+    """
+    sigma, left_after_frame = rules.lasting
+    normals, used, errors = fleet.normals[b, NOISE], fleet.used[b, NOISE], fleet.lasting[b]
+    for k in range(count):
+        i = sensed.ids[b, k]
+        since = fleet.step[b] - fleet.measured_at[b, i]
+        kept = left_after_frame**since if fleet.measured_at[b, i] >= 0 else 0.0
+        fresh = math.sqrt(1.0 - kept * kept)
+        for a in range(4):
+            errors[i, a] = kept * errors[i, a] + fresh * normals[used + 4 * k + a]
+        fleet.measured_at[b, i] = fleet.step[b]
+        sensed.uvd[b, k, 0] += sigma * errors[i, 0]
+        sensed.uvd[b, k, 1] += sigma * errors[i, 1]
+        sensed.uvd[b, k, 2] += sigma * (errors[i, 0] - errors[i, 2])
+        sensed.v_right[b, k] += sigma * errors[i, 3]
+    fleet.used[b, NOISE] = used + 4 * count
 
 
 @njit(**KERNEL)

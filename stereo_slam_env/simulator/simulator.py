@@ -55,14 +55,15 @@ class Simulator(Kept):
 
     def __init__(self, rules: Rules, count: int, noise: PixelNoise, threads: int = 1, *, senses: bool = True) -> None:
         self.rules, self.count, self.threads = rules, count, min(threads, count)
-        self.fleet = empty_fleet(count, max(_FRAMES_AHEAD * 4 * rules.most, 512))
+        normals = (8 if rules.lasting[0] else 4) * rules.most  # of the noise of a frame
+        self.fleet = empty_fleet(count, max(_FRAMES_AHEAD * normals, 512), lasting=rules.lasting[0] > 0)
         self.sensed = empty_sensed(count, rules.most)
         self.scenes: list[SceneArrays | None] = [None] * count
         """Of the rows."""
         self.bullet = None if rules.exact else BulletAnswers(count)
         """PyBullet's worlds, where the rules are not exact."""
         self._senses = senses
-        self._streams = Streams(count, np.array([6, 6, 4 * rules.most, 0]))
+        self._streams = Streams(count, np.array([6, 6, normals, 0]))
         self._noise = noise
         self._noise_generators: list[np.random.Generator | None] = [None] * count
         self._start_errors, self._first_velocities = np.zeros((count, 6)), np.zeros((count, 6))

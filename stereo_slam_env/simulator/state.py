@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
@@ -41,6 +42,8 @@ class Rules(NamedTuple):
     revisit: bool
     noise: int
     sigma: float
+    lasting: tuple[float, float]
+    """Standard deviation of the errors that last, px, and how much of one is left after a frame."""
     exact: bool
     """Whether rays and contacts are computed here; otherwise `Fleet.seen` and `Fleet.touching` have the answers."""
     odometry_sigmas: FloatArray
@@ -118,6 +121,11 @@ class Fleet(NamedTuple):
     """Solids of the moving bodies, in their frames, (B, P, 10)."""
     parts_now: FloatArray
     """The same in S, now."""
+    lasting: FloatArray
+    """Errors that last of each landmark, over their standard deviation: u, v left, u, v right; (B, L, 4).
+    (B, L, 0) where the rules have none."""
+    measured_at: IntArray
+    """Frame in which each landmark was last measured, -1 where it never was; (B, L)."""
     normals: FloatArray
     """Random numbers of the three streams of motion, odometry and noise, (B, 3, n)."""
     exponentials: FloatArray
@@ -152,6 +160,8 @@ def make_rules(
     *,
     noise: str = "pixels",
     sigma: float = 1.0,
+    lasting: float = 0.0,
+    lasting_time: float | None = None,
     odometry_sigmas: tuple[float, float] = ODOMETRY_SIGMAS,
     perturbation: float = 1.0,
     steered: bool = False,
@@ -171,6 +181,10 @@ def make_rules(
         Of landmarks.
     noise, sigma
         Of landmarks, see `sensing.pixel_noise`.
+    lasting : float
+        Standard deviation, px, of the part of each landmark's errors that lasts, in each coordinate of both images.
+    lasting_time : float, optional
+        Correlation time of that part, a Gauss-Markov process of first order, s. None: it never changes.
     odometry_sigmas : (2,) tuple
         Standard deviations, each axis, m/s and rad/s.
     perturbation : float
@@ -195,6 +209,7 @@ def make_rules(
         revisit=tracking.revisit,
         noise=NOISE_KINDS.get(noise, NO_NOISE),
         sigma=float(sigma),
+        lasting=(float(lasting), 1.0 if lasting_time is None else math.exp(-FRAME_PERIOD / lasting_time)),
         exact=exact,
         odometry_sigmas=np.repeat(odometry_sigmas, 3).astype(float),
         positions=route.positions,
@@ -220,8 +235,11 @@ def _numbers(part: object, *names: str) -> tuple[float, ...]:
     return tuple(float(getattr(part, name)) for name in names)
 
 
-def empty_fleet(count: int, normals: int) -> Fleet:
-    """State of rows before their first reset, with room for so many random numbers and for nothing in the scene."""
+def empty_fleet(count: int, normals: int, *, lasting: bool) -> Fleet:
+    """State of rows before their first reset, with room for so many random numbers and for nothing in the scene.
+
+    `lasting` says whether there are errors that last.
+    """
     return Fleet(
         body=np.zeros((count, 7)),
         pose=np.zeros((count, 7)),
@@ -248,6 +266,8 @@ def empty_fleet(count: int, normals: int) -> Fleet:
         balls=np.zeros((count, 0, 7)),
         parts=np.zeros((count, 0, COLUMNS)),
         parts_now=np.zeros((count, 0, COLUMNS)),
+        lasting=np.zeros((count, 0, 4 if lasting else 0)),
+        measured_at=np.zeros((count, 0), dtype=np.int64),
         normals=np.zeros((count, 3, normals)),
         exponentials=np.zeros((count, 0)),
         used=np.zeros((count, 4), dtype=np.int64),

@@ -4,20 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Literal, get_args
 
 import gymnasium as gym
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
+from filters.contract.known_names import one_of
 from filters.validation import FloatArray, positive, whole_number
 from stereo_slam_env.envs.rows import Rows
 from stereo_slam_env.envs.vector_env import RowsVectorEnv, limited
 from stereo_slam_env.policies.interface import require_head
 from stereo_slam_env.policies.network import Network
-from stereo_slam_env.wrappers import BeliefObservation, BeliefPanorama, DirectionOfGaze, InformationGain, SelectedKeys
+from stereo_slam_env.wrappers import (
+    BeliefObservation,
+    BeliefPanorama,
+    DirectionOfGaze,
+    InformationGain,
+    SelectedKeys,
+    TrueError,
+)
 from stereo_slam_env.wrappers.direction_of_gaze import directions
-from stereo_slam_env.wrappers.information import Criterion
+from stereo_slam_env.wrappers.information import CRITERIA, Criterion
+from stereo_slam_env.wrappers.information_gain import BeliefOf
 from stereo_slam_env.wrappers.vectors import rows_of, vector_of
 
 GAZE_FILTER: Mapping[str, Any] = {"drop_unseen": False, "motion": "velocity-driven", "iterations": 2}
@@ -25,6 +34,8 @@ GAZE_FILTER: Mapping[str, Any] = {"drop_unseen": False, "motion": "velocity-driv
 because landmarks that come back into view correct it by a lot at once."""
 POLICY_KEYS = ("belief_sigmas", "head", "panorama")
 """Keys of the observation that a network decides by, in their order."""
+Reward = Literal["information", "error"]
+"""What is paid for: what a belief gained (`InformationGain`), or the true error after a decision (`TrueError`)."""
 
 
 @dataclass(frozen=True)
@@ -39,8 +50,14 @@ class GazeTask:
     """Name of the filter in the loop."""
     filter_options: Mapping[str, Any] = field(default_factory=lambda: dict(GAZE_FILTER))
     """Of the filter."""
+    reward: Reward = "information"
+    """For "error" the three arguments of `InformationGain` that follow have no effect."""
     criterion: Criterion = "log-det"
     """Of `InformationGain`, on the pose."""
+    belief: BeliefOf = "filter"
+    """Of `InformationGain`."""
+    nees_gate: float | None = None
+    """Of `InformationGain`."""
     resolution: tuple[float, float] = (0.01, 0.001)
     """Of `InformationGain`: knowing the position better than this, m, and the rotation, rad, is worth nothing."""
     hold: int = 5
@@ -51,6 +68,9 @@ class GazeTask:
     the mean of a continuous action ends up between them."""
 
     def __post_init__(self) -> None:
+        one_of("reward", self.reward, get_args(Reward))
+        one_of("criterion", self.criterion, CRITERIA)
+        one_of("belief", self.belief, get_args(BeliefOf))
         whole_number("hold", self.hold, 1)
         if self.pans is not None:
             whole_number("pans", self.pans, 2)
@@ -64,7 +84,7 @@ class GazeTask:
         return believing
 
     def make_held(self) -> gym.Env[Any, Any]:
-        """The environment for networks: `POLICY_KEYS` alone, decisions hold, the reward is information on the pose."""
+        """The environment for networks: `POLICY_KEYS` alone, decisions hold, the reward is that of the task."""
         held: gym.Env[Any, Any] = self._held(gym.make(self.environment, **self.arguments))
         return held
 
@@ -99,7 +119,17 @@ class GazeTask:
 
     def _held(self, inside: gym.Env[Any, Any] | Rows) -> Any:
         believing = self._believing(inside, self.hold)
-        paid = InformationGain.around(believing, criterion=self.criterion, of="pose", resolution=self.resolution)
+        if self.reward == "error":
+            paid = TrueError.around(believing)
+        else:
+            paid = InformationGain.around(
+                believing,
+                criterion=self.criterion,
+                of="pose",
+                resolution=self.resolution,
+                belief=self.belief,
+                nees_gate=self.nees_gate,
+            )
         return SelectedKeys.around(paid, keys=POLICY_KEYS)
 
     @property
@@ -114,7 +144,8 @@ def active_gaze(render_mode: str | None = None, *, many: Mapping[str, Any] | Non
     The head of `StereoSlam/Gaze-v0` is turned to one of nine directions (`Discrete(9)`, from the farthest left to the
     farthest right), for five steps. The observation has `belief_sigmas` (6,), `head` (2,) and `panorama` (12, 6), the
     landmarks of the filter's map around the car, see `BeliefPanorama`; the reward is the decrease of the log
-    determinant of the covariance of the pose (`InformationGain`). `info` is that of `StereoSlam/Gaze-v0` and of these
+    determinant of the covariance of the pose (`InformationGain`), or with `reward="error"` minus the squared true error
+    of the position (`TrueError`). `info` is that of `StereoSlam/Gaze-v0` and of these
     wrappers.
 
     Parameters
@@ -124,8 +155,8 @@ def active_gaze(render_mode: str | None = None, *, many: Mapping[str, Any] | Non
     many : mapping, optional
         Arguments of `GazeTask.make_rows`: that many in rows, instead of one environment.
     **arguments
-        Of `GazeTask`: `arguments` of the environment, `filter`, `filter_options`, `criterion`, `resolution`, `hold`,
-        `pans`; JSON-able.
+        Of `GazeTask`: `arguments` of the environment, `filter`, `filter_options`, `reward`, `criterion`, `belief`,
+        `nees_gate`, `resolution`, `hold`, `pans`; JSON-able.
 
     Raises
     ------
@@ -153,6 +184,8 @@ class Evaluation:
     """Root mean square of the true position error over each episode."""
     final_position_error_m: float
     """True position error at the end."""
+    final_position_nees: float
+    """NEES of the position at the end, over its 3 degrees of freedom: more than 1 is claimed than is true."""
 
 
 def evaluate(network: Network | None, task: GazeTask, seeds: Sequence[int], *, threads: int = 1) -> Evaluation:
@@ -161,18 +194,20 @@ def evaluate(network: Network | None, task: GazeTask, seeds: Sequence[int], *, t
     try:
         observation, info = env.reset(seed=list(seeds))
         actions = np.zeros(env.action_space.shape or (), dtype=np.float32)
-        going, figures, squares, steps = np.ones(len(seeds), dtype=np.bool_), np.zeros((len(seeds), 4)), 0.0, 0
+        going, figures, squares, steps = np.ones(len(seeds), dtype=np.bool_), np.zeros((len(seeds), 5)), 0.0, 0
         while going.any():
             if network is not None:
                 actions[:, -2:] = network.actions(observation)
             observation, _, terminated, truncated, info = env.step(actions)
-            errors = np.linalg.norm(env.filters.poses[:, :3] - info["truth_position"], axis=1)
+            offsets = env.filters.poses[:, :3] - info["truth_position"]
+            errors = np.linalg.norm(offsets, axis=1)
             squares, steps = squares + errors**2, steps + 1
             ended = going & (terminated | truncated)
             P = env.filters.pose_covariances[ended]
             sigmas = np.sqrt(np.einsum("bii->b", P[:, :3, :3]))
             rmse = np.sqrt(squares[ended] / steps) if ended.any() else np.zeros(0)
-            figures[ended] = np.column_stack([sigmas, np.linalg.slogdet(P)[1], rmse, errors[ended]])
+            nees = np.einsum("bi,bi->b", offsets[ended], np.linalg.solve(P[:, :3, :3], offsets[ended, :, None])[..., 0])
+            figures[ended] = np.column_stack([sigmas, np.linalg.slogdet(P)[1], rmse, errors[ended], nees / 3.0])
             going &= ~ended
     finally:
         env.close()

@@ -14,3 +14,4 @@ from .record_consistency import RecordConsistency as RecordConsistency
 from .snapshots import Snapshot as Snapshot
 from .snapshots import restore as restore
 from .snapshots import snapshot as snapshot
+from .true_error import TrueError as TrueError

@@ -18,6 +18,7 @@ from stereo_slam_env.wrappers.information_gain import InformationGain
 from stereo_slam_env.wrappers.observation_shapes import FlattenUVD, SelectedKeys, SequenceObservation
 from stereo_slam_env.wrappers.record_consistency import RecordConsistency
 from stereo_slam_env.wrappers.recorded_wrapper import RowWrapper
+from stereo_slam_env.wrappers.true_error import TrueError
 
 Shape = Literal["flat", "sequences"]
 _SHAPES: Mapping[str, type[RowWrapper]] = {"flat": FlattenUVD, "sequences": SequenceObservation}
@@ -45,6 +46,7 @@ def stereo_vector(
     belief: Mapping[str, Any] | None = None,
     panorama: Mapping[str, Any] | None = None,
     information: Mapping[str, Any] | None = None,
+    error: Mapping[str, Any] | None = None,
     keys: Sequence[str] | None = None,
     consistency: Mapping[str, Any] | None = None,
     pans: int | None = None,
@@ -70,8 +72,8 @@ def stereo_vector(
         Threads over which the environments are spread; results do not depend on it.
     belief : mapping, optional
         A filter in the loop of each environment: arguments of `BeliefObservation`.
-    panorama, information : mapping, optional
-        Arguments of `BeliefPanorama`, and of `InformationGain`, of the pose unless it says otherwise.
+    panorama, information, error : mapping, optional
+        Arguments of `BeliefPanorama`, of `InformationGain`, of the pose unless it says otherwise, and of `TrueError`.
     keys : sequence of str, optional
         The keys of the observation; None: all. What is not asked for is not computed.
     consistency : mapping, optional
@@ -90,8 +92,8 @@ def stereo_vector(
     ValueError
         An argument is impossible.
     """
-    if belief is None and not (panorama is information is consistency is None):
-        raise ValueError("panorama, information and consistency need a filter in the loop: give belief={}")
+    if belief is None and not (panorama is information is error is consistency is None):
+        raise ValueError("panorama, information, error and consistency need a filter in the loop: give belief={}")
     rows = limited(rows_of(name, num_envs, options, scenes=scenes, threads=threads), max_episode_steps)
     if belief is not None:
         rows = BeliefObservation.around(rows, **belief)
@@ -99,6 +101,8 @@ def stereo_vector(
         rows = BeliefPanorama.around(rows, **panorama)
     if information is not None:
         rows = InformationGain.around(rows, **{"of": "pose", **information})
+    if error is not None:
+        rows = TrueError.around(rows, **error)
     if pans is not None:
         rows = DirectionOfGaze.around(rows, pans=pans)
     if keys is not None:

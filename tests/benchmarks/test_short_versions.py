@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import importlib.util
+import importlib
 import sys
+import time
 from pathlib import Path
-from types import ModuleType
 
-import gymnasium as gym
 import numpy as np
 import pytest
 
@@ -19,20 +18,12 @@ pytestmark = pytest.mark.slow
 BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
 
 
-def script(name: str) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(f"benchmark_{name}", BENCHMARKS / f"{name}.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module  # dataclasses look their module up
-    spec.loader.exec_module(module)
-    return module
-
-
+sys.path.insert(0, str(BENCHMARKS))  # as when one of them is run
+script = importlib.import_module
 soak = script("covariance_soak")
 
 
-@pytest.mark.parametrize("name", sorted(path.stem for path in BENCHMARKS.glob("*.py")))
+@pytest.mark.parametrize("name", sorted({path.stem for path in BENCHMARKS.glob("*.py")} - {"harness"}))
 def test_every_benchmark_finds_what_it_imports(name: str) -> None:
     assert callable(script(name).main)
 
@@ -74,24 +65,14 @@ def test_consensus_keeps_a_filter_consistent_under_heavy_tails_and_wrong_associa
     assert figures["gate"].pose_anees / 6 > 3.0
 
 
-def test_a_bootstrap_interval_knows_a_ratio_of_one_and_a_half() -> None:
-    against_batch = script("against_batch")
-    errors = np.random.default_rng(0).standard_normal((60, 3))
-    ratio, low, high = against_batch.interval(1.5 * errors, errors)
-    assert [ratio, low, high] == pytest.approx([1.5, 1.5, 1.5])
-    other = np.random.default_rng(1).standard_normal((60, 3))
-    ratio, low, high = against_batch.interval(errors, other)
-    assert low < 1.0 < high
-    assert low < ratio < high
-
-
 def test_a_filter_ends_where_smoothing_ends() -> None:
     pytest.importorskip("gtsam", reason="needs the extra gtsam")
-    against_batch = script("against_batch")
-    found = against_batch.run_seed(0, 60, False, ["shared-anchor"])
-    assert found["batch"].chi2 == pytest.approx(1.0, abs=0.05)
-    assert np.linalg.norm(found["batch"].end - found["shared-anchor"].end) < 0.05
-    assert found["batch"].ate < found["shared-anchor"].ate
+    efficiency = script("efficiency")
+    found = efficiency.run_seed(0, 60, "pixels", ["shared-anchor", efficiency.BATCH])
+    batch, filtered = found[efficiency.BATCH], found["shared-anchor"]
+    assert batch.chi2 == pytest.approx(1.0, abs=0.05)
+    assert abs(batch.end - filtered.end) < 0.05
+    assert batch.ate < filtered.ate
 
 
 def test_sky_and_haze_cost_little_beside_the_bare_calls() -> None:
@@ -110,35 +91,41 @@ def test_kills_lose_nothing() -> None:
 def test_who_knows_how_the_car_accelerates_has_a_lower_bound_and_xyz_gives_most_away() -> None:
     """One drive of 20 frames."""
     efficiency = script("efficiency")
-    found = efficiency.run_seed(0, 20, "pixels", batch=False)
+    filters = ["shared-anchor", "stacked", "dual-bearing", "euclidean"]
+    found = efficiency.run_seed(0, 20, "pixels", filters)
     bound, as_driven = found[efficiency.BOUND], found[efficiency.AS_DRIVEN]
     assert as_driven.position < bound.position
     assert as_driven.rotation < bound.rotation
-    assert max(efficiency.FILTERS, key=lambda label: found[label].anees) == "euclidean"
+    assert max(filters, key=lambda label: found[label].anees) == "euclidean"
 
 
-def test_memory_of_an_environment_does_not_grow() -> None:
-    """9 resets and 180 steps; the benchmark has 500 and 50,000."""
-    memory = script("environment_memory")
-    env = gym.make("StereoSlam/Drive-v0", **{**memory.CHEAP, "route": "right-turn"})
-    resets, held = memory.measure(env, seeds=9, steps=20)
-    env.close()
-    assert resets[-1] == 9
-    gained, _ = memory.growth(held[2:])
-    assert gained < memory.WANTED
-
-
-def test_bare_calls_and_a_filter_in_the_loop_are_a_part_of_a_step() -> None:
-    """Two rounds of 5 steps; the benchmark has seven of 200."""
+def test_rates_are_those_of_whole_episodes_beside_a_yardstick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One environment and four together; the benchmark has up to 256."""
     speed = script("environment_speed")
-    options = {"route": "right-turn", "rig": "qvga", "policy": "route", "physics": "bullet"}
-    alone, with_filter = (speed.made("StereoSlam/Drive-v0", options, w) for w in ((), (speed.FilterInTheLoop,)))
-    times = [speed.measure_steps(env, steps=5, rounds=2) for env in (alone, with_filter)]
-    for env in (alone, with_filter):
-        env.close()
-    assert all(0.0 < found["bare"] < found["step"] for found in times)
-    assert times[1]["step"] > times[0]["step"]
-    assert speed.pybullet.rayTestBatch.__name__ == "rayTestBatch"  # as it was before
+    kinds = {"CartPole": speed.KINDS["CartPole"], **{str(n): ("StereoSlam/Gaze-v0", n, {}) for n in (1, 4)}}
+    monkeypatch.setattr(speed, "KINDS", kinds)
+    one, four = speed.rates("Gaze", 1, time.process_time, (1, 2))
+    assert [one[:2], four[:2]] == [["1", "1"], ["4", "4"]]
+    assert one[3] == ""
+    assert all(float(rate.replace(",", "")) > 0.0 for rate in (one[2], *four[2:4]))
+
+
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        ("", {"seeds": 20, "only": ["a", "b"], "noise": "pixels", "quick": False, "options": {}, "images": None}),
+        ("--seeds 3 --only b --noise uvd --quick", {"seeds": 3, "only": ["b"], "noise": "uvd", "quick": True}),
+        ('--options {"gate":0.9} --images pictures', {"options": {"gate": 0.9}, "images": Path("pictures")}),
+    ],
+)
+def test_an_argument_has_the_type_of_its_default(
+    line: str, expected: dict[str, object], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["script.py", "DATA", *line.split()])
+    options = {"seeds": 20, "only": ["a", "b"], "noise": ("pixels", "uvd"), "quick": False, "options": {}}
+    given = vars(script("harness").arguments("", "data", data=Path, images=Path, **options))
+    assert given["data"] == Path("DATA")
+    assert {name: given[name] for name in expected} == expected
 
 
 def test_a_filter_and_an_environment_stay_sound_while_they_run(monkeypatch: pytest.MonkeyPatch) -> None:

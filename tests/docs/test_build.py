@@ -77,7 +77,7 @@ def test_links_to_code_lead_to_pages_with_that_code(site):
 
 def test_equations_are_typeset(site):
     derivations = sorted((site / "derivations").glob("*.html"))
-    assert len(derivations) == 6
+    assert len(derivations) == len(list((DOCS / "derivations").glob("*.md"))) > 0
     for path in derivations:
         assert '<math xmlns="http://www.w3.org/1998/Math/MathML" display="block">' in path.read_text(encoding="utf-8")
     assert [path.name for path in pages(site) if 'class="arithmatex"' in path.read_text(encoding="utf-8")] == []

@@ -19,7 +19,8 @@ ROOT = Path(__file__).resolve().parents[2]
 IMAGES = ROOT / "docs" / "images"
 sys.path.insert(0, str(IMAGES))
 try:
-    concepts, make, runs = (importlib.import_module(name) for name in ("concepts", "make", "runs"))
+    names = ("pictures_of_concepts", "make", "pictures_of_runs")
+    concepts, make, runs = (importlib.import_module(name) for name in names)
 finally:
     sys.path.remove(str(IMAGES))
 

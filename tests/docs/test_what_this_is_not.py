@@ -41,7 +41,6 @@ from stereo_slam_env.world.routes import named_route
 from stereo_slam_env.world.scene import MovingBody
 
 from ..filters.drives import CAMERA, drive
-from ..filters.motions.test_gravity import Thrown
 from ..stereo_slam_env.frontend.synthetic_steps import STEP, Cloud
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -111,28 +110,22 @@ def each_sentence_is_a_test():
     assert f"tests/docs/{Path(__file__).name}" in PAGE.read_text(encoding="utf-8")
 
 
-@says("No inertial input.")
-def no_inertial_input():
-    assert not any(re.search("inertial|imu|accel|gyro", name) for name in fields(Frame) | fields(StereoPair))
-
-
+@says("No inertial sensor.")
 @says(
-    "Besides the time step, predict takes a body velocity, where there is any: accelerometers and gyroscopes have no "
-    "place there."
+    "A filter takes inertial samples, and a recording keeps them, but no environment simulates them and no reader of a "
+    "data set reads them: you bring them."
 )
-def predict_takes_a_body_velocity():
-    assert list(inspect.signature(StereoFilter.predict).parameters) == ["self", "dt", "odometry"]
-    slam = make_filter("inverse-depth", camera=CAMERA, noise=StereoNoise.diagonal(1.0, 1.0, 1.0))
-    with pytest.raises(ValueError, match="odometry must be a BodyVelocity or None"):
-        slam.predict(0.1, np.zeros(6))
+def nobody_makes_inertial_samples():
+    assert "inertial" in inspect.signature(StereoFilter.predict).parameters
+    assert "inertial" in fields(Frame) & fields(StereoPair)
+    makes = {path.name for path in SOURCES if re.search(r"InertialSamples\(", path.read_text(encoding="utf-8"))}
+    assert makes == {"inertial.py", "drives.py", "motions.py", "archive.py"}  # its own module, checks, archives
 
 
-@says("The motions that ship have no bias states; a motion of your own may bring such variables.")
-def no_bias_states():
-    assert [name for name in SLOTS["motion"].named if make_part("motion", name).variables] == []
-
-    slam = driven(StereoEKF(CAMERA, StereoNoise.diagonal(1.0, 1.0, 1.0), motion=Thrown()), drive(0, 3))
-    assert slam.belief("gravity").covariance.shape == (3, 3)
+@says("Samples and odometry are not fused in one filter.")
+def samples_or_odometry():
+    takes = {name: make_part("motion", name).takes for name in SLOTS["motion"].named}
+    assert [name for name, kind in takes.items() if kind is filters.InertialSamples] == ["strapdown"]
 
 
 @says("Images are rectified pairs.")
@@ -433,10 +426,12 @@ def no_deadline():
     assert (time.process_time() - begun) / len(frames) < 0.01
 
 
-@says("No ROS node and no reader of bags.")
-@says("A bag is refused; export your tracks or images.")
+@says("No ROS node and no recordings from bags.")
+@says("Of a bag only the poses of a topic are read, by evaluate; images and tracks must be exported.")
 def no_ros():
-    assert {name.split(".")[0] for _, name in imported()}.isdisjoint({"rospy", "rclpy", "rosbags", "rosbag", "mcap"})
+    assert {name.split(".")[0] for _, name in imported()}.isdisjoint({"rospy", "rclpy"})
+    readers = {path.name for path, name in imported() if name.split(".")[0] in {"rosbags", "rosbag", "mcap"}}
+    assert readers == {"trajectory_bags.py"}
     with pytest.raises(ValueError, match="is a file, not a folder: give a folder with a recording"):
         sse.load(Path(__file__))
 

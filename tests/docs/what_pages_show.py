@@ -172,6 +172,12 @@ def shows_evaluate(names, printed):
     assert verdict.strip() == "consistent, as far as one run can tell"
 
 
+def shows_claim(names, printed):
+    seconds, value = printed.split()
+    assert seconds == "1.0"
+    assert 0.05 < float(value) < 5.0  # one window of a short drive
+
+
 def shows_vector(names, printed):
     assert printed.split("\n")[0] == "(16, 12, 6) (16, 3)"
     assert tuple(names["envs"].single_observation_space) == ("belief_sigmas", "head", "panorama")
@@ -276,6 +282,7 @@ SHOWS = {
     "docs/covariances.md": shows_covariances,
     "docs/environment.md": shows_environment,
     "docs/evaluate.md": shows_evaluate,
+    "docs/claim.md": shows_claim,
     "docs/faults.md": shows_faults,
     "docs/front_end.md": shows_front_end,
     "docs/index.md": shows_index,

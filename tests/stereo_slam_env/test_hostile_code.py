@@ -17,6 +17,7 @@ from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, Scenario
 from stereo_slam_env.benchmark.scenarios.study import MOST_TRIALS, Study, load_study
 from stereo_slam_env.benchmark.storage.run_archive import load_run, packed_run
 from stereo_slam_env.benchmark.storage.store import open_study, read_study
+from stereo_slam_env.benchmark.storage.tables import write_results
 from stereo_slam_env.cli.app import main
 from stereo_slam_env.cli.parts import console
 from stereo_slam_env.evaluation.filter_run import run_filter
@@ -217,7 +218,7 @@ def test_results_do_not_name_files_outside_their_folder(tmp_path):
     directory.save_trial(0, scenario.filters[0], packed_run(run, {"recording": {}, "code": "none"}))
     assert load_run(directory.trial_path(0, scenario.filters[0])).run.filter_name == "../../../evil"
     with pytest.raises(ValueError, match="holds a run of"):
-        read_study(tmp_path / "run").write_results()
+        write_results(read_study(tmp_path / "run"))
     written = {"run", "study.json", "settings.json", "trials", "seed-0000", "paper.npz"}
     assert {path.name for path in tmp_path.rglob("*")} == written
 

@@ -6,10 +6,15 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from filters import InverseDepthStereoEKF, StereoNoise, StereoObservation, make_filter
+from filters import InverseDepthStereoEKF, Pose, StereoNoise, StereoObservation, make_filter
 from stereo_slam_env.loop import FilterLoop, run
-from stereo_slam_env.recording.recording import Reference
+from stereo_slam_env.recording.archive import load_recording, save_recording
+from stereo_slam_env.recording.recording import Frame, Reference
+from stereo_slam_env.sensing.corruptions import DroppedFrames
 
+from ..filters.drives import CAMERA as OTHER_CAMERA
+from ..filters.drives import INDEPENDENT_PIXELS as PIXELS
+from ..filters.inertial_drives import Journey, driven
 from .benchmark.small_recordings import CAMERA, DT, small_recording
 
 RECORDING = small_recording()
@@ -45,6 +50,46 @@ def test_the_first_frame_updates_and_every_later_one_predicts_first(use_odometry
         assert slam.calls == [*step, ("update", len(frame.observation))]
         assert (moment.time, moment.observation, moment.truth) == (frame.timestamp, frame.observation, frame.truth)
         slam.calls.clear()
+
+
+def with_samples():
+    """A drive with an inertial unit, as a recording."""
+    journey = Journey.along(driven, 0, 2.0)
+    frames = tuple(
+        Frame(
+            DT * k, step.observation, truth=Pose(step.position, step.orientation), inertial=step.inertial if k else None
+        )
+        for k, step in enumerate(journey.steps)
+    )
+    return replace(RECORDING, camera=OTHER_CAMERA, noise=PIXELS, frames=frames, start=journey.start, landmarks=None)
+
+
+def ends(recording):
+    *_, last = run("inertial", recording)
+    return [last.pose.position, last.pose.orientation, last.pose.covariance, last.landmarks.positions]
+
+
+def test_inertial_samples_are_used_and_replayed_to_the_same_bits(tmp_path):
+    recording = with_samples()
+    save_recording(tmp_path / "drive.npz", recording)
+    for one, other in zip(ends(recording), ends(load_recording(tmp_path / "drive.npz")), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_samples_of_dropped_frames_are_those_of_the_longer_step():
+    recording = with_samples()
+    gaps = DroppedFrames(0.4).applied_to(recording, np.random.default_rng(0))
+    assert len(gaps) < 16
+    *_, last = run("inertial", gaps)
+    assert last.position_error < 0.2
+
+
+def test_a_filter_of_somebody_who_knows_no_samples_runs_without_and_says_so_once(caplog):
+    with caplog.at_level("WARNING"):
+        *_, last = run(Noted, with_samples())
+    said = [record.getMessage() for record in caplog.records if "makes no use" in record.getMessage()]
+    assert last.position_error < 1.0
+    assert said == ["Noted makes no use of the inertial samples that it is given"]
 
 
 def test_odometry_is_used_unless_it_is_withheld():

@@ -19,7 +19,7 @@ def _started(model: LandmarkModel, moved: bool = True) -> Started:
     """Landmarks with their anchors where the camera was, or `moved` off."""
     rng, count = np.random.default_rng(0), len(SCALES)
     position, vectors = rng.uniform(-5.0, 5.0, 3), rng.standard_normal((count, 3 * model.seen_vectors))
-    if model.in_camera:
+    if model.in_camera or model.in_anchor:
         position = np.zeros(3)
     others = np.column_stack([SCALES, 0.1 * rng.standard_normal((count, model.seen_size))])
     seen = np.hstack([vectors, others])[:, : model.seen_size]
@@ -123,6 +123,8 @@ def check_landmark_invariance(model: LandmarkModel) -> None:
     if model.in_camera:
         check_carried(model, x)
         return
+    if model.in_anchor:
+        return
     turned = model.rotated(anchors, x, TURN)
     again = model.homogeneous(TURN @ position, None if anchors is None else anchors @ TURN.T, turned)
     assert_close("homogeneous in a turned world", again, model.with_axes(TURN, seen), 1e-9)
@@ -180,6 +182,15 @@ def check_landmark_kernels(model: LandmarkModel) -> None:
     turned = model.turned(anchors, x, rotations.exp(theta), rotations.right_jacobian(-theta), correction)
     wanted = model.turned_jacobians(anchors, x, theta, correction)
     assert_same("turn", moved=(moved, turned), J=(J, wanted[0]), J_theta=(by_theta, wanted[1]))
+    if kernels_of(model).become is None:
+        return
+    position, anchors, _, new = _started(model)
+    x = new.parameters
+    assert anchors is not None, "only landmarks with an anchor have kernel become"
+    for scale in SCALES:  # from landmarks that are hardly known to such as are known well
+        variances = np.full(x.shape, 0.1 * scale**2)
+        (chosen,) = kernels.of("become", anchors - position, x, variances, becomes=np.zeros(count, dtype=np.bool_))
+        assert (chosen == model.become_points(position, anchors, x, variances)).all(), "become is not become_points"
 
 
 CHECKS = (

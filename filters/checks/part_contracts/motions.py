@@ -8,9 +8,10 @@ import numpy as np
 
 from filters.checks.part_contracts.comparison import assert_close, assert_refusal, moved_world
 from filters.checks.part_contracts.kernels import Kernels, assert_same
+from filters.contract.inertial import InertialSamples, InertialUnit
 from filters.contract.odometry import BodyVelocity
 from filters.geometry import differences, rotations
-from filters.motions.model import CAMERA_SIZE, CameraState, MotionModel, measure_odometry, predict_camera
+from filters.motions.model import CAMERA_SIZE, CameraState, MotionModel, StepInput, measure_odometry, predict_camera
 from filters.parts import kernels_of
 from filters.validation import FloatArray
 
@@ -23,12 +24,17 @@ def a_camera(variables: Mapping[str, FloatArray]) -> CameraState:
     return CameraState(np.array([1.0, -2.0, 3.0]), q, np.array([4.0, 0.5, -1.0]), np.array([0.1, -0.3, 0.2]), variables)
 
 
-def _before(motion: MotionModel) -> tuple[CameraState, BodyVelocity]:
-    """A state, and odometry that all models take."""
+def _before(motion: MotionModel, dt: float = DT) -> tuple[CameraState, StepInput]:
+    """A state, and odometry or inertial samples of a step that all models take."""
     rng = np.random.default_rng(0)
     near = {v.name: v.retraction.retract(v.value, 1e-2 * rng.standard_normal(v.size)) for v in motion.variables}
     odometry = BodyVelocity(np.array([0.2, -0.1, 5.0]), np.array([0.02, 0.3, -0.1]), np.diag(np.full(6, 1e-2)))
-    return a_camera(near), odometry
+    if motion.takes is not InertialSamples:
+        return a_camera(near), odometry
+    tilted = rotations.exp_quaternion(np.array([0.1, -0.2, 1.3]))
+    unit = InertialUnit(np.array([0.1, -0.3, 0.2]), tilted, 2e-3, 2e-2, 2e-4, 3e-3)
+    rates, forces = rng.normal([0.02, 0.3, -0.1], 0.1, (6, 3)), rng.normal([-9.0, 1.0, 2.0], 0.5, (6, 3))
+    return a_camera(near), InertialSamples(dt * np.linspace(0.1, 0.95, 6), rates, forces, unit)
 
 
 def check_motion_prediction(motion: MotionModel) -> None:
@@ -36,13 +42,13 @@ def check_motion_prediction(motion: MotionModel) -> None:
     state, odometry = _before(motion)
     predicted = predict_camera(motion, state, DT, odometry)
     assert (np.linalg.eigvalsh(predicted.Q) >= -1e-12).all(), "Q is not positive semi-definite"
-    at_once = predict_camera(motion, state, 1e-9, odometry).state
+    at_once = predict_camera(motion, state, 1e-9, _before(motion, 1e-9)[1]).state
     assert_close("position after no time", at_once.position, state.position)
     assert_close("orientation after no time", at_once.orientation, state.orientation)
     try:
         predict_camera(motion, state, DT, None)
     except ValueError as error:
-        assert_refusal(error, "odometry")
+        assert_refusal(error, "inertial" if motion.takes is InertialSamples else "odometry")
 
 
 def check_motion_jacobians(motion: MotionModel) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 from numba import njit, types
 
 from filters.engine.compiled.blas import KERNEL, Routines, cholesky, multiply_panel, solve_triangular, subtract_square
@@ -27,32 +28,38 @@ def times_covariance(
 ) -> None:
     """H P of the selected measurements first to last - 1, in the first rows of HP."""
     measured, held = plan.measured, -1
-    width = measured + (3 if plan.anchored else 0) + plan.size
+    own = measured + 3 * plan.anchors
+    width = own + plan.size
     take_leading(P, n, measured, s.lead)
     for i in range(first, last):
         m = select[i]
-        if plan.anchored and s.base[m, 0] != held:  # neighbours often share an anchor
-            held = s.base[m, 0]
-            take_rows(P, n, held, 3, s.lead[measured:])
-        take_rows(P, n, s.base[m, 1], plan.size, s.lead[width - plan.size :])
+        if plan.anchors > 0 and s.base[m, 1] != held:  # neighbours often share an anchor
+            held = s.base[m, 1]
+            for which in range(plan.anchors):
+                take_rows(P, n, s.base[m, 2 - plan.anchors + which], 3, s.lead[measured + 3 * which :])
+        take_rows(P, n, s.base[m, 2], plan.size, s.lead[own:])
         multiply_panel(s.HP[(i - first) * size :], 0, s.H[m], size, s.lead, 0, 0, width, n)
 
 
 @njit(**KERNEL)
-def take_columns(plan: Plan, s: Scratch, m: int, top: int, rows: int) -> None:
-    """Columns of HP that belong to a landmark, transposed, below those of the leading rows in `shared`."""
+def take_columns(plan: Plan, s: Scratch, m: int, top: int, rows: int, held: int) -> int:
+    """Columns of HP that belong to a landmark, transposed, below those of the leading rows in `shared`.
+
+    Those of the anchor are there where it is `held`, the one before; the anchor that is there now.
+    """
     HP, shared, column = s.HP, s.shared, plan.measured
-    for which in range(0 if plan.anchored else 1, 2):
+    for which in range(2 - plan.anchors, 3):
         base = s.base[m, which]
-        for row in range(top, rows):
+        for row in range(rows if which < 2 and s.base[m, 1] == held else top, rows):
             shared[column, row] = HP[row, base]
             shared[column + 1, row] = HP[row, base + 1]
             shared[column + 2, row] = HP[row, base + 2]
         column += 3
     for c in range(3, plan.size):
         for row in range(top, rows):
-            shared[column, row] = HP[row, s.base[m, 1] + c]
+            shared[column, row] = HP[row, s.base[m, 2] + c]
         column += 1
+    return int(s.base[m, 1])
 
 
 @njit(**KERNEL)
@@ -66,12 +73,12 @@ def take_leading_columns(plan: Plan, s: Scratch, rows: int) -> None:
 @njit(**KERNEL)
 def innovation_covariance(plan: Plan, s: Scratch, select: IntArray, first: int, last: int, size: int) -> bool:
     """Upper triangle of S = (H P) H^T + R of these measurements; whether R is left in it."""
-    S, rows = s.S, (last - first) * size
-    width = plan.measured + (3 if plan.anchored else 0) + plan.size
+    S, rows, held = s.S, (last - first) * size, np.int64(-1)
+    width = plan.measured + 3 * plan.anchors + plan.size
     take_leading_columns(plan, s, rows)
     for i in range(first, last):
         m, top = select[i], (i - first) * size
-        take_columns(plan, s, m, top, rows)
+        held = take_columns(plan, s, m, top, rows, held)
         multiply_panel(S[top:], top, s.H[m], size, s.shared, 0, top, width, rows - top)
         for a in range(size):
             for b in range(a, size):
@@ -111,14 +118,12 @@ def explained(plan: Plan, s: Scratch, m: int, k: int) -> float:
     total = 0.0
     for c in range(measured):
         total += H[c] * delta[c]
-    if plan.anchored:
+    for which in range(2 - plan.anchors, 3):
         for c in range(3):
-            total += H[measured + c] * delta[s.base[m, 0] + c]
+            total += H[measured + c] * delta[s.base[m, which] + c]
         measured += 3
-    for c in range(3):
-        total += H[measured + c] * delta[s.base[m, 1] + c]
     for c in range(3, plan.size):
-        total += H[measured + c] * delta[s.base[m, 1] + c]
+        total += H[measured + c - 3] * delta[s.base[m, 2] + c]
     return total
 
 

@@ -23,11 +23,11 @@ def step_covariance(part: FloatArray, R: FloatArray, Q: FloatArray) -> None:
 @njit(**KERNEL)
 def take_steps(plan: Plan, part: FloatArray, P: FloatArray, s: Scratch, select: IntArray, count: int) -> None:
     """P_own += J^-1 Q J^-T of the selected landmarks, linearised, J = d(u, v, d) / d(own numbers)."""
-    first = plan.measured + (3 if plan.anchored else 0)
+    first = plan.measured + 3 * plan.anchors
     Q, inverse, half = s.small[0], s.small[1], s.small[2]
     for i in range(count):
         m = select[i]
-        J, own = s.H[m], s.base[m, 1]
+        J, own = s.H[m], s.base[m, 2]
         for a in range(3):  # cofactors
             b, c = (a + 1) % 3, (a + 2) % 3
             for k in range(3):

@@ -37,10 +37,11 @@ from filters.engine.compiled.progress import counted
 from filters.engine.compiled.recipe import Plan, Recipe
 from filters.engine.compiled.retraction import move, retract, retract_by_numbers, scales_blocks
 from filters.engine.compiled.scratch import Scratch
-from filters.engine.compiled.storage import BEHIND, BLOCKS, FAILED, GATED, LANDMARKS, USED, Frame, Storage
+from filters.engine.compiled.storage import BEHIND, BLOCKS, FAILED, GATED, LANDMARKS, OWN, USED, Frame, Storage
 from filters.engine.compiled.units import (
     ADDRESSES,
     AGREE,
+    BECOME,
     BEGIN,
     CORRECT,
     DOORS,
@@ -178,8 +179,8 @@ def _by_earlier_errors(plan: Plan, n: int, s: Scratch, count: int, size: int) ->
                 for c in range(measured):
                     total += H[c] * s.W[c, a]
                 c = measured
-                for which in range(0 if plan.anchored else 1, 2):
-                    for j in range(3 if which == 0 else plan.size):
+                for which in range(2 - plan.anchors, 3):
+                    for j in range(3 if which < 2 else plan.size):
                         total += H[c] * s.W[s.base[m, which] + j, a]
                         c += 1
                 s.nu[m, k] += total * s.delta[3 + a]
@@ -190,8 +191,8 @@ def _by_earlier_errors(plan: Plan, n: int, s: Scratch, count: int, size: int) ->
                     _times_block(H, plan.velocity, 3, s.F, s.G[0])
             if scales_blocks(plan):
                 c = measured
-                for which in range(0 if plan.anchored else 1, 2):
-                    width = 3 if which == 0 else plan.size
+                for which in range(2 - plan.anchors, 3):
+                    width = 3 if which < 2 else plan.size
                     _times_block(H, c, width, s.D[(s.base[m, which] - plan.leading) // plan.size], s.G[0])
                     c += width
             for a in range(3):
@@ -385,6 +386,29 @@ def _candidates(
 
 
 @njit(**KERNEL)
+def _may_change(routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch) -> bool:
+    """Whether a landmark is to become a point, as far as kernels can say."""
+    if routines[BECOME] == 0:
+        return True
+    x, P, blocks, count = S.x[b], S.P[b], S.blocks[b], 0
+    for i in range(S.counts[b, LANDMARKS]):
+        own, anchor = S.own[b, i], S.anchor[b, i, 0]
+        if S.kind[b, own] == OWN:
+            for a in range(3):
+                s.points[count, a] = blocks[anchor, a] - x[a]
+            for a in range(s.values_taken.shape[1]):
+                s.values_taken[count, a] = blocks[own, a]
+            for a in range(plan.size):
+                row = plan.leading + plan.size * own + a
+                s.correction[count, a] = P[row, row]
+            s.gone[count] = False
+            count += 1
+    given = s.points[:count], s.values_taken[:count], s.correction[:count]
+    call(routines[BECOME], (plan.landmark, *given, s.gone[:count]))
+    return bool(s.gone[:count].any())
+
+
+@njit(**KERNEL)
 def _renew(
     routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch, frame: Frame, first: int, last: int, found: int
 ) -> None:
@@ -411,7 +435,7 @@ def _renew(
             gone += 1
     if gone > 0:
         leave(S.ids[b], S.own[b], S.anchor[b], S.users[b], S.counts[b], s.gone, frame.dropped[b])
-    if plan.changes and not _ask(routines, TO_CHANGE, b, s, 0, 0):
+    if plan.changes and _may_change(routines, plan, S, b, s) and not _ask(routines, TO_CHANGE, b, s, 0, 0):
         return
     if new > 0:
         call(routines[ENTER], (plan, S, b, s, frame, first, new))
@@ -469,8 +493,8 @@ def _advance(routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch, fra
     first, last = frame.offsets[b], frame.offsets[b + 1]
     counts = S.counts[b]
     found = find(S.ids[b], counts[LANDMARKS], frame.ids[first:last], s.where)
-    each = 2 if plan.anchored and not plan.shares_anchors else 1
-    needed = counts[BLOCKS] + each * (last - first - found) + (1 if plan.shares_anchors else 0)
+    each = 1 if plan.shares_anchors else 1 + plan.anchors
+    needed = counts[BLOCKS] + each * (last - first - found) + (plan.anchors if plan.shares_anchors else 0)
     frame.outcome[b, 1] = 0
     if frame.seen[b] and found < last - first and needed > S.blocks.shape[1]:
         frame.outcome[b, 1] = needed
@@ -599,6 +623,7 @@ def kernels(recipe: Recipe, fuses: bool) -> tuple[Any, ...]:
             (recipe.landmark, name, turns or plan.first_estimates or plan.gauge_walk > 0.0)
             for name in ("turn", "rotation")
         ),
+        (recipe.landmark, "become", plan.changes),
         *((recipe.sensor, name, not plan.by_numbers) for name in ("predict", "backproject")),
         (recipe.motion, "step", True),
         (recipe.motion, "measure", fuses),

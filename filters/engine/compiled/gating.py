@@ -32,7 +32,7 @@ def solve(S: FloatArray, x: FloatArray, size: int) -> float:
 def squared_distances(plan: Plan, P: FloatArray, s: Scratch, select: IntArray, count: int, size: int) -> None:
     """nu^T S^-1 nu of each selected measurement on its own, in the scratch."""
     measured = plan.measured
-    own = measured + (3 if plan.anchored else 0)
+    own = measured + 3 * plan.anchors
     total = own + plan.size
     rows, C, HP, S, x = s.gate_rows, s.gate_P, s.gate_HP, s.small[0], s.small[1, 0]
     for i in range(measured):
@@ -41,13 +41,13 @@ def squared_distances(plan: Plan, P: FloatArray, s: Scratch, select: IntArray, c
             C[i, j] = C[j, i] = P[i, j]
     for i in range(count):
         m = select[i]
-        if plan.anchored:
+        for which in range(plan.anchors):
             for c in range(3):
-                rows[measured + c] = s.base[m, 0] + c
+                rows[measured + 3 * which + c] = s.base[m, 2 - plan.anchors + which] + c
         for c in range(3):
-            rows[own + c] = s.base[m, 1] + c
+            rows[own + c] = s.base[m, 2] + c
         for c in range(3, plan.size):
-            rows[own + c] = s.base[m, 1] + c
+            rows[own + c] = s.base[m, 2] + c
         for p in range(measured, total):
             row = rows[p]
             for q in range(measured):
@@ -129,10 +129,10 @@ def largest_agreement(
             s.support[i, i] = True
         s.result[0] = 0.0
         return
-    rows, width = count * size, plan.measured + (3 if plan.anchored else 0) + plan.size
+    rows, width = count * size, plan.measured + 3 * plan.anchors + plan.size
     times_covariance(plan, P, n, s, select, 0, count, size)
     take_leading_columns(plan, s, rows)
-    own, proposal, x = s.small[1], s.small[2, 0], s.small[2, 1]
+    own, proposal = s.small[1], s.small[2, 0]
     for i in range(count):
         noise = s.R[select[i]]
         if stage == 0 and plan.drift[0].any():
@@ -145,11 +145,14 @@ def largest_agreement(
                             own[a, b] += T[a, p] * s.small[0, p, q] * T[b, q]
             noise = own
         _invert(noise, s.inverse_R[select[i]], s.small[0], size)
-    best, most, least = -1, -1, np.inf
-    cross = s.S  # of all measurements with one of them, transposed: H_i P H_j^T
+    best, most, least, held = -1, -1, np.inf, np.int64(-1)
+    cross, nu, left = s.S, s.S[size], s.S[size + 1]  # of all measurements with one of them, transposed: H_i P H_j^T
+    for j in range(count):
+        for a in range(size):
+            nu[j * size + a] = s.nu[select[j], a]
     for i in range(count):
         m = select[i]
-        take_columns(plan, s, m, 0, rows)
+        held = take_columns(plan, s, m, 0, rows, held)
         multiply_panel(cross, 0, s.H[m], size, s.shared, 0, 0, width, rows)
         for a in range(size):
             proposal[a] = s.nu[m, a]
@@ -157,18 +160,19 @@ def largest_agreement(
                 cross[a, i * size + b] += s.R[m, a, b]
                 own[a, b] = cross[a, i * size + b]
         _solve_whole(own, proposal, size)
+        for row in range(rows):
+            left[row] = nu[row]
+        for b in range(size):
+            along, step = cross[b], proposal[b]
+            for row in range(rows):
+                left[row] -= along[row] * step
         followers, tightness = 0, 0.0
         for j in range(count):
-            other, distance = select[j], 0.0
-            inverse = s.inverse_R[other]
+            inverse, distance, first = s.inverse_R[select[j]], 0.0, j * size
             if i != j:
                 for a in range(size):
-                    x[a] = s.nu[other, a]
                     for b in range(size):
-                        x[a] -= cross[b, j * size + a] * proposal[b]
-                for a in range(size):
-                    for b in range(size):
-                        distance += x[a] * inverse[a, b] * x[b]
+                        distance += left[first + a] * inverse[a, b] * left[first + b]
             agrees = distance <= limit
             s.support[j, i] = agrees
             if agrees:

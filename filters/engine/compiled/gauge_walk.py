@@ -40,10 +40,10 @@ def _image_motion(
         return 0.0, FARTHEST
     for i in range(count):
         s.taken[i] = own[i]
-    take_points(routines, plan, blocks, s, count)
+    take_points(routines, plan, blocks, S.kind[b], s, count)
     for i in range(count):
         scale = s.points[i, 3]
-        d0, d1, d2 = from_camera(plan, x, blocks, anchor[i])
+        d0, d1, d2 = from_camera(plan, x, blocks, anchor[i, 0])
         h0, h1, h2 = s.points[i, 0] + scale * d0, s.points[i, 1] + scale * d1, s.points[i, 2] + scale * d2
         squared, scale = h0 * h0 + h1 * h1 + h2 * h2, max(scale, 0.0)
         c0, c1, c2 = s1 * h2 - s2 * h1, s2 * h0 - s0 * h2, s0 * h1 - s1 * h0

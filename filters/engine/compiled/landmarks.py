@@ -71,14 +71,16 @@ def leave(
     kept, gone = 0, 0
     for i in range(counts[LANDMARKS]):
         if not goes[i]:
-            ids[kept], own[kept], anchor[kept] = ids[i], own[i], anchor[i]
+            ids[kept], own[kept] = ids[i], own[i]
+            anchor[kept, 0], anchor[kept, 1] = anchor[i, 0], anchor[i, 1]
             kept += 1
         else:
             dropped[gone] = ids[i]
             gone += 1
             users[own[i]] -= 1
-            if anchor[i] >= 0:
-                users[anchor[i]] -= 1
+            for k in range(2):
+                if anchor[i, k] >= 0:
+                    users[anchor[i, k]] -= 1
     counts[LANDMARKS] = kept
 
 
@@ -103,8 +105,9 @@ def close_gaps(plan: Plan, S: Storage, b: int) -> None:
         for i in range(S.counts[b, LANDMARKS]):
             if own[i] == last:
                 own[i] = gap
-            if anchor[i] == last:
-                anchor[i] = gap
+            for k in range(2):
+                if anchor[i, k] == last:
+                    anchor[i, k] = gap
         for i in range(len(held)):
             if held[i] < 0:
                 break
@@ -122,7 +125,7 @@ def _see_new(routines: Routines, plan: Plan, x: FloatArray, s: Scratch, count: i
     call(routines[POINTS], (plan.landmark, s.values[:count], s.points[:count], s.by_own[:count]))
     R_cw = transposed(orientation(x))
     for i in range(count):
-        p, scale = s.points[i], 0.0 if plan.anchored else s.points[i, 3]
+        p, scale = s.points[i], 0.0 if plan.anchors > 0 else s.points[i, 3]
         p[0], p[1], p[2] = times(R_cw, p[0] - scale * x[0], p[1] - scale * x[1], p[2] - scale * x[2])
     sense(routines, plan, s, s.points, count)
 
@@ -134,7 +137,7 @@ def _add_prior(plan: Plan, x: FloatArray, s: Scratch, i: int, kept: int) -> None
     R, most = orientation(x), plan.size - 3
     for p in range(most):
         column = 3 + p
-        scale = 0.0 if plan.anchored else by_own[3, column]
+        scale = 0.0 if plan.anchors > 0 else by_own[3, column]
         w = by_own[:, column]
         c0, c1, c2 = times(transposed(R), w[0] - scale * x[0], w[1] - scale * x[1], w[2] - scale * x[2])
         for q in range(3):
@@ -172,7 +175,7 @@ def start(routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch, frame:
         s.points[i, 0], s.points[i, 1], s.points[i, 2] = times(R, s.points_c[i, 0], s.points_c[i, 1], s.points_c[i, 2])
         for a in range(3, s.points.shape[1]):
             s.points[i, a] = s.points_c[i, a]
-        if not plan.anchored:
+        if plan.anchors == 0:
             for a in range(3):
                 s.points[i, a] += scale * x[a]
     clear_all(s.by_start, count)
@@ -199,11 +202,11 @@ def start(routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch, frame:
         for a in range(plan.size):
             J = s.by_start[i, a]
             by_scale = J[3]
-            if not plan.anchored:
+            if plan.anchors == 0:
                 by_scale += J[0] * x[0] + J[1] * x[1] + J[2] * x[2]
             c0, c1, c2 = times(transposed(R), J[0], J[1], J[2])
             for k in range(3):
-                H[a, k] = 0.0 if plan.anchored else h[3] * J[k]
+                H[a, k] = 0.0 if plan.anchors > 0 else h[3] * J[k]
                 by_uvd = s.by_uvd[i]
                 B[a, k] = c0 * by_uvd[0, k] + c1 * by_uvd[1, k] + c2 * by_uvd[2, k] + by_scale * by_uvd[3, k]
                 for e in range(4, len(J)):
@@ -228,7 +231,7 @@ def start(routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch, frame:
             _add_prior(plan, x, s, i, kept)
         for a in range(s.values.shape[1]):
             s.values[kept, a] = s.values[i, a]
-        s.place[kept], s.anchored[kept] = s.place[i], plan.anchored
+        s.place[kept], s.anchored[kept] = s.place[i], plan.anchors > 0
         kept += 1
     if plan.first_estimates:
         source = s.W[: plan.leading]
@@ -296,11 +299,13 @@ def _merge(
     while j >= 0:
         new = ids[first + s.place[j]]
         if i >= 0 and all_ids[i] > new:
-            all_ids[target], own[target], anchor[target] = all_ids[i], own[i], anchor[i]
+            all_ids[target], own[target] = all_ids[i], own[i]
+            anchor[target, 0], anchor[target, 1] = anchor[i, 0], anchor[i, 1]
             i -= 1
         else:
             all_ids[target], own[target] = new, s.core[j]
-            anchor[target] = s.land[j]
+            anchor[target, 0] = s.land[j]
+            anchor[target, 1] = s.turns[j]
             j -= 1
         target -= 1
     counts[LANDMARKS] += count
@@ -311,42 +316,49 @@ def enter(plan: Plan, S: Storage, b: int, s: Scratch, frame: Frame, first: int, 
     """Add the `count` landmarks that have started (`JointState.augment`); there is room for them."""
     P, x, blocks, users, counts = S.P[b], S.x[b], S.blocks[b], S.users[b], S.counts[b]
     measured, leading = plan.measured, plan.leading
-    taken, by_landmark, made = s.core, s.land, s.select  # parameter and anchor block of each, all anchor blocks
-    gap, anchors = 0, 0
+    taken, made = s.core, s.made  # parameter block of each, all anchor blocks
+    gap, anchors, poses = 0, 0, plan.anchors == 2
     for i in range(count):
-        by_landmark[i] = -1
-        if plan.anchored and s.anchored[i]:
-            if anchors == 0 or not plan.shares_anchors:
-                while gap < counts[BLOCKS] and users[gap] > 0:
+        s.land[i] = s.turns[i] = -1
+        if plan.anchors > 0 and s.anchored[i]:
+            for k in range(plan.anchors):
+                by_landmark = s.land if k == 0 else s.turns
+                if i > 0 and plan.shares_anchors and anchors > k:
+                    by_landmark[i] = made[k]
+                else:
+                    while gap < counts[BLOCKS] and users[gap] > 0:
+                        gap += 1
+                    if gap == counts[BLOCKS]:
+                        counts[BLOCKS] += 1
+                    users[gap], made[anchors], by_landmark[i] = 0, gap, gap
+                    S.kind[b, gap] = CLONE_POSITION + k if poses else POINT
+                    anchors += 1
                     gap += 1
-                if gap == counts[BLOCKS]:
-                    counts[BLOCKS] += 1
-                users[gap], S.kind[b, gap], made[anchors] = 0, POINT, gap
-                anchors += 1
-            users[made[anchors - 1]] += 1
-            by_landmark[i] = made[anchors - 1]
+                users[by_landmark[i]] += 1
     for i in range(count):
         while gap < counts[BLOCKS] and users[gap] > 0:
             gap += 1
         if gap == counts[BLOCKS]:
             counts[BLOCKS] += 1
         users[gap], taken[i] = 1, gap
-        free = by_landmark[i] < 0 and (plan.changes or plan.points)
+        free = s.land[i] < 0 and (plan.changes or plan.points)
         S.kind[b, gap] = POINT if free else OWN
     n = leading + plan.size * counts[BLOCKS]
     take_leading(P, n, measured, s.lead)
     for i in range(anchors):
-        for a in range(3):
-            blocks[made[i], a] = S.first[b, made[i], a] = x[a]
-        for a in range(3, blocks.shape[1]):
+        k = i % plan.anchors
+        for a in range(3 + k):
+            blocks[made[i], a] = S.first[b, made[i], a] = x[3 * k + a]
+        for a in range(3 + k, blocks.shape[1]):
             blocks[made[i], a] = S.first[b, made[i], a] = 0.0
-        _add_block(plan, s, leading + plan.size * made[i], s.by_anchor)
+        _add_block(plan, s, leading + plan.size * made[i], s.by_anchor[3 * k : 3 * k + 3])
     for i in range(count):
         for a in range(s.values.shape[1]):
             blocks[taken[i], a] = S.first[b, taken[i], a] = s.values[i, a]
         _add_block(plan, s, leading + plan.size * taken[i], s.H[i, : plan.size])
     for i in range(anchors):
-        _write_rows(plan, P, n, leading + plan.size * made[i], s.by_anchor, s)
+        k = 3 * (i % plan.anchors)
+        _write_rows(plan, P, n, leading + plan.size * made[i], s.by_anchor[k : k + 3], s)
     for i in range(count):
         row = leading + plan.size * taken[i]
         _write_rows(plan, P, n, row, s.H[i, : plan.size], s)

@@ -8,10 +8,10 @@ from filters.engine.compiled.blas import KERNEL, Routines, call
 from filters.engine.compiled.prediction import clear, orientation
 from filters.engine.compiled.recipe import Plan
 from filters.engine.compiled.scratch import Scratch
-from filters.engine.compiled.storage import BLOCKS, LANDMARKS, Storage
+from filters.engine.compiled.storage import BLOCKS, LANDMARKS, OWN, POINT, Storage
 from filters.engine.compiled.units import ADDRESSES, MATRIX, PLAN, POINTS, SCRATCH, SENSE, STORAGE, VECTOR, unit
 from filters.geometry.three_by_three import times, transposed
-from filters.validation import FloatArray
+from filters.validation import FloatArray, IntArray
 
 
 @njit(**KERNEL)
@@ -51,7 +51,7 @@ def by_velocity(plan: Plan, x: FloatArray, H: FloatArray) -> None:
 
 
 @njit(**KERNEL)
-def take_points(routines: Routines, plan: Plan, blocks: FloatArray, s: Scratch, count: int) -> None:
+def take_points(routines: Routines, plan: Plan, blocks: FloatArray, kind: IntArray, s: Scratch, count: int) -> None:
     """Homogeneous points and Jacobians of the landmarks whose blocks are in `taken`."""
     for i in range(count):
         for a in range(s.values_taken.shape[1]):
@@ -59,6 +59,14 @@ def take_points(routines: Routines, plan: Plan, blocks: FloatArray, s: Scratch, 
     clear_all(s.by_own, count)
     clear(s.points[:count])
     call(routines[POINTS], (plan.landmark, s.values_taken[:count], s.points[:count], s.by_own[:count]))
+    if plan.changes:  # some have become points of W
+        for i in range(count):
+            if kind[s.taken[i]] == POINT:
+                point, J = s.points[i], s.by_own[i]
+                for a in range(4):
+                    point[a] = s.values_taken[i, a] if a < 3 else 1.0
+                    for k in range(3):
+                        J[a, k] = 1.0 if a == k else 0.0
 
 
 @njit(**KERNEL)
@@ -76,7 +84,7 @@ def sense(routines: Routines, plan: Plan, s: Scratch, points: FloatArray, count:
 @njit(**KERNEL)
 def from_camera(plan: Plan, x: FloatArray, blocks: FloatArray, anchor: int) -> tuple[float, float, float]:
     """From the camera to the anchor, or to the origin of W."""
-    if not plan.anchored:
+    if anchor < 0:
         return -x[0], -x[1], -x[2]
     return blocks[anchor, 0] - x[0], blocks[anchor, 1] - x[1], blocks[anchor, 2] - x[2]
 
@@ -89,11 +97,11 @@ def _see(
     own, anchor = S.own[b], S.anchor[b]
     for i in range(count):
         s.taken[i] = own[s.land[s.select[i]]]
-    take_points(routines, plan, blocks, s, count)
+    take_points(routines, plan, blocks, S.kind[b], s, count)
     R_cw = transposed(orientation(x))
     for i in range(count):
         scale = s.points[i, 3]
-        d0, d1, d2 = from_camera(plan, x, blocks, anchor[s.land[s.select[i]]])
+        d0, d1, d2 = from_camera(plan, x, blocks, anchor[s.land[s.select[i]], 0])
         w0, w1, w2 = s.points[i, 0] + scale * d0, s.points[i, 1] + scale * d1, s.points[i, 2] + scale * d2
         s.points_c[i, 0], s.points_c[i, 1], s.points_c[i, 2] = times(R_cw, w0, w1, w2)
         for a in range(3, s.points.shape[1]):
@@ -125,13 +133,12 @@ def _chain(
     R = orientation(x)
     for i in range(count):
         m = s.select[i]
-        anchor, own = S.anchor[b, s.land[m]], S.own[b, s.land[m]]
+        anchor, own = S.anchor[b, s.land[m], 0], S.own[b, s.land[m]]
         H, J, by_own = s.H[m], s.by_point[i], s.by_own[i]
         h0, h1, h2, scale = s.points_c[i, 0], s.points_c[i, 1], s.points_c[i, 2], s.points_c[i, 3]
         d0, d1, d2 = from_camera(plan, x, blocks, anchor)
-        if plan.anchored:
-            s.base[m, 0] = plan.leading + plan.size * anchor
-        s.base[m, 1] = plan.leading + plan.size * own
+        s.base[m, 1] = plan.leading + plan.size * (anchor if anchor >= 0 else own)
+        s.base[m, 2] = plan.leading + plan.size * own
         for k in range(size):
             c0, c1, c2, by_scale = 0.0, 0.0, 0.0, 0.0
             for j in range(others):
@@ -149,8 +156,9 @@ def _chain(
             if plan.sees_velocity:
                 by_velocity(plan, x, H[k])
             first = measured
-            if plan.anchored:
-                H[k, first], H[k, first + 1], H[k, first + 2] = scale * g0, scale * g1, scale * g2
+            if plan.anchors > 0:
+                way = scale if anchor >= 0 else 0.0
+                H[k, first], H[k, first + 1], H[k, first + 2] = way * g0, way * g1, way * g2
                 first += 3
             by_scale += g0 * d0 + g1 * d1 + g2 * d2
             for a in range(3):
@@ -186,8 +194,9 @@ def linearise(
             for i in range(blocks.shape[1]):
                 at[c, i] = S.first[b, c, i]
         for i in range(S.counts[b, LANDMARKS]):
-            for a in plan.follows:
-                at[S.own[b, i], a] = blocks[S.own[b, i], a]
+            if S.kind[b, S.own[b, i]] == OWN:
+                for a in plan.follows:
+                    at[S.own[b, i], a] = blocks[S.own[b, i], a]
         _see(routines, plan, point, at, S, b, s, count)
         _chain(plan, T, point, at, S, b, s, count, size)
     _see(routines, plan, x, blocks, S, b, s, count)

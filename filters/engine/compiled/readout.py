@@ -64,8 +64,16 @@ def relative_landmarks(
         R_cw, P_b = transposed(orientation(x[b])), P[b]
         for i in range(counts[b, LANDMARKS]):
             m, first = offsets[b] + i, POSE_SIZE
-            w0, w1, w2, origin = -x[b, 0], -x[b, 1], -x[b, 2], anchor[b, i]
-            if anchored:
+            w0, w1, w2, origin = -x[b, 0], -x[b, 1], -x[b, 2], anchor[b, i, 0]
+            if anchored and origin < 0:  # a point of W
+                origin = own[b, i]
+                for a in range(4):
+                    points[m, a] = blocks[b, origin, a] if a < 3 else 1.0
+                    for k in range(size):
+                        by_own[m, a, k] = 1.0 if a == k else 0.0
+                rows[first : first + 3] = leading + size * origin + np.arange(3)
+                first += 3
+            elif anchored:
                 w0, w1, w2 = w0 + blocks[b, origin, 0], w1 + blocks[b, origin, 1], w2 + blocks[b, origin, 2]
                 rows[first : first + 3] = leading + size * origin + np.arange(3)
                 first += 3
@@ -87,7 +95,7 @@ def relative_landmarks(
                 for k in range(3):
                     J[a, k] = -R_cw[3 * a + k]
                     if anchored:
-                        J[a, POSE_SIZE + k] = R_cw[3 * a + k]
+                        J[a, POSE_SIZE + k] = R_cw[3 * a + k] if anchor[b, i, 0] >= 0 else 0.0
             put(J, 0, 3, cross_matrix(c0, c1, c2), 1.0)
             for k in range(width):
                 for q in range(k, width):
@@ -129,7 +137,7 @@ def forecasts(
     noise is noise[f].
     """
     plan, storage, s = read_plan(plan_at), read_storage(storage_at), read_scratch(scratch_at)
-    measured, width = plan.measured, plan.measured + (3 if plan.anchored else 0) + plan.size
+    measured, width = plan.measured, plan.measured + 3 * plan.anchors + plan.size
     for f in range(len(offsets) - 1):
         b, begin, count = first + f, offsets[f], offsets[f + 1] - offsets[f]
         expect(routines, plan, storage, b, s, count)
@@ -141,11 +149,11 @@ def forecasts(
                 uvd[m, k] = s.numbers[i, k]
             for a in range(width):
                 s.gate_rows[a] = a
-            if plan.anchored:
+            for which in range(plan.anchors):
                 for a in range(3):
-                    s.gate_rows[measured + a] = s.base[i, 0] + a
+                    s.gate_rows[measured + 3 * which + a] = s.base[i, 2 - plan.anchors + which] + a
             for a in range(plan.size):
-                s.gate_rows[width - plan.size + a] = s.base[i, 1] + a
+                s.gate_rows[width - plan.size + a] = s.base[i, 2] + a
             for k in range(3):
                 for a in range(width):
                     s.gate_HP[k, a] = 0.0

@@ -32,7 +32,8 @@ class Plan(NamedTuple):
     """Rows of a block: error numbers of a landmark."""
     prior: FloatArray
     """Covariance of those behind the third, (size - 3, size - 3)."""
-    anchored: bool
+    anchors: int
+    """Blocks of an anchor: 0, 1 (a position) or 2 (a pose)."""
     shares_anchors: bool
     additive: bool
     """Whether a landmark's retraction is addition."""
@@ -102,108 +103,87 @@ class Plan(NamedTuple):
 
 @dataclass(frozen=True)
 class Recipe:
-    """What a filter does.
-
-    Attributes
-    ----------
-    camera : tuple of float
-        fx, fy, cx, cy, px, and the baseline, m.
-    landmark, sensor, motion, error : kernels, optional
-        Of the parts; None: they go by numbers.
-    landmark_settings, sensor_settings, motion_settings : tuple of float
-        First argument of these kernels.
-    stages, stages_with_right : tuple of StageRows
-        Stages of the update where the right row is not measured on its own, and where it is.
-    sensor_size, size, value_size, seen_size : int
-        Numbers of the sensor, of a landmark's error, of its value, and by which it is seen.
-    prior : tuple of tuple of float
-        Covariance of the error numbers behind the third.
-    anchored, shares_anchors, additive, follows
-        As of `LandmarkModel`.
-    resets : bool
-        Whether P is carried along by the full Jacobian where the map turns with the camera.
-    by_numbers, moves_by_numbers, walks_by_numbers, changes, carries : bool
-        Whether parts give measurements and new landmarks, move the state, say what a move of the world does, make
-        points of landmarks, and move landmarks with the camera, by numbers.
-    parts : tuple
-        Those that do.
-    most_landmarks : int
-        Of the landmarks in view, 0: no limit.
-    gate : float, optional
-        Probability with which a consistent landmark passes all stages.
-    consensus, tail_dof, iterations, drop_unseen, min_disparity
-        As of `StereoEKF`.
-    drift : LandmarkDrift, optional
-        Process noise of measured landmarks, with (u, v, d) in one stage.
-    gauge_walk : float
-        Of camera and map together, rad per root of a radian of image motion.
-    measured : int
-        Leading rows that the measurements depend on.
-    velocity : int
-        First row of the velocity.
-    leading, values : int
-        Leading rows, a multiple of three, and numbers of the leading variables.
-    sensed, moved, moved_rows : tuple of int
-        Places of the values of the sensor's variables, and of the values and errors of what the motion moves.
-    in_world : tuple of int
-        First rows of variables that are vectors in W.
-    considered : tuple of int
-        Leading rows that have covariance and correlations, and whose values never move (Schmidt).
-    walk : tuple of float
-        Variance that each leading row gains in a second; () for none.
-    """
+    """What a filter does."""
 
     camera: tuple[float, ...]
+    """fx, fy, cx, cy, px, and the baseline, m."""
     landmark: LandmarkKernels | None
     sensor: MeasurementKernels | None
     motion: MotionKernels | None
     error: ErrorKernels | None
+    """Of the parts; None: they go by numbers."""
     stages: tuple[StageRows, ...]
     stages_with_right: tuple[StageRows, ...]
+    """Stages of the update where the right row is not measured on its own, and where it is."""
     landmark_settings: tuple[float, ...] = ()
     sensor_settings: tuple[float, ...] = ()
     motion_settings: tuple[float, ...] = ()
+    """First argument of these kernels."""
     sensor_size: int = 3
     size: int = 3
     value_size: int = 3
     seen_size: int = 4
+    """Numbers of the sensor, of a landmark's error, of its value, and by which it is seen."""
     prior: tuple[tuple[float, ...], ...] = ()
-    anchored: bool = True
+    """Covariance of the error numbers behind the third."""
+    anchors: int = 1
+    """Blocks of an anchor: 0, 1 (a position) or 2 (a pose)."""
     shares_anchors: bool = False
     additive: bool = True
     follows: tuple[int, ...] = ()
+    """As of `LandmarkModel`."""
     resets: bool = False
+    """Whether P is carried along by the full Jacobian where the map turns with the camera."""
     by_numbers: bool = False
+    """Whether parts give measurements and new landmarks by numbers,"""
     moves_by_numbers: bool = False
+    """move the state,"""
     walks_by_numbers: bool = False
+    """say what a move of the world does,"""
     changes: bool = False
+    """make points of landmarks,"""
     carries: bool = False
+    """and move landmarks with the camera."""
     parts: tuple[Any, ...] = ()
+    """Those that do."""
     most_landmarks: int = 0
+    """Of the landmarks in view, 0: no limit."""
     gate: float | None = 0.99
+    """Probability with which a consistent landmark passes all stages."""
     consensus: bool = False
     tail_dof: float | None = None
     iterations: int = 1
     drop_unseen: bool = True
     min_disparity: float | None = None
+    """As of `StereoEKF`."""
     drift: LandmarkDrift | None = None
+    """Process noise of measured landmarks, with (u, v, d) in one stage."""
     gauge_walk: float = 0.0
+    """Of camera and map together, rad per root of a radian of image motion."""
     measured: int = POSE_SIZE
+    """Leading rows that the measurements depend on."""
     velocity: int = POSE_SIZE
+    """First row of the velocity."""
     leading: int = CAMERA_SIZE
     values: int = CAMERA_SIZE + 1
+    """Leading rows, a multiple of three, and numbers of the leading variables."""
     sensed: tuple[int, ...] = ()
     moved: tuple[int, ...] = ()
     moved_rows: tuple[int, ...] = ()
+    """Places of the values of the sensor's variables, and of the values and errors of what the motion moves."""
     in_world: tuple[int, ...] = ()
+    """First rows of variables that are vectors in W."""
     considered: tuple[int, ...] = ()
+    """Leading rows that have covariance and correlations, and whose values never move (Schmidt)."""
     walk: tuple[float, ...] = ()
+    """Variance that each leading row gains in a second; () for none."""
 
     @property
     def asks(self) -> bool:
         """Whether the kernels ask parts for numbers in the middle of a frame."""
         numbers = self.by_numbers or self.moves_by_numbers or self.walks_by_numbers
-        return numbers or self.carries or self.most_landmarks > 0
+        changes = self.changes and (self.landmark is None or self.landmark.become is None)
+        return numbers or changes or self.carries or self.most_landmarks > 0
 
     @property
     def block_values(self) -> int:
@@ -241,7 +221,7 @@ class Recipe:
             motion=floats(self.motion_settings),
             size=self.size,
             prior=np.array(self.prior, dtype=np.float64).reshape(len(self.prior), len(self.prior)),
-            anchored=self.anchored,
+            anchors=self.anchors,
             shares_anchors=self.shares_anchors,
             additive=self.additive,
             points=self.landmark is not None and self.landmark.turn is None,

@@ -38,10 +38,16 @@ class Scratch(NamedTuple):
     select: IntArray
     core: IntArray
     base: IntArray
+    """First rows of the landmark of each: of its anchor's position and orientation, where there are such (only the
+    position: the second one), and its own; (M, 3)."""
+    made: IntArray
+    """Blocks of new anchors, (2 M,)."""
+    turns: IntArray
+    """Blocks of the orientations of new anchors, (M,); -1: none."""
     z: FloatArray
     R: FloatArray
     H: FloatArray
-    """(M, 4, measured + 3 + size): by leading rows, anchor, own rows; of new landmarks, (M, size, measured)."""
+    """(M, 4, measured + 3 anchors + size): by leading rows, anchor, own rows; of new landmarks, (M, size, measured)."""
     nu: FloatArray
     distances: FloatArray
     ahead: BoolArray
@@ -108,7 +114,7 @@ class Scratch(NamedTuple):
     anchored: BoolArray
     """Whether they have an anchor, (M,)."""
     by_anchor: FloatArray
-    """Jacobian of a new anchor by the leading rows that measurements depend on, (3, measured)."""
+    """Jacobian of a new anchor by the leading rows that measurements depend on, (3 anchors, measured)."""
     door: IntArray
     """Number of the thread, and whether a part has failed, (2,)."""
     letters: IntArray
@@ -125,7 +131,7 @@ def scratch(
     used = 0 if recipe.motion is None else recipe.motion.rows
     rows = max(8, max(rows, used) + MOST_ROWS, M * MOST_ROWS if at_once else min(M * MOST_ROWS, CHUNK_ROWS + MOST_ROWS))
     size, seen = recipe.size, recipe.seen_size
-    width, others, most = recipe.measured + 3 + size, recipe.measured - POSE_SIZE, max(MOST_ROWS, size)
+    width, others, most = recipe.measured + 3 * recipe.anchors + size, recipe.measured - POSE_SIZE, max(MOST_ROWS, size)
     K, v, numbers, moved = max(M, blocks), recipe.value_size, recipe.sensor_size, len(recipe.moved_rows)
     integers = {name: np.zeros(M, dtype=np.int64) for name in ("where", "place", "land", "select", "core")}
     return Scratch(
@@ -142,7 +148,9 @@ def scratch(
         point_blocks=np.zeros((blocks, recipe.block_values)),
         **integers,
         fates=np.zeros(M, dtype=np.uint8),
-        base=np.zeros((M, 2), dtype=np.int64),
+        base=np.zeros((M, 3), dtype=np.int64),
+        made=np.zeros(2 * M, dtype=np.int64),
+        turns=np.zeros(M, dtype=np.int64),
         z=np.zeros((M, MOST_ROWS)),
         R=np.zeros((M, MOST_ROWS, MOST_ROWS)),
         H=np.zeros((M, most, width)),
@@ -200,7 +208,7 @@ def scratch(
         values=np.zeros((M, recipe.value_size)),
         values_noise=np.zeros((M, size, size)),
         anchored=np.zeros(M, dtype=np.bool_),
-        by_anchor=np.zeros((3, recipe.measured)),
+        by_anchor=np.zeros((3 * max(1, recipe.anchors), recipe.measured)),
         door=np.array([thread, 0]),
         letters=np.array((ord("L"),), dtype=np.uint8),
         sizes=np.zeros(3, dtype=np.int32),

@@ -40,7 +40,7 @@ class Storage(NamedTuple):
     own: IntArray
     """Parameter block of each, (B, C)."""
     anchor: IntArray
-    """Anchor block of each, -1 where there is none, (B, C)."""
+    """Blocks of the position and the orientation of each one's anchor, -1 where there is none, (B, C, 2)."""
     users: IntArray
     """Landmarks that use each block, and one more where it is held, (B, C)."""
     kind: IntArray
@@ -133,7 +133,7 @@ def empty_storage(recipe: Recipe, filters: int, blocks: int) -> Storage:
         first=np.zeros((filters, blocks, recipe.block_values)),
         ids=np.zeros((filters, blocks), dtype=np.int64),
         own=np.zeros((filters, blocks), dtype=np.int64),
-        anchor=np.zeros((filters, blocks), dtype=np.int64),
+        anchor=np.zeros((filters, blocks, 2), dtype=np.int64),
         users=np.zeros((filters, blocks), dtype=np.int64),
         kind=np.zeros((filters, blocks), dtype=np.int64),
         held=np.full((filters, blocks), -1),
@@ -156,34 +156,28 @@ def padded(rows: int) -> int:
 
 @dataclass(frozen=True, eq=False)
 class FilterState:
-    """State of one filter, in plain arrays.
-
-    Attributes
-    ----------
-    x, predicted : (values,)
-        Leading variables (position, orientation xyzw, calibration, velocities, others, padding), now and as predicted.
-    P : (n, n)
-        Covariance of the leading rows and of the blocks; the upper triangle counts.
-    blocks, first : (C, v)
-        Values of the blocks, now and when they entered.
-    kind : (C,) int64
-        What each block is.
-    ids, own, anchor : (N,) int64
-        Landmarks in ascending order, their parameter blocks and anchor blocks (-1: none).
-    held : (H,) int64
-        Blocks that stay without a landmark.
-    """
+    """State of one filter, in plain arrays."""
 
     x: FloatArray
+    """(values,): leading variables: position, orientation xyzw, calibration, velocities, others, padding."""
     predicted: FloatArray
+    """The same before landmarks last corrected them."""
     P: FloatArray
+    """(n, n): covariance of the leading rows and of the blocks; the upper triangle counts."""
     blocks: FloatArray
+    """(C, v): values of the blocks,"""
     first: FloatArray
+    """and when they entered."""
     kind: IntArray
+    """(C,): what each block is."""
     ids: IntArray
+    """(N,): landmarks in ascending order."""
     own: IntArray
+    """(N,): their parameter blocks."""
     anchor: IntArray
+    """(N, 2): blocks of their anchors' positions and orientations, -1: none."""
     held: IntArray
+    """(H,): blocks that stay without a landmark."""
 
 
 def empty_frame(

@@ -88,12 +88,14 @@ SCRATCH, FRAME = Reference(scratch(_RECIPE, _STORAGE, 1)), Reference(empty_frame
 VECTOR, MATRIX, INDEX = types.float64[::1], types.float64[:, ::1], types.int64[::1]
 MATRICES, FLAGS = types.float64[:, :, ::1], types.boolean[::1]
 UNITS = ("predict", "fuse", "linearise", "gate", "agree", "iterate", "correct", "retract", "start", "enter", "walk")
-OF_PARTS = ("point", "start", "turn", "rotation", "predict", "backproject", "step", "measure")
+OF_PARTS = ("point", "start", "turn", "rotation", "become", "predict", "backproject", "step", "measure")
 """Places of their addresses, after those of BLAS; the last place is that of the doors."""
 PREDICT, FUSE, LINEARISE, GATE, AGREE, ITERATE, CORRECT, RETRACT, BEGIN, ENTER, WALK = range(
     len(ROUTINES), len(ROUTINES) + len(UNITS)
 )
-POINTS, START, TURN, EFFECT, SENSE, BACKPROJECT, STEP, MEASURE, DOORS = range(WALK + 1, WALK + len(OF_PARTS) + 2)
+POINTS, START, TURN, EFFECT, BECOME, SENSE, BACKPROJECT, STEP, MEASURE, DOORS = range(
+    WALK + 1, WALK + len(OF_PARTS) + 2
+)
 ADDRESSES = types.UniTuple(types.intp, DOORS + 1)
 TO_LINEARISE, TO_MOVE, TO_START, TO_SELECT, TO_CHANGE, TO_WALK, TO_DRIFT, TO_CARRY = range(8)
 """What the doors are asked for."""
@@ -102,6 +104,7 @@ SIGNATURES: dict[str, tuple[Any, ...]] = {
     "LandmarkKernels.start": (VECTOR, MATRIX, MATRIX, MATRICES, FLAGS),
     "LandmarkKernels.turn": (VECTOR, MATRIX, VECTOR, MATRIX, MATRIX, MATRICES, MATRICES),
     "LandmarkKernels.rotation": (VECTOR, MATRIX, MATRICES),
+    "LandmarkKernels.become": (VECTOR, MATRIX, MATRIX, MATRIX, FLAGS),
     "MeasurementKernels.predict": (VECTOR, VECTOR, MATRIX, VECTOR, MATRIX, MATRICES, MATRICES, FLAGS),
     "MeasurementKernels.backproject": (VECTOR, VECTOR, MATRIX, VECTOR, MATRIX, MATRICES, MATRICES),
     "MotionKernels.step": (VECTOR, VECTOR, types.float64, MATRIX, VECTOR, MATRIX, MATRIX),

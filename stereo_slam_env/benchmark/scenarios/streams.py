@@ -222,6 +222,10 @@ def stream_digest(recording: Recording) -> str:
         seen, odometry = frame.observation, frame.odometry
         parts += [np.float64(frame.timestamp), seen.ids, seen.uvd, seen.v_right, seen.R]
         parts += [None] if odometry is None else [odometry.linear, odometry.angular, odometry.covariance]
+        if frame.inertial is not None:
+            samples, unit = frame.inertial, frame.inertial.unit
+            parts += [samples.times, samples.angular_rates, samples.specific_forces, unit.position, unit.orientation]
+            parts += [unit.gyro_density, unit.accelerometer_density, unit.gyro_walk, unit.accelerometer_walk]
     if isinstance(recording.noise, ColouredNoise):
         digest.update(json.dumps(recording.noise.parts).encode())
     for part in parts:

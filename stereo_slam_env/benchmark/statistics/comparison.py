@@ -32,6 +32,7 @@ from stereo_slam_env.benchmark.statistics.changes import (
 from stereo_slam_env.benchmark.statistics.measures import DIVERGED, MEASURES, TIME, difference_by
 from stereo_slam_env.benchmark.storage.settings import SETTINGS
 from stereo_slam_env.benchmark.storage.store import RunDirectory, read_study
+from stereo_slam_env.benchmark.storage.tables import results_of
 from stereo_slam_env.evaluation.figures import Figure
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
 from stereo_slam_env.evaluation.run_figures import RunFigures, RunKey, common_keys, key_of, summarise
@@ -136,7 +137,7 @@ def _opened(source: str | Path | BenchmarkResult, name: str) -> _Side:
     cells: dict[str, str] = {}
     for directory in study.cells:
         prefix = f"{directory.cell.name}: " if study.study.is_grid else ""
-        found = directory.results()
+        found = results_of(directory)
         digests = {(about["name"], about["seed"]): pairing_digest(about) for about in found.recordings}
         for choice, summary in zip(directory.scenario.competitors, found.summaries, strict=True):
             label = f"{prefix}{choice.label}"

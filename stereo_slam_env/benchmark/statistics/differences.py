@@ -16,21 +16,19 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
-from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.stats import binomtest, fisher_exact, mannwhitneyu, wilcoxon
 
 from filters.validation import BoolArray, FloatArray
+from stereo_slam_env.evaluation.intervals import studentised_interval, welch_interval
 
 CONFIDENCE = 0.95
 MIN_PAIRS = 6
 """Below this a signed-rank test cannot reach 5 %, and an interval says nothing."""
 TIE_PERCENT = 0.1
 """Two that differ by less than that on every recording are tied."""
-RESAMPLES = 4999
-_MOST_AT_ONCE = 5_000_000
 _EXACT_PAIRS = 50
 _LARGEST_LOG = 50.0
 _MOST_DIGITS = 1e6
@@ -199,7 +197,7 @@ def differences_of(gaps: FloatArray, *, comparisons: int = 1, is_ratio: bool = T
     intervals: list[tuple[float, float] | None] = [None] * columns
     confidence = level(comparisons)
     if count >= pairs_needed(comparisons):
-        low, high = mean_interval(gaps, confidence)
+        low, high = studentised_interval(gaps, confidence)
         intervals = list(zip(low.tolist(), high.tolist(), strict=True))
     return [
         Difference(
@@ -226,27 +224,9 @@ def unpaired_difference(a: ArrayLike, b: ArrayLike, *, comparisons: int = 1) -> 
     interval, p_value, confidence = None, 1.0, level(comparisons)
     estimate = float(first.mean() - second.mean()) if count else float("nan")
     if count >= group_needed(comparisons):
-        (shift_a, spread_a), (shift_b, spread_b) = _resampled(first[:, None], 0), _resampled(second[:, None], 1)
-        studentised = _ratio(np.abs(shift_a - shift_b), np.sqrt(spread_a + spread_b))
-        error = math.sqrt(first.var(ddof=1) / len(first) + second.var(ddof=1) / len(second))
-        half = error * float(np.quantile(studentised, confidence))
-        interval = estimate - half, estimate + half
+        interval = welch_interval(first, second, confidence)
         p_value = float(mannwhitneyu(first, second).pvalue)
     return Difference(count, estimate, interval, min(1.0, comparisons * p_value), paired=False, comparisons=comparisons)
-
-
-def mean_interval(values: FloatArray, confidence: float, seed: int = 0) -> tuple[FloatArray, FloatArray]:
-    """Interval of the mean of each column of (n, m) values: the symmetric studentised bootstrap; low and high (m,).
-
-    Rows are resampled, the same for all columns; half the width is the standard error times the `confidence` quantile
-    of |mean* - mean| / error*. n >= 2.
-    """
-    values = np.asarray(values, dtype=np.float64)
-    shift, spread = _resampled(values, seed)
-    quantile = np.quantile(_ratio(np.abs(shift), np.sqrt(spread)), confidence, axis=0)
-    mean = values.mean(axis=0)
-    half = quantile * values.std(axis=0, ddof=1) / math.sqrt(len(values))
-    return mean - half, mean + half
 
 
 def signed_rank_p(gaps: FloatArray) -> FloatArray:
@@ -293,30 +273,6 @@ def level(comparisons: int) -> float:
 def as_percent(log_ratio: float) -> float:
     """Change in percent of a logarithm of a ratio: +100 for log 2."""
     return float(100.0 * np.expm1(np.clip(log_ratio, -_LARGEST_LOG, _LARGEST_LOG)))
-
-
-@lru_cache(maxsize=4)
-def _resamples(count: int, seed: int) -> tuple[NDArray[np.uint16], ...]:
-    """Number of draws of each of `count` rows, (RESAMPLES, count), in parts: all at once would fill the memory."""
-    generator, shares = np.random.default_rng([seed, count]), np.full(count, 1.0 / count)
-    parts = np.array_split(np.arange(RESAMPLES), -(-RESAMPLES * count // _MOST_AT_ONCE))
-    return tuple(generator.multinomial(count, shares, len(part)).astype(np.uint16) for part in parts)
-
-
-def _resampled(values: FloatArray, seed: int) -> tuple[FloatArray, FloatArray]:
-    """Shift of the mean and squared standard error of each resample, (RESAMPLES, m)."""
-    count = len(values)
-    centred = values - values.mean(axis=0)
-    parts = (part.astype(np.float64) for part in _resamples(count, seed))
-    means = [(part @ centred / count, part @ centred**2 / count) for part in parts]
-    shift, squares = (np.concatenate(column) for column in zip(*means, strict=True))
-    return shift, np.maximum(squares - shift**2, 0.0) / (count - 1)
-
-
-def _ratio(shift: FloatArray, error: FloatArray) -> FloatArray:
-    """|t| of each resample; 0 for one that drew a single row and has no spread."""
-    tiny = 1e-9 * error.max(axis=0, initial=0.0)
-    return np.divide(shift, error, out=np.zeros_like(shift), where=error > tiny)
 
 
 # ---- shares ----------------------------------------------------------------------------------------------------------

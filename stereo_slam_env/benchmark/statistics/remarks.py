@@ -10,7 +10,7 @@ from functools import lru_cache
 import numpy as np
 
 from stereo_slam_env.benchmark.statistics.differences import CONFIDENCE, MIN_PAIRS, listed
-from stereo_slam_env.evaluation.cramer_rao import efficiency_interval
+from stereo_slam_env.evaluation.intervals import rms_ratio_interval
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
 from stereo_slam_env.recording.recording import Reference, ReferenceKind
 
@@ -166,7 +166,8 @@ def _interval_of(
     known = np.isfinite(errors) & np.isfinite(efficiencies)
     interval = None
     if known.sum() >= MIN_PAIRS:
-        interval = efficiency_interval(0.01 * efficiencies[known] * errors[known], errors[known], CONFIDENCE)
+        low, high = rms_ratio_interval(0.01 * efficiencies[known] * errors[known], errors[known], CONFIDENCE)
+        interval = 100.0 * low, 100.0 * high
     return interval, int(known.sum())
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +26,7 @@ from stereo_slam_env.benchmark.storage.run_archive import (
     load_provenance,
     load_run,
 )
-from stereo_slam_env.benchmark.storage.run_trajectory_files import WRITTEN, seed_name, write_trajectories
+from stereo_slam_env.benchmark.storage.run_trajectory_files import seed_name, write_trajectories
 from stereo_slam_env.benchmark.storage.settings import (
     SETTINGS,
     STUDY,
@@ -34,19 +34,12 @@ from stereo_slam_env.benchmark.storage.settings import (
     refuse_other_settings,
     why_no_run,
 )
-from stereo_slam_env.benchmark.storage.tables import write_csv, write_trial_table
 from stereo_slam_env.evaluation.cramer_rao import Bound
-from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
+from stereo_slam_env.evaluation.results import FilterRun
 from stereo_slam_env.evaluation.run_figures import (
-    Bounds,
-    Figures,
-    RunFigures,
     RunKey,
     RunScore,
-    key_of,
     score_of,
-    summarise,
-    together,
 )
 from stereo_slam_env.files.folders import write_atomically
 from stereo_slam_env.files.json_files import write_json
@@ -56,28 +49,6 @@ from stereo_slam_env.files.readers import read_json
 
 VERSION = 2
 CELLS = "cells"
-
-
-@dataclass(frozen=True, eq=False)
-class CellResult:
-    """Results of one cell."""
-
-    directory: RunDirectory
-    runs: tuple[FilterRun, ...]  # of the recordings that are kept, by seed, then filter
-    recordings: tuple[Mapping[str, Any], ...]  # description of each recording, JSON-able, as in `summary.json`
-    figures: Figures  # figures of every run, by label of the filter
-    summaries: tuple[FilterSummary, ...]
-    bounds: Bounds  # Cramer-Rao bounds of the recordings that are kept, where there are any
-
-    @property
-    def cell(self) -> Cell:
-        """Scenario that was run."""
-        return self.directory.cell
-
-    @property
-    def rows(self) -> dict[str, dict[str, Any]]:
-        """Summaries by label of the filter, as in `summary.json`."""
-        return {summary.filter_name: summary.as_dict() for summary in self.summaries}
 
 
 class RunDirectory:
@@ -275,31 +246,6 @@ class RunDirectory:
             about: dict[str, Any] = read_json(path, inside=self._root)
             return about
 
-    def results(self) -> CellResult:
-        """Results of the finished trials; raises as `trials`."""
-        given: Given = {}
-        figures: dict[str, RunFigures] = {}
-        summaries = []
-        kept: list[list[FilterRun]] = []
-        for choice in self.scenario.competitors:  # of many runs no more than those of one filter are in memory
-            found = list(self.trials(choice, given))
-            runs = [each.run for each in found]
-            scores = {key_of(each.run): each.score for each in found if each.score is not None}
-            figures[choice.label] = together(scores)
-            summaries.append(summarise(runs, figures[choice.label]))
-            kept.append([run for run, seed in zip(runs, self.seeds, strict=True) if self.keeps(seed)])
-        drawn = tuple(run for of_seed in zip(*kept, strict=True) for run in of_seed)
-        return CellResult(self, drawn, tuple(descriptions(self.out, given)), figures, tuple(summaries), self.bounds())
-
-    def write_results(self) -> CellResult:
-        """Write `summary.json`, `summary.csv` and trajectories of the first recordings; returns what they say."""
-        found = self.results()
-        about = {"version": VERSION, "scenario": self.scenario.name, "recordings": found.recordings}
-        write_json(self.out / "summary.json", {**about, "filters": found.rows})
-        write_csv(self.out / "summary.csv", found.summaries)
-        write_trajectories(self.out, self.scenario, found.runs[: WRITTEN * len(self.scenario.competitors)])
-        return found
-
     def write_trajectories(self) -> None:
         """Write the trajectories of all recordings that are kept; raises as `trials`."""
         for choice in self.scenario.competitors:
@@ -322,17 +268,6 @@ class StudyDirectory:
         self.study = study
         places = [out / CELLS / cell.name if study.is_grid else out for cell in study.cells]
         self.cells = tuple(map(RunDirectory, places, study.cells))
-
-    def write_results(self) -> list[CellResult]:
-        """Write tables and trajectories from the finished trials, and return what they say."""
-        results = [directory.write_results() for directory in self.cells]
-        if self.study.is_grid:
-            cells = {
-                result.cell.name: {"factors": dict(result.cell.factors), "filters": result.rows} for result in results
-            }
-            write_json(self.out / "summary.json", {"version": VERSION, "study": self.study.name, "cells": cells})
-        write_trial_table(self.out / "trials.sqlite", results)
-        return results
 
     def write_trajectories(self) -> None:
         """Write the trajectories of all recordings that are kept."""

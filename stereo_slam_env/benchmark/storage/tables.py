@@ -1,4 +1,4 @@
-"""Result tables on disk: summaries as JSON and CSV, and all trials as SQLite, for analysis with other tools.
+"""Results of a study and their tables on disk: summaries as JSON and CSV, and all trials as SQLite.
 
 CSV and SQLite have the units of the tables on the screen: a NEES is by its degrees of freedom, and its column says so.
 
@@ -14,19 +14,83 @@ import json
 import sqlite3
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from stereo_slam_env.benchmark.scenarios.study import Cell
+from stereo_slam_env.benchmark.storage.given import Given, descriptions
+from stereo_slam_env.benchmark.storage.run_trajectory_files import WRITTEN, write_trajectories
+from stereo_slam_env.benchmark.storage.store import VERSION, RunDirectory, StudyDirectory
 from stereo_slam_env.evaluation.figures import FIGURES, trial_columns
-from stereo_slam_env.evaluation.results import FilterSummary
+from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
+from stereo_slam_env.evaluation.run_figures import Bounds, Figures, RunFigures, key_of, summarise, together
 from stereo_slam_env.files.folders import unfinished_name, write_atomically
-
-if TYPE_CHECKING:
-    from stereo_slam_env.benchmark.storage.store import CellResult
+from stereo_slam_env.files.json_files import write_json
 
 SCHEMA = 4
 POSE_NEES = FIGURES["pose_anees"]
 _TYPES = {"text": "TEXT", "integer": "INTEGER", "real": "REAL", "any": ""}
+
+
+@dataclass(frozen=True, eq=False)
+class CellResult:
+    """Results of one cell."""
+
+    directory: RunDirectory
+    runs: tuple[FilterRun, ...]  # of the recordings that are kept, by seed, then filter
+    recordings: tuple[Mapping[str, Any], ...]  # description of each recording, JSON-able, as in `summary.json`
+    figures: Figures  # figures of every run, by label of the filter
+    summaries: tuple[FilterSummary, ...]
+    bounds: Bounds  # Cramer-Rao bounds of the recordings that are kept, where there are any
+
+    @property
+    def cell(self) -> Cell:
+        """Scenario that was run."""
+        return self.directory.cell
+
+    @property
+    def rows(self) -> dict[str, dict[str, Any]]:
+        """Summaries by label of the filter, as in `summary.json`."""
+        return {summary.filter_name: summary.as_dict() for summary in self.summaries}
+
+
+def results_of(directory: RunDirectory) -> CellResult:
+    """Results of the finished trials; raises as `RunDirectory.trials`."""
+    given: Given = {}
+    figures: dict[str, RunFigures] = {}
+    summaries = []
+    kept: list[list[FilterRun]] = []
+    for choice in directory.scenario.competitors:  # of many runs no more than those of one filter are in memory
+        found = list(directory.trials(choice, given))
+        runs = [each.run for each in found]
+        scores = {key_of(each.run): each.score for each in found if each.score is not None}
+        figures[choice.label] = together(scores)
+        summaries.append(summarise(runs, figures[choice.label]))
+        kept.append([run for run, seed in zip(runs, directory.seeds, strict=True) if directory.keeps(seed)])
+    drawn = tuple(run for of_seed in zip(*kept, strict=True) for run in of_seed)
+    described = tuple(descriptions(directory.out, given))
+    return CellResult(directory, drawn, described, figures, tuple(summaries), directory.bounds())
+
+
+def write_results(study: StudyDirectory) -> list[CellResult]:
+    """Write tables and trajectories from the finished trials, and return what they say; raises as `results_of`."""
+    results = [_write_cell(directory) for directory in study.cells]
+    if study.study.is_grid:
+        cells = {result.cell.name: {"factors": dict(result.cell.factors), "filters": result.rows} for result in results}
+        write_json(study.out / "summary.json", {"version": VERSION, "study": study.study.name, "cells": cells})
+    write_trial_table(study.out / "trials.sqlite", results)
+    return results
+
+
+def _write_cell(directory: RunDirectory) -> CellResult:
+    """Write `summary.json`, `summary.csv` and trajectories of the first recordings."""
+    found, scenario = results_of(directory), directory.scenario
+    about = {"version": VERSION, "scenario": scenario.name, "recordings": found.recordings}
+    write_json(directory.out / "summary.json", {**about, "filters": found.rows})
+    write_csv(directory.out / "summary.csv", found.summaries)
+    write_trajectories(directory.out, scenario, found.runs[: WRITTEN * len(scenario.competitors)])
+    return found
 
 
 def write_csv(path: Path, summaries: Sequence[FilterSummary]) -> None:

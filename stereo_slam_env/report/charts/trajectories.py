@@ -117,7 +117,7 @@ def plot_calibration(scores: Sequence[TrajectoryScore]) -> Chart:
         density, edges = np.histogram(own, bins=20, range=(0.0, 1.0), density=True)
         steps.append(Curve(label, 100 * np.repeat(edges, 2)[1:-1], np.repeat(density, 2), colours[label]))
     inside.lines(curves)
-    spread.y = Axis(0, max(2.0, 1.05 * max(float(np.max(step.y)) for step in steps)))
+    spread.y = Axis(0, max(2.0, 1.05 * max(float(np.asarray(step.y).max()) for step in steps)))
     spread.lines(steps)
     spread.colour_key(colours)
     return figure([inside, spread], colours)

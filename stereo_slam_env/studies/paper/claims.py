@@ -29,6 +29,7 @@ from scipy.stats import binomtest
 from filters import StereoNoise
 from stereo_slam_env import benchmark
 from stereo_slam_env.benchmark import CONFIDENCE, MIN_PAIRS
+from stereo_slam_env.evaluation import studentised_interval
 
 FloatArray = NDArray[np.float64]
 Arrays = dict[str, NDArray[Any]]
@@ -209,7 +210,7 @@ def mean_interval(values: FloatArray) -> Interval:
     finite = values[np.isfinite(values)]
     if len(finite) < MIN_PAIRS:
         return Interval(float(finite.mean()) if len(finite) else math.nan, math.nan, math.nan)
-    low, high = benchmark.mean_interval(finite[:, None], CONFIDENCE)
+    low, high = studentised_interval(finite[:, None], CONFIDENCE)
     return Interval(float(finite.mean()), float(low[0]), float(high[0]))
 
 

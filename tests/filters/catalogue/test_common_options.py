@@ -132,7 +132,9 @@ def test_a_choice_that_equals_the_common_one_is_not_worth_a_remark() -> None:
     assert made(lambda camera, noise: StereoEKF(camera, noise), {"motion": "constant-velocity"}).not_given == {}
 
 
-@pytest.mark.parametrize("name", [name for name in available_filters() if name not in ("batch", "dead-reckoning")])
+@pytest.mark.parametrize(
+    "name", [name for name in available_filters() if name not in ("batch", "dead-reckoning", "inertial")]
+)
 def test_filters_with_the_papers_defaults_get_what_is_common(name: str) -> None:
     """As they were made before filters could keep a choice of their own."""
     common = {"gate": 0.9, "motion": NUMBERS}

@@ -95,11 +95,11 @@ def directions(angles: np.ndarray) -> np.ndarray:
 def project(recipe: Recipe, state: FilterState) -> np.ndarray:
     """(u, v, d) of all landmarks, one after the other."""
     own, rotation = state.blocks[state.own], Rotation.from_quat(state.x[3:7]).as_matrix()
-    if not recipe.anchored:
+    if not recipe.anchors:
         h, rho = own - state.x[:3], np.ones(len(own))
     else:
         rho = own[:, 2]
-        h = rho[:, None] * (state.blocks[state.anchor] - state.x[:3]) + directions(own)
+        h = rho[:, None] * (state.blocks[state.anchor[:, 0]] - state.x[:3]) + directions(own)
     o, focal, baseline, *turn = calibration_of(recipe, state.x)
     h = h @ rotation @ Rotation.from_rotvec(turn).as_matrix().T
     u, v = CAMERA.fx * h[:, 0] / h[:, 2], CAMERA.fy * h[:, 1] / h[:, 2]
@@ -125,7 +125,7 @@ def start_blocks(recipe: Recipe, state: FilterState, uvd: np.ndarray) -> np.ndar
     )
     scale = (uvd[:, 2] - o) / ((1 + focal) * (1 + baseline) * CAMERA.disparity_constant)
     h = rays @ Rotation.from_rotvec(turn).as_matrix() @ Rotation.from_quat(state.x[3:7]).as_matrix().T
-    if not recipe.anchored:
+    if not recipe.anchors:
         return state.x[:3] + h / scale[:, None]
     anchors = np.tile(state.x[:3], (1 if recipe.shares_anchors else len(uvd), 1))
     angles = [np.arctan2(h[:, 0], h[:, 2]), np.arctan2(-h[:, 1], np.hypot(h[:, 0], h[:, 2]))]
@@ -192,7 +192,7 @@ def invariant_plus(recipe: Recipe, state: FilterState, delta: np.ndarray) -> Fil
     moved.x[:3] = state.x[:3] + J @ delta[:3]
     moved.x[v + 1 : v + 4] = state.x[v + 1 : v + 4] + J @ delta[v : v + 3]
     by_block = delta[recipe.leading :].reshape(-1, 3)
-    rays = set() if not recipe.anchored else set(state.own.tolist())
+    rays = set() if not recipe.anchors else set(state.own.tolist())
     for c, (block, d) in enumerate(zip(state.blocks, by_block, strict=True)):
         if c not in rays:
             moved.blocks[c] = block + J @ d

@@ -12,6 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from filters import (
     BodyVelocity,
+    InertialSamples,
+    InertialUnit,
     Start,
     StereoEKF,
     StereoFilter,
@@ -27,6 +29,7 @@ from filters.checks.conformance import shown_arrays
 from ..drives import CAMERA, INDEPENDENT_PIXELS
 from ..slots import ERRORS, LANDMARKS, MEASUREMENTS
 
+REST, UNIT = np.array([[0.0, -9.81, 0.0]]), InertialUnit(np.zeros(3), (0.0, 0.0, 0.0, 1.0), 1e-3, 1e-2, 1e-5, 1e-3)
 # From half a metre in front of the first camera to practically infinity; the last ones have less than 0.2 px.
 _UVD = np.random.default_rng(0).uniform([200, 50, 3], [1150, 340, 80], (14, 3))
 _UVD[-4:, 2] = [800.0, 300.0, 0.15, 0.01]
@@ -88,7 +91,8 @@ class Drive:
 
     def predict(self, dt: float, with_odometry: bool) -> None:
         self.position = self.position + self.orientation.apply([0, 0, 5.0]) * dt
-        self.stereo_filter.predict(dt, ODOMETRY if with_odometry or self.dead_reckoning else None)
+        odometry = ODOMETRY if with_odometry or self.dead_reckoning else None
+        self.stereo_filter.predict(dt, odometry, InertialSamples([dt], np.zeros((1, 3)), REST, UNIT))
 
     def update(self, seen: list[int], seed: int, kind: str) -> None:
         rng = np.random.default_rng(seed)

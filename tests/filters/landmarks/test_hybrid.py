@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from filters import Hybrid, SharedAnchorEKF, Stage, StereoEKF, StereoObservation
+from filters import FilterBatch, Hybrid, SharedAnchorEKF, Stage, Start, StereoEKF, StereoObservation
+from filters.geometry import rotations
 from filters.landmarks.hybrid import linearity_index
 from filters.state import symmetric
 
-from ..drives import CAMERA, INDEPENDENT_PIXELS, drive, finish, run, start
+from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, SPEED, START_COVARIANCE, drive, finish, run, start
 from ..slots import ERRORS
 
 
@@ -148,6 +149,50 @@ def test_landmarks_change_over_as_they_become_certain() -> None:
         shares.append(are_points(hybrid).mean())
     assert shares[0] < 0.2
     assert max(shares) > 0.6
+
+
+class ByNumbers(Hybrid):
+    """A subclass states no kernels."""
+
+
+@pytest.mark.parametrize(
+    ("error", "option"),
+    [
+        ("first-estimates", {"gauge_walk": 1e-3}),
+        ("right-invariant", {"iterations": 2}),
+        ("so3", {"consensus": True, "gate": 0.99, "drift": 0.1}),
+    ],
+    ids=["first-estimates", "right-invariant", "so3"],
+)
+def test_kernels_lead_where_the_numbers_do(error: str, option: dict[str, object]) -> None:
+    found = []
+    for landmark in (Hybrid(0.1), ByNumbers(0.1)):
+        options = {"gate": None, "error": error, "landmark": landmark, **option}
+        slam = finish(StereoEKF(CAMERA, INDEPENDENT_PIXELS, **options), drive(8, 25))
+        map_, seen = slam.landmarks, slam.forecast()
+        assert 0 < are_points(slam).sum() < len(map_.ids)
+        found.append(np.concatenate([slam.pose.covariance.ravel(), map_.positions.ravel(), seen.S.ravel()]))
+    np.testing.assert_allclose(*found, rtol=1e-8, atol=1e-10)
+
+
+def test_a_batch_tells_of_points_and_rays() -> None:
+    batch = FilterBatch(lambda: filter_with(linearity_limit=0.1), 1)
+    batch.reset(Start(linear_velocity=(0.0, 0.0, SPEED), covariance=START_COVARIANCE))
+    for number, frame in enumerate(drive(8, 25)):
+        if number:
+            batch.predict(DT)
+        batch.update([frame.observation])
+    slam, seen = batch[0], batch.relative_landmarks()
+    assert 0 < are_points(slam).sum() < len(slam.ids)
+    expected = (slam.landmarks.positions - slam.pose.position) @ slam.state.camera.R_wc
+    np.testing.assert_allclose(seen.points_c, expected, rtol=1e-9)
+    joint, count = slam.joint_covariance(), len(slam.ids)
+    for i in range(count):
+        J = np.zeros((3, 9))
+        J[:, :3], J[:, 6:] = -slam.state.camera.R_wc.T, slam.state.camera.R_wc.T
+        J[:, 3:6] = rotations.skew(expected[i])
+        rows = np.concatenate([np.arange(6), 6 + 3 * i + np.arange(3)])
+        np.testing.assert_allclose(seen.covariances[i], J @ joint[np.ix_(rows, rows)] @ J.T, rtol=1e-6, atol=1e-9)
 
 
 @pytest.mark.parametrize("name", ["linearity_limit", "near_distance"])

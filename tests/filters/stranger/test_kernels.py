@@ -8,10 +8,17 @@ import numpy as np
 import pytest
 from numba import config, njit
 
-from filters import ConformanceError, MeasurementKernels, MotionKernels, RightInvariant, StereoEKF, check_part
+from filters import (
+    ConformanceError,
+    MeasurementKernels,
+    MotionKernels,
+    RightInvariant,
+    StereoEKF,
+    Strapdown,
+    check_part,
+)
 
 from ..drives import CAMERA, INDEPENDENT_PIXELS, drive
-from .inertial import Strapdown
 from .parts import DoubleSphere, OnS3
 from .test_stranger import DT, START, imu_drive, seen_by
 
@@ -37,7 +44,7 @@ def beliefs(**options: object) -> np.ndarray:
     rng, told = np.random.default_rng(2), []
     for k, frame in enumerate(frames):
         if k:
-            slam.predict(DT, steps[k] if steps else None)
+            slam.predict(DT, inertial=steps[k] if steps else None)
         sensor = slam.options.measurement
         slam.update(seen_by(sensor, frame, rng) if isinstance(sensor, DoubleSphere) else frame.observation)
         told += [slam.pose.position, slam.pose.orientation, np.linalg.cholesky(slam.pose.covariance).ravel()]

@@ -15,6 +15,7 @@ from stereo_slam_env.benchmark.recordings.sources import DatasetSource, FactoryS
 from stereo_slam_env.benchmark.scenarios.scenario import filter_choice
 from stereo_slam_env.benchmark.scenarios.study import Study, study_from
 from stereo_slam_env.benchmark.storage.store import prepared_study, read_study
+from stereo_slam_env.benchmark.storage.tables import write_results
 from stereo_slam_env.evaluation.trial import Trial
 
 from ..third_party import install
@@ -218,7 +219,7 @@ def test_cells_that_differ_in_the_filters_share_their_recordings(tmp_path):
         "options.sigma": 2.0,
     }
     one = read_study(tmp_path / "cells" / "independent_pixels-0.5_sigma-2.0")
-    assert one.write_results()[0].summaries[0].position_rmse_m == result.cells[1].summaries[0].position_rmse_m
+    assert write_results(one)[0].summaries[0].position_rmse_m == result.cells[1].summaries[0].position_rmse_m
 
 
 def test_a_benchmark_is_named_by_its_preset_or_its_file(tmp_path):
@@ -278,7 +279,7 @@ def test_to_keep_more_seeds_runs_those_again_and_a_filter_that_joins_hears_the_s
 def test_figures_are_computed_with_the_trial_and_not_with_the_report(tmp_path, monkeypatch):
     run_benchmark(SHORT, tmp_path / "out", jobs=1)
     monkeypatch.setattr(Trial, "alarm", property(lambda trial: pytest.fail("the monitor is replayed")))
-    (result,) = read_study(tmp_path / "out").write_results()
+    (result,) = write_results(read_study(tmp_path / "out"))
     assert len(result.figures) == len(SHORT.filters)
 
 

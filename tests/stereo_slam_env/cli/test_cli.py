@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import stereo_slam_env as sse
 from stereo_slam_env.benchmark.storage.store import RunDirectory
@@ -380,6 +381,75 @@ def test_evaluate_says_in_one_line_what_is_wrong(command, tmp_path, monkeypatch,
     monkeypatch.chdir(tmp_path)
     Path("truth.tum").write_text("".join(f"{0.1 * k} {k} 0 0 0 0 0 1\n" for k in range(9)))
     code, out, err = command("evaluate", *arguments)
+    assert (code, out) == (2, "")
+    assert complaint in err
+    assert err.count("\n") == 1
+
+
+def wave(folder, name, seed=0, size=0.0):
+    """A winding path of 20 s, with an error that grows, as TUM."""
+    rng = np.random.default_rng(seed)
+    t = 0.1 * np.arange(200)
+    path = np.column_stack([5.0 * np.cos(t), 3.0 * np.sin(0.7 * t), t])
+    drift = size * np.cumsum(rng.normal(size=(200, 3)), axis=0)
+    heading = 0.2 * np.sin(t) + 0.02 * size * np.cumsum(rng.normal(size=200))
+    turns = Rotation.from_rotvec(heading[:, None] * [0.0, 0.0, 1.0]).as_quat()
+    sse.save_trajectory(folder / name, sse.Trajectory(path + drift, turns, t))
+    return folder / name
+
+
+def test_a_covariance_is_learned_claimed_and_judged(command, tmp_path):
+    truth = wave(tmp_path, "truth.tum")
+    runs = [wave(tmp_path, f"run{k}.tum", k, 0.01) for k in range(1, 5)]
+    model, claimed = tmp_path / "model.json", tmp_path / "claimed.square"
+    code, out, _ = command("calibrate", *runs[:3], "--truth", truth, truth, truth, "--out", model)
+    assert code == 0
+    assert "each of 3 drives by the model of the others" in " ".join(out.split())
+    assert command("claim", runs[3], model, "--out", claimed)[0] == 0
+    code, out, _ = command("evaluate", claimed, "--truth", truth, "--json")
+    (score,) = json.loads(out)["scores"]
+    assert score["alignment"] == "start"
+    assert [window["nees_is_exact"] for window in score["windows"]] == [True, True, True]
+    assert 0.1 < score["windows"][0]["nees"] / 6.0 < 5.0
+    code, out, _ = command("evaluate", claimed, truth, "--against", claimed)
+    assert (code, "no difference shown" in " ".join(out.split())) == (0, True)
+
+
+def test_each_run_may_have_a_reference_of_its_own(command, tmp_path):
+    truths = [wave(tmp_path, f"truth{k}.tum") for k in range(3)]
+    runs = [wave(tmp_path, f"run{k}.tum", k, 0.01) for k in range(3)]
+    code, out, _ = command("evaluate", *runs, "--truth", *truths, "--json")
+    assert code == 2  # no claims, so no runs; but all references are read
+    model = tmp_path / "model.json"
+    assert command("calibrate", *runs, "--truth", *truths, "--out", model)[0] == 0
+    squares = [tmp_path / f"run{k}.square" for k in range(3)]
+    for run, square in zip(runs, squares, strict=True):
+        assert command("claim", run, model, "--out", square)[0] == 0
+    code, out, _ = command("evaluate", *squares, "--truth", *truths, "--json")
+    assert code == 0
+    assert [score["reference"] for score in json.loads(out)["scores"]] == ["truth0", "truth1", "truth2"]
+    code, _, err = command("evaluate", *squares, "--truth", *truths[:2])
+    assert (code, "--truth must name one reference, or one for each of 3, got 2" in err) == (2, True)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (("calibrate", "a.tum"), "Missing option '--truth'"),
+        (("calibrate", "--truth", "a.tum"), "Missing argument 'EST...'"),
+        (("calibrate", "a.tum", "--truth", "none.tum"), "none.tum does not exist"),
+        (("calibrate", "a.tum", "--truth", "a.tum", "a.tum"), "1 estimates and 2 truths"),
+        (("calibrate", "a.tum", "--truth", "a.tum", "--out", "model"), "--out must end in .json"),
+        (("claim", "a.tum", "none.json"), "none.json does not exist: `stereo-slam calibrate` makes a model"),
+        (("claim", "a.tum", "a.tum"), "a.tum is no JSON"),
+        (("claim", "none.tum", "a.tum"), "does not exist"),
+        (("claim", "a.tum", "a.tum", "--out", "b.tum"), "--out must end in .square"),
+    ],
+)
+def test_calibrate_and_claim_say_in_one_line_what_is_wrong(command, tmp_path, monkeypatch, arguments, complaint):
+    monkeypatch.chdir(tmp_path)
+    wave(Path(), "a.tum")
+    code, out, err = command(*arguments)
     assert (code, out) == (2, "")
     assert complaint in err
     assert err.count("\n") == 1

@@ -27,6 +27,7 @@ SMALL = {
 OTHERS = {
     "uvd": ("Gaze", {"noise": "uvd", "surroundings": "field", "revisit": False}),
     "quantised": ("Drive", {"noise": "quantised", "surroundings": "corridor", "observe_ids": False}),
+    "lasting": ("Gaze", {"lasting": 0.7, "lasting_time": 2.0, "noise": "quantised"}),
     "heavy-tailed": ("DriveGaze", {"noise": "heavy-tailed", "randomise": True, "tracking_weight": 3.0}),
     "scripted": ("Drive", {"policy": "route", "max_landmarks": 60, "perturbation": 0.0}),
     "traffic": ("Drive", {"policy": "route", "moving_cars": 5, "pedestrians": 5}),

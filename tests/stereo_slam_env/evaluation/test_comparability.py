@@ -154,7 +154,7 @@ def test_a_swapped_reading_is_named_and_is_no_claim(swap, words, whose):
     estimate, truth = drive(error=0.002)
     pair = (swap(estimate), truth) if whose == "estimate" else (estimate, swap(truth))
     score = sse.evaluate_trajectory(*pair)
-    assert score.verdict.startswith("not judged: the files fit ten times better")
+    assert score.verdict.startswith("not judged: the files fit five times better")
     assert words.format(whose) in score.verdict
 
 
@@ -201,6 +201,16 @@ def test_a_diverged_estimate_is_called_so_with_the_time():
 
 
 # ---- clocks ---------------------------------------------------------------------------------------------------------
+
+
+def test_an_estimate_that_leaves_the_drive_late_is_called_diverged_with_the_time():
+    """It goes on three times as fast over the last fifth: it ends less than the whole path away."""
+    estimate, truth = drive()
+    row = int(0.8 * len(truth))
+    away = np.concatenate([np.zeros((row, 3)), 2.0 * (truth.positions[row:] - truth.positions[row])])
+    score = sse.evaluate_trajectory(replace(estimate, positions=estimate.positions + away), truth)
+    assert score.diverged_at_s == pytest.approx(truth.timestamps[row] - truth.timestamps[0], rel=0.1)
+    assert score.verdict.startswith("not judged: the estimate diverged")
 
 
 @pytest.mark.parametrize("offset", [-0.37, 0.083])

@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from filters import ConstantVelocity, StereoNoise, StereoObservation, make_part
-from stereo_slam_env.evaluation.cramer_rao import cramer_rao_bound, efficiency_interval
+from stereo_slam_env.evaluation.cramer_rao import cramer_rao_bound
 from stereo_slam_env.evaluation.filter_run import run_filter
 
 from ..benchmark.small_recordings import CAMERA, DT, small_recording
@@ -182,19 +182,6 @@ def test_without_complete_truth_there_is_none(missing):
             landmarks, ids=np.delete(landmarks.ids, seen), positions=np.delete(landmarks.positions, seen, 0)
         )
     assert cramer_rao_bound(replace(recording, frames=tuple(frames), landmarks=landmarks), MOTION) is None
-
-
-def test_the_interval_of_the_efficiency_holds_the_ratio_of_the_root_mean_squares():
-    rng = np.random.default_rng(0)
-    bounds = rng.uniform(0.05, 0.1, 10)
-    assert efficiency_interval(bounds, 2.0 * bounds) == pytest.approx((50.0, 50.0))
-    inside = 0
-    for _ in range(100):
-        errors = 0.08 * np.sqrt(rng.chisquare(6, 20) / 6)
-        low, high = efficiency_interval(np.full(20, 0.08), errors)
-        assert 0 < low < high < 200
-        inside += low <= 100 <= high
-    assert 85 <= inside <= 99
 
 
 def test_progress_counts_the_frames_that_are_done():

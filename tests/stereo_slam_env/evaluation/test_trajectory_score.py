@@ -14,8 +14,8 @@ import stereo_slam_env as sse
 from filters import Pose
 from filters.geometry import rotations
 from stereo_slam_env.evaluation import trajectory_metrics as metrics
-from stereo_slam_env.evaluation.bootstrap import block_length, mean_interval, stationary_rows
 from stereo_slam_env.evaluation.filter_run import run_filter
+from stereo_slam_env.evaluation.intervals import block_length, mean_interval, stationary_rows
 from stereo_slam_env.evaluation.run_trajectories import estimate_of, reference_of
 from stereo_slam_env.recording.recording import Reference
 from stereo_slam_env.recording.trajectory import Trajectory
@@ -189,7 +189,7 @@ def test_without_covariances_there_are_errors_and_no_claims():
     estimate, truth = drives(50)
     score = sse.evaluate_trajectory(replace(estimate, covariances=None), truth)
     assert score.claims == {}
-    assert {window.least_nees for window in score.windows} == {None}
+    assert {window.nees for window in score.windows} == {None}
     assert score.position_rmse_m > 0
 
 
@@ -224,7 +224,7 @@ def test_covariances_that_are_none_are_counted_and_the_claim_is_none(lie, doubt)
     claim = score.claims["pose"]
     assert (claim.frames, claim.unusable) == (394, 5)
     assert claim.verdict == "none: 5 of 399 covariances are not positive definite"
-    assert {window.least_nees for window in score.windows if window.seconds == 1.0} == {None}
+    assert {window.nees for window in score.windows if window.seconds == 1.0} == {None}
     honest = sse.evaluate_trajectory(estimate, truth)
     assert score.against(honest).log_score_difference is None
     assert honest.against(honest).log_score_difference is not None
@@ -237,7 +237,7 @@ def test_the_first_pose_may_be_known_exactly():
     covariances[0] = 0.0
     score = sse.evaluate_trajectory(replace(estimate, covariances=covariances), truth)
     assert score.unusable == 0
-    assert score.windows[0].least_nees is not None
+    assert score.windows[0].nees is not None
 
 
 def test_a_file_whose_covariances_are_all_none_is_refused():
@@ -253,7 +253,7 @@ def test_windows_hold_the_motion_and_a_lower_bound_of_its_nees():
     found = [(window.seconds, window.windows) for window in windows]
     assert found == [(1.0, 400), (3.0, 133), (10.0, 40), (30.0, 13), (100.0, 4)]
     one = windows[0]
-    assert 5.4 < one.least_nees < 6.6
+    assert 5.4 < one.nees < 6.6
     common = Pose(np.zeros(3), rotations.exp_quaternion(np.array([0.0, 0.01, 0.0])))
     turned = sse.evaluate_trajectory(estimate.moved(common), truth)
     assert turned.windows[0].translation_rmse_m == pytest.approx(one.translation_rmse_m, rel=1e-6)

@@ -7,7 +7,7 @@ import time
 import numpy as np
 import pytest
 
-from filters import Start, StereoNoise, StereoObservation
+from filters import BodyVelocity, InertialSamples, InertialUnit, Start, StereoNoise, StereoObservation
 from stereo_slam_env.benchmark.recordings.reference_problem import long_drive
 from stereo_slam_env.benchmark.scenarios.streams import stream_digest
 from stereo_slam_env.datasets import load
@@ -32,6 +32,13 @@ def with_everything() -> Recording:
     frames[2] = dataclasses.replace(frames[2], observation=nothing, truth=None, truth_velocity=None)
     for k in (0, 3):
         frames[k] = dataclasses.replace(frames[k], head=rng.standard_normal(2))
+    for k in (1, 2, 5):
+        orientation = rng.standard_normal(4)
+        unit = InertialUnit(rng.standard_normal(3), orientation / np.linalg.norm(orientation), *rng.uniform(0, 1, 4))
+        times = np.cumsum(rng.uniform(0.01, 0.02, k + 1))
+        frames[k] = dataclasses.replace(
+            frames[k], inertial=InertialSamples(times, *rng.standard_normal((2, k + 1, 3)), unit)
+        )
     return dataclasses.replace(
         recording,
         frames=tuple(frames),
@@ -70,6 +77,27 @@ def test_a_recording_comes_back_bit_for_bit(tmp_path, recording):
     loaded = load_recording(tmp_path / "deep" / "drive.npz")
     assert dict(leaves(loaded)) == dict(leaves(recording))
     assert stream_digest(loaded) == stream_digest(recording)
+
+
+def test_a_recording_whose_samples_would_be_lost_is_not_saved(tmp_path):
+    class Accelerations(BodyVelocity):
+        """With more in it."""
+
+    recording = small_recording()
+    odd = dataclasses.replace(recording.frames[1], odometry=Accelerations(np.zeros(3), np.zeros(3), np.eye(6)))
+    frames = (recording.frames[0], odd, *recording.frames[2:])
+    with pytest.raises(ValueError, match=r"^frame 1 has a Accelerations, not a BodyVelocity itself: what it adds"):
+        save_recording(tmp_path / "drive.npz", dataclasses.replace(recording, frames=frames))
+    assert not (tmp_path / "drive.npz").exists()
+
+
+def test_a_recording_from_before_there_were_samples_is_read(tmp_path):
+    path = tmp_path / "drive.npz"
+    save_recording(path, small_recording())
+    with np.load(path) as stored:
+        old = {name: stored[name] for name in stored.files if "inertial" not in name}
+    np.savez(path, **old)
+    assert stream_digest(load_recording(path)) == stream_digest(small_recording())
 
 
 def test_a_file_is_read_like_any_recording(tmp_path):

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from filters import StereoNoise
 from filters.geometry import rotations
 from stereo_slam_env.sensing.pixel_noise import IndependentPixels
 from stereo_slam_env.world.scene import Box
@@ -124,6 +125,36 @@ def test_errors_over_a_drive_have_the_declared_covariance(noise):
     kurtosis = 12.0 if noise == "heavy-tailed" else 3.0
     np.testing.assert_allclose(np.cov(errors.T), R, atol=5 * 2 * np.sqrt(kurtosis / 3 / len(errors)) * 1.1)
     np.testing.assert_allclose(errors.mean(axis=0), 0, atol=5 * 1.5 / np.sqrt(len(errors)))
+
+
+def lasting_errors(frames=190, **rules):
+    """Errors of each landmark in the frames it was measured in, [(n, 3)], px; what does not last is almost nothing."""
+    simulator = vehicle(scene_of(points_w=cloud(6000)), noise="pixels", sigma=1e-9, lasting=0.7, **rules)
+    points, errors = simulator.scenes[0].landmarks, {}
+    for frame in drive(simulator, [[0, 0]] * frames):
+        p_c = (points[frame.observation.ids] - frame.truth.position) @ frame.truth.R_wc
+        for i, error in zip(frame.observation.ids.tolist(), frame.observation.uvd - CAMERA.project(p_c), strict=True):
+            errors.setdefault(i, []).append(error)
+    return [np.array(found) for found in errors.values()]
+
+
+def test_errors_that_never_change_are_one_draw_for_each_landmark():
+    errors = lasting_errors()
+    assert max(np.ptp(each, axis=0).max() for each in errors) < 1e-6
+    each = np.array([found[0] for found in errors])
+    R = StereoNoise.independent_pixels(0.7).R
+    assert len(each) > 200
+    np.testing.assert_allclose(np.cov(each.T), R, atol=5 * 2 * 0.49 * np.sqrt(2 / len(each)))
+    np.testing.assert_allclose(each.mean(axis=0), 0.0, atol=5 * 0.7 * np.sqrt(2 / len(each)))
+
+
+def test_errors_with_a_time_are_a_gauss_markov_process():
+    """Neighbouring frames correlate by exp(-dt / time); the variance is the same from the first sight on."""
+    found = lasting_errors(lasting_time=0.5)
+    then, now = (np.concatenate([each[part, :2] for each in found]).ravel() for part in (slice(-1), slice(1, None)))
+    np.testing.assert_allclose((now @ then) / (then @ then), np.exp(-0.1 / 0.5), atol=5 / np.sqrt(len(now)))
+    first = np.array([each[0] for each in found])[:, :2].ravel()
+    np.testing.assert_allclose([first.std(), now.std()], 0.7, rtol=5 / np.sqrt(2 * len(first)))
 
 
 def test_the_models_of_noise_that_are_compiled_draw_the_same_numbers():

@@ -72,7 +72,7 @@ def compared(surroundings, seed):
     simulator = Simulator(make_rules(route, CAMERA, TrackingPolicy(max_landmarks=20)), 1, None)
     simulator.put(0, scene_arrays(scene), np.random.default_rng(seed).spawn(4))
     simulator.begin(ONE)
-    oracle, answers = BulletAnswers(1), simulator.rules._replace(refill_below=10_000)
+    oracle, answers = BulletAnswers(1), simulator.rules._replace(refill_below=0)
     oracle.build(0, scene)
     asked = wrong = touched_wrong = 0
     not_grazing, hidden, frames = 0, 0, 0
@@ -85,7 +85,8 @@ def compared(surroundings, seed):
         mark[:] = 0
         mark[: len(p_c)] = (p_c[:, 2] > 4.0) & CAMERA.in_view(CAMERA.project(p_c), 2.0) & (p_c[:, 2] < 150.0)
         ids = np.flatnonzero(mark)
-        oracle.answer(answers, simulator.fleet, simulator.sensed._replace(number=np.zeros(1, dtype=np.int64)), 0)
+        asks = simulator.sensed._replace(ids=ids[None], number=np.array([len(ids)]))
+        oracle.answer(answers, simulator.fleet, asks, 0)
         found = all_visible(simulator.rules, simulator.fleet, room, ids)
         different = ids[found != simulator.fleet.seen[0, ids]]
         asked, wrong, hidden = asked + len(ids), wrong + len(different), hidden + int((~found).sum())

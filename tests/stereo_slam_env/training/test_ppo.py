@@ -29,7 +29,7 @@ def rows(out):
 def quick(monkeypatch):
     pytest.importorskip("stable_baselines3", reason="needs the extra rl")
     looks = iter(range(100))
-    monkeypatch.setattr(ppo, "evaluate", lambda *_, **__: Evaluation(0.5, -40.0 - next(looks), 0.2, 0.3))
+    monkeypatch.setattr(ppo, "evaluate", lambda *_, **__: Evaluation(0.5, -40.0 - next(looks), 0.2, 0.3, 1.0))
 
 
 @pytest.mark.parametrize(("made", "says_stopped"), [(0, True), (2000, True), (4000, False)])
@@ -41,11 +41,11 @@ def test_the_command_says_how_far_the_training_came_and_which_network_is_kept(
     def trained(task, settings, out, **_):
         curve = LearningCurve(out / "learning_curve.csv")
         for decisions in range(0, made + 1, 1000):
-            curve.add(decisions, 60.0 + decisions, 1.0, Evaluation(0.5, -40.0 - (decisions == 1000), 0.2, 0.3))
+            curve.add(decisions, 60.0 + decisions, 1.0, Evaluation(0.5, -40.0 - (decisions == 1000), 0.2, 0.3, 1.0))
         return out / "policy.npz"
 
     monkeypatch.setattr(ppo, "train", trained)
-    monkeypatch.setattr("stereo_slam_env.training.task.evaluate", lambda *_: Evaluation(0.6, -39.0, 0.3, 0.4))
+    monkeypatch.setattr("stereo_slam_env.training.task.evaluate", lambda *_: Evaluation(0.6, -39.0, 0.3, 0.4, 1.0))
     assert cli.main(["train", "--decisions", "4000", "--minutes", "1", "--out", str(tmp_path)]) == 0
     said = capsys.readouterr().out
     assert (f"stopped after {made:,} of 4,000 decisions" in said) == says_stopped

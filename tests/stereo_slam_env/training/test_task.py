@@ -26,6 +26,8 @@ def test_a_task_is_json_able_and_read_back():
     [
         ({"hold": 0}, "hold must be a whole number >= 1, got 0"),
         ({"resolution": (0.01, -1.0)}, "resolution must be a finite number > 0, got -1.0"),
+        ({"reward": "truth"}, "reward must be one of 'information', 'error', got 'truth'"),
+        ({"criterion": "trace"}, "criterion must be one of "),
         ({"pans": 1}, "pans must be a whole number >= 2, got 1"),
     ],
 )
@@ -59,6 +61,46 @@ def test_a_decision_holds_and_its_rewards_add_up_to_what_was_learnt():
         assert observation in env.observation_space
         assert steps == 20  # 79 steps of the route
         assert total == pytest.approx(first - info["information_potential"], abs=1e-9)
+    finally:
+        env.close()
+
+
+@pytest.mark.parametrize(
+    "paid",
+    [
+        {"reward": "error"},
+        {"criterion": "a-optimality"},
+        {"belief": "reference"},
+        {"nees_gate": 0.95},
+    ],
+    ids=str,
+)
+def test_what_is_paid_for_is_the_same_for_one_and_for_many(paid):
+    """Rewards of an episode in a vector are those of the single environment, bit for bit."""
+    task = GazeTask(arguments=QUICK, hold=8, **paid)
+    vector, singles = task.make_vector(2), [task.make_for_learning() for _ in range(2)]
+    try:
+        vector.reset(seed=[3, 4])
+        for seed, env in zip((3, 4), singles, strict=True):
+            env.reset(seed=seed)
+        for number in (0, 4, 8, 4):
+            rewards = vector.step(np.full(2, number))[1]
+            assert rewards.tolist() == [env.step(number)[1] for env in singles]
+    finally:
+        for env in (vector, *singles):
+            env.close()
+
+
+def test_the_true_error_is_paid_once_a_decision():
+    """Minus the squared distance of the filter's position from the truth, after the frames of the decision."""
+    env = GazeTask(arguments=QUICK, hold=4, pans=None, reward="error").make_for_learning()
+    try:
+        env.reset(seed=0)
+        for _ in range(5):
+            _, reward, _, _, info = env.step(np.array([0.3, 0.0], dtype=np.float32))
+            error = env.get_wrapper_attr("slam").pose.position - info["truth_position"]
+            assert reward == pytest.approx(-(error @ error), rel=1e-12) == info["reward_error"]
+            assert reward < 0.0
     finally:
         env.close()
 

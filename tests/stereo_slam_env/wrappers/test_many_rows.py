@@ -168,7 +168,7 @@ def test_a_filter_that_fails_is_named_with_its_row(monkeypatch):
         (
             {"panorama": {}},
             ValueError,
-            "information and consistency need a filter in the loop: give belief={}",
+            "information, error and consistency need a filter in the loop: give belief={}",
         ),
         ({"belief": {}, "information": {"off": "map"}}, TypeError, "unexpected keyword argument 'off'"),
         ({"belief": {}, "keys": ["panorama"]}, ValueError, "the observation has no key 'panorama'"),

@@ -19,6 +19,7 @@ from stereo_slam_env.wrappers import (
     InformationGain,
     RecordConsistency,
     SequenceObservation,
+    TrueError,
 )
 
 from .replayed import ReplayEnv
@@ -30,6 +31,7 @@ PARTS = {
     "belief": [BELIEF],
     "panorama": [BELIEF, BeliefPanorama],
     "gain": [BELIEF, partial(InformationGain, nees_gate=0.95, report_both=True)],
+    "error": [BELIEF, partial(TrueError, keep_reward=True)],
     "reference": [partial(InformationGain, belief="reference", criterion="a-optimality", keep_reward=True)],
     "consistency": [BELIEF, partial(RecordConsistency, window=5)],
     "flat": [FlattenUVD],

@@ -19,7 +19,7 @@ from stereo_slam_env.recording.archive import packed_recording
 
 from ...evaluation.test_batch_run import plain
 
-OURS = sorted(name for name in tasks.PRESETS)
+OURS = sorted(name for name in tasks.PRESETS if name != "inertial")  # whose samples no scenario has
 SHORT = Scenario("short", ReferenceSource("short_turn"), seeds=tuple(range(5)), frames=5, gate=None, metrics=("map",))
 
 

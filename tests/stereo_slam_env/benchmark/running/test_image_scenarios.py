@@ -24,6 +24,7 @@ from stereo_slam_env.benchmark.scenarios.streams import (
 )
 from stereo_slam_env.benchmark.scenarios.study import Study, preset
 from stereo_slam_env.benchmark.storage.store import open_study, read_study
+from stereo_slam_env.benchmark.storage.tables import write_results
 from stereo_slam_env.envs import recorder
 from stereo_slam_env.envs.recorder import RenderedDrive
 from stereo_slam_env.evaluation.filter_run import run_filter
@@ -291,6 +292,6 @@ def test_a_finished_run_does_not_need_its_recording_any_more(folder, tmp_path):
     before = run_benchmark(scenario, tmp_path / "out", jobs=1).summaries
     shutil.move(folder, tmp_path / "elsewhere")
     again = read_study(tmp_path / "out")
-    results = again.write_results()
+    results = write_results(again)
     assert results[0].summaries == before
     assert write_report_of(again, results).is_file()

@@ -14,6 +14,7 @@ from stereo_slam_env.benchmark.scenarios.streams import stream_digest
 from stereo_slam_env.benchmark.scenarios.study import Study
 from stereo_slam_env.benchmark.storage import store
 from stereo_slam_env.benchmark.storage.run_archive import packed_run
+from stereo_slam_env.benchmark.storage.tables import write_results
 from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.evaluation.results import FilterSummary
 from stereo_slam_env.recording.archive import packed_recording
@@ -57,7 +58,7 @@ def fill(out, scenario=SCENARIO, failure=None):
         run = run_filter(recording, choice.name, choice.options, seed=seed, label=choice.label)
         content = packed_run(replace(run, failure=failure), directory.provenance(seed, choice))
         directory.save_trial(seed, choice, content)
-    directory.write_results()
+    write_results(store.read_study(out))
     return directory
 
 

@@ -1,0 +1,151 @@
+"""Intervals by the bootstrap: of means over runs, which are independent, and over the frames of one, which are not.
+
+References
+----------
+Hall, *The Bootstrap and Edgeworth Expansion*, 1992, section 3.5 (symmetric studentised). Politis and Romano, "The
+stationary bootstrap", JASA 89(428), 1994. Politis and White, "Automatic block-length selection for the dependent
+bootstrap", Econometric Reviews 23(1), 2004.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from filters.validation import FloatArray, IntArray
+
+RESAMPLES = 2000  # of the frames of a run
+RESAMPLES_OF_RUNS = 4999
+RESAMPLES_OF_RATIOS = 10_000
+FEWEST = 8  # values below which the length of a block is not estimated
+_CALM = 5  # lags in a row without correlation that end the search for it
+_MOST_AT_ONCE, _MOST_DRAWN = 5_000_000, 2_000_000
+
+
+@dataclass(frozen=True)
+class MeanInterval:
+    """Mean of a series with its 95 % interval."""
+
+    mean: float
+    low: float
+    high: float
+    block: float  # mean length of a block, values
+
+    def __contains__(self, value: float) -> bool:
+        return self.low <= value <= self.high
+
+
+def mean_interval(values: FloatArray, confidence: float = 0.95) -> MeanInterval:
+    """Mean of a correlated series (K,) with its interval by percentiles of the bootstrap, seeded; NaN of none.
+
+    A series that is not much longer than it is correlated, such as the NEES of one short drive, has an interval that is
+    too narrow: no resampling knows what the run did not show.
+    """
+    if not len(values):
+        return MeanInterval(*[float("nan")] * 4)
+    block = block_length(values)
+    drawn = values[stationary_rows(len(values), block, np.random.default_rng(0))].mean(axis=1)
+    low, high = np.quantile(drawn, [0.5 - 0.5 * confidence, 0.5 + 0.5 * confidence])
+    return MeanInterval(float(values.mean()), float(low), float(high), block)
+
+
+def block_length(values: FloatArray) -> float:
+    """Mean length of a block for the stationary bootstrap of a series (K,), by Politis and White; from 1 to K.
+
+    1 where there is no correlation to be seen: fewer than `FEWEST` values, or all the same.
+    """
+    count = len(values)
+    if count < FEWEST or np.ptp(values) <= 1e-12 * max(1.0, float(np.abs(values).max())):
+        return 1.0
+    centred = values - values.mean()
+    longest = max(_CALM + 1, min(int(np.ceil(np.sqrt(count))) + _CALM, count - 1))
+    covariance = np.array([centred[: count - lag] @ centred[lag:] / count for lag in range(longest + 1)])
+    small = np.abs(covariance / covariance[0]) < 2.0 * np.sqrt(np.log10(count) / count)
+    calm = (lag for lag in range(1, longest - _CALM + 2) if small[lag : lag + _CALM].all())
+    last = next(calm, max(1, longest // 2))
+    width = min(max(2 * last, 2), longest)
+    lags = np.arange(-width, width + 1)
+    window = np.clip(2.0 * (1.0 - np.abs(lags) / width), 0.0, 1.0)  # flat up to the half, then falling to nothing
+    spectrum = float(window @ covariance[np.abs(lags)])
+    slope = float((window * np.abs(lags)) @ covariance[np.abs(lags)])
+    if spectrum <= 0.0 or slope <= 0.0:
+        return 1.0
+    return float(np.clip((slope**2 / spectrum**2 * count) ** (1.0 / 3.0), 1.0, count))
+
+
+def stationary_rows(count: int, block: float, generator: np.random.Generator, resamples: int = RESAMPLES) -> IntArray:
+    """Rows of each resample, (resamples, count): blocks of geometric length, anywhere in the series, round its end."""
+    starts = generator.random((resamples, count)) < 1.0 / block
+    starts[:, 0] = True
+    first = generator.integers(count, size=(resamples, count))
+    at = np.arange(count)
+    began = np.maximum.accumulate(np.where(starts, at, 0), axis=1)
+    rows: IntArray = (np.take_along_axis(first, began, axis=1) + at - began) % count
+    return rows
+
+
+def studentised_interval(values: FloatArray, confidence: float, seed: int = 0) -> tuple[FloatArray, FloatArray]:
+    """Interval of the mean of each column of (n, m) values: the symmetric studentised bootstrap; low and high (m,).
+
+    Rows are resampled, the same for all columns; half the width is the standard error times the `confidence` quantile
+    of |mean* - mean| / error*. n >= 2.
+    """
+    values = np.asarray(values, dtype=np.float64)
+    shift, spread = _resampled(values, seed)
+    quantile = np.quantile(_ratio(np.abs(shift), np.sqrt(spread)), confidence, axis=0)
+    mean = values.mean(axis=0)
+    half = quantile * values.std(axis=0, ddof=1) / math.sqrt(len(values))
+    return mean - half, mean + half
+
+
+def welch_interval(first: FloatArray, second: FloatArray, confidence: float) -> tuple[float, float]:
+    """Interval of the difference of the means of two independent samples (n,), (m,): Welch's t, its law resampled."""
+    (shift_a, spread_a), (shift_b, spread_b) = _resampled(first[:, None], 0), _resampled(second[:, None], 1)
+    studentised = _ratio(np.abs(shift_a - shift_b), np.sqrt(spread_a + spread_b))
+    error = math.sqrt(first.var(ddof=1) / len(first) + second.var(ddof=1) / len(second))
+    estimate, half = float(first.mean() - second.mean()), error * float(np.quantile(studentised, confidence))
+    return estimate - half, estimate + half
+
+
+def rms_ratio_interval(first: FloatArray, second: FloatArray, confidence: float = 0.95) -> tuple[float, float]:
+    """Interval of the ratio of the root mean squares of two paired samples (N,), in one unit; pairs are drawn together.
+
+    By percentiles, seeded: a ratio of means of squares, which are far from Gaussian, has no useful standard error. With
+    ten runs it is a rough one.
+    """
+    generator, count = np.random.default_rng(0), len(first)
+    ratios = []
+    parts = np.array_split(np.arange(RESAMPLES_OF_RATIOS), -(-RESAMPLES_OF_RATIOS * count // _MOST_DRAWN))
+    for part in parts:  # for little memory
+        drawn = generator.integers(count, size=(len(part), count))
+        ratios.append(np.sqrt(np.square(first)[drawn].sum(axis=1) / np.square(second)[drawn].sum(axis=1)))
+    low, high = np.quantile(np.concatenate(ratios), [0.5 - 0.5 * confidence, 0.5 + 0.5 * confidence])
+    return float(low), float(high)
+
+
+@lru_cache(maxsize=4)
+def _resamples(count: int, seed: int) -> tuple[NDArray[np.uint16], ...]:
+    """Number of draws of each of `count` rows, (RESAMPLES_OF_RUNS, count), in parts, for little memory."""
+    generator, shares = np.random.default_rng([seed, count]), np.full(count, 1.0 / count)
+    parts = np.array_split(np.arange(RESAMPLES_OF_RUNS), -(-RESAMPLES_OF_RUNS * count // _MOST_AT_ONCE))
+    return tuple(generator.multinomial(count, shares, len(part)).astype(np.uint16) for part in parts)
+
+
+def _resampled(values: FloatArray, seed: int) -> tuple[FloatArray, FloatArray]:
+    """Shift of the mean and squared standard error of each resample, (RESAMPLES_OF_RUNS, m)."""
+    count = len(values)
+    centred = values - values.mean(axis=0)
+    parts = (part.astype(np.float64) for part in _resamples(count, seed))
+    means = [(part @ centred / count, part @ centred**2 / count) for part in parts]
+    shift, squares = (np.concatenate(column) for column in zip(*means, strict=True))
+    return shift, np.maximum(squares - shift**2, 0.0) / (count - 1)
+
+
+def _ratio(shift: FloatArray, error: FloatArray) -> FloatArray:
+    """|t| of each resample; 0 for one that drew a single row and has no spread."""
+    tiny = 1e-9 * error.max(axis=0, initial=0.0)
+    return np.divide(shift, error, out=np.zeros_like(shift), where=error > tiny)

@@ -1,0 +1,255 @@
+"""Pairs of files as people have them: judged rightly, or not judged, or refused, with a true reason (10 s).
+
+The layouts are those that are published; `test_trajectory_samples.py` has the published files themselves.
+"""
+
+from dataclasses import replace
+from importlib.util import find_spec
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+import stereo_slam_env as sse
+from filters import Pose
+from filters.geometry import rotations
+
+COUNT = 300
+LOWER, UPPER = np.tril_indices(6), np.triu_indices(3)
+CNSPY = "t,tx,ty,tz,qx,qy,qz,qw,pxx,pxy,pxz,pyy,pyz,pzz,qrr,qrp,qry,qpp,qpy,qyy,est_err_type,err_representation\n"
+EUROC = "#timestamp [ns], p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], q_RS_z []\n"
+SQUARE = "#%FORMAT SQUARE/0.3\n#%REPRESENTATION gaussian_se3\n"
+
+
+def pair():
+    """An estimate with errors as it claims, in blocks of the position (world) and the rotation (body); its truth."""
+    rng = np.random.default_rng(0)
+    t = 0.1 * np.arange(COUNT)
+    positions = np.cumsum(np.column_stack([np.sin(t / 5), 0.3 * np.cos(t / 3), np.cos(t / 7)]), axis=0)
+    turns = np.column_stack([0.5 * np.sin(0.31 * t), 0.8 * np.sin(0.17 * t) + 0.1 * t, 0.4 * np.cos(0.23 * t)])
+    orientations = Rotation.from_rotvec(turns).as_quat()
+    covariances = np.zeros((COUNT, 6, 6))
+    for part, size in ((slice(0, 3), 0.05), (slice(3, 6), 0.005)):
+        factor = size * rng.normal(size=(COUNT, 3, 3))
+        covariances[:, part, part] = factor @ factor.swapaxes(1, 2) + (0.3 * size) ** 2 * np.eye(3)
+    errors = (np.linalg.cholesky(covariances) @ rng.normal(size=(COUNT, 6, 1)))[..., 0]
+    turns = np.array([rotations.exp_quaternion(-phi) for phi in errors[:, 3:]])
+    estimate = sse.Trajectory(positions - errors[:, :3], rotations.multiply(orientations, turns), t, covariances)
+    return estimate, sse.Trajectory(positions, orientations, t, name="truth")
+
+
+ESTIMATE, TRUTH = pair()
+
+
+def tum(trajectory, times=None):
+    t = trajectory.timestamps if times is None else times
+    return np.column_stack([t, trajectory.positions, trajectory.orientations])
+
+
+def kitti(trajectory):
+    R = rotations.matrix(trajectory.orientations)
+    return np.concatenate([R, trajectory.positions[:, :, None]], axis=2).reshape(COUNT, 12)
+
+
+def text(rows, mark=" ", header=""):
+    return header + "".join(mark.join(f"{x:.17g}" for x in row) + "\n" for row in rows)
+
+
+def scalar_first(trajectory):
+    return np.roll(trajectory.orientations, 1, axis=1)
+
+
+def euroc(trajectory, columns=8):
+    others = np.full((COUNT, columns - 8), 9.0)
+    t = 1.5e18 + np.round(1e9 * trajectory.timestamps)
+    return text(
+        np.column_stack([t, trajectory.positions, np.roll(trajectory.orientations, 1, axis=1), others]), ",", EUROC
+    )
+
+
+def blocks(first, second):
+    return np.concatenate([part[:, UPPER[0], UPPER[1]] for part in (first, second)], axis=1)
+
+
+P, ROT = ESTIMATE.covariances[:, :3, :3], ESTIMATE.covariances[:, 3:, 3:]
+R_WB = rotations.matrix(ESTIMATE.orientations)
+IN_BODY = np.zeros((COUNT, 6, 6))
+IN_BODY[:, :3, :3], IN_BODY[:, 3:, 3:] = R_WB.swapaxes(1, 2) @ P @ R_WB, ROT
+IN_WORLD = np.zeros((COUNT, 6, 6))
+IN_WORLD[:, :3, :3], IN_WORLD[:, 3:, 3:] = P, R_WB @ ROT @ R_WB.swapaxes(1, 2)
+LEFT = np.tile(np.eye(6), (COUNT, 1, 1))
+LEFT[:, :3, 3:] = rotations.skew(ESTIMATE.positions)
+LEFT = LEFT @ IN_WORLD @ LEFT.swapaxes(1, 2)
+SWAPPED = [3, 4, 5, 0, 1, 2]
+PLANAR = IN_WORLD.copy()
+PLANAR[:, [2, 3, 4], :] = PLANAR[:, :, [2, 3, 4]] = 0.0
+
+
+def square(covariances, *lines):
+    rows = np.column_stack([tum(ESTIMATE), covariances[:, LOWER[0], LOWER[1]]])
+    return text(rows, header=SQUARE + "".join(f"#%{line}\n" for line in lines))
+
+
+def full(covariances):
+    return text(np.column_stack([tum(ESTIMATE), covariances.reshape(COUNT, 36)]))
+
+
+def repeated():
+    rows = np.repeat(tum(ESTIMATE), np.where(np.arange(COUNT) % 50 == 7, 2, 1), axis=0)
+    return text(rows)
+
+
+def cnspy(error):
+    rows = np.column_stack([tum(ESTIMATE), blocks(P, ROT if error == "type1" else IN_WORLD[:, 3:, 3:])])
+    return CNSPY + "".join(",".join(f"{x:.17g}" for x in row) + f",{error},theta_R\n" for row in rows)
+
+
+def inverse(trajectory):
+    poses = [trajectory.pose(k).inverse() for k in range(COUNT)]
+    return replace(
+        trajectory,
+        positions=np.array([T.position for T in poses]),
+        orientations=np.array([T.orientation for T in poses]),
+        covariances=None,
+    )
+
+
+SOME = np.flatnonzero(np.arange(COUNT) % 7 != 3)
+T_TUM, T_KITTI = text(tum(TRUTH)), text(kitti(TRUTH))
+SCALAR_FIRST = text(
+    np.column_stack([ESTIMATE.timestamps, ESTIMATE.positions, np.roll(ESTIMATE.orientations, 1, axis=1)])
+)
+ASTRAY = replace(ESTIMATE, positions=ESTIMATE.positions * np.where(np.arange(COUNT) > 200, 40.0, 1.0)[:, None])
+TURNED = replace(ESTIMATE, covariances=None).of_body(Pose([0.0, 0.0, 0.0], rotations.exp_quaternion([0.0, 1.5, 0.0])))
+TIMES_1E9 = 1e9 * ESTIMATE.timestamps
+T_SINCE_1970 = text(tum(TRUTH, 1.5e9 + TRUTH.timestamps))
+NAMES = "qy;qz;qw;qx;time;z;y;x\n"
+
+JUDGED = {
+    "OpenVINS, 20 columns": (text(np.column_stack([tum(ESTIMATE), blocks(ROT, P)])), T_TUM),
+    "cnspy csv, rotation in the body": (cnspy("type1"), T_TUM),
+    "cnspy csv, rotation about the world's axes": (cnspy("type2"), T_TUM),
+    "SQUARE, right, translation first": (square(IN_BODY, "TANGENT_CONVENTION right_perturbation"), T_TUM),
+    "SQUARE, right, rotation first": (
+        square(IN_BODY[:, SWAPPED][:, :, SWAPPED], "TANGENT_ORDER rotation_translation"),
+        T_TUM,
+    ),
+    "SQUARE, left": (square(LEFT, "TANGENT_CONVENTION left_perturbation"), T_TUM),
+    "TUM and 36 covariances of ROS": (full(IN_WORLD), T_TUM),
+}
+"""Pairs with covariances, by the same numbers."""
+ERRORS = {
+    "TUM": (text(tum(ESTIMATE)), T_TUM),
+    "commas, columns named in another order": (text(tum(ESTIMATE)[:, [5, 6, 7, 4, 0, 3, 2, 1]], ";", NAMES), T_TUM),
+    "KITTI": (text(kitti(ESTIMATE)), T_KITTI),
+    "KITTI, 13 columns": (text(np.column_stack([np.arange(COUNT), kitti(ESTIMATE)])), T_KITTI),
+    "EuRoC, ns, qw first": (text(tum(ESTIMATE, 1.5e9 + ESTIMATE.timestamps)), euroc(TRUTH)),
+    "EuRoC, more columns": (text(tum(ESTIMATE, 1.5e9 + ESTIMATE.timestamps)), euroc(TRUTH, 17).replace(EUROC, "")),
+    "TUM with nanoseconds": (
+        text(tum(ESTIMATE, 1.5e18 + np.round(TIMES_1E9))),
+        text(tum(TRUTH, 1.5e9 + TRUTH.timestamps)),
+    ),
+    "repeated stamps": (repeated(), T_TUM),
+}
+"""Pairs without, of the same poses."""
+NOT_JUDGED = {
+    "qw first in a TUM": (SCALAR_FIRST, T_TUM, "five times better where the estimate's quaternions are read as qw"),
+    "T_bw in place of T_wb": (text(tum(inverse(ESTIMATE))), T_TUM, "is read as T_bw"),
+    "another body": (text(tum(TURNED)), T_TUM, "body seems to be turned by 85.9°"),
+    "diverged": (text(tum(ASTRAY)), T_TUM, "the estimate diverged"),
+    "planar covariances of ROS": (full(PLANAR), T_TUM, "are zero for z, roll, pitch, so there is none of a pose"),
+}
+"""What is said of pairs that tell nothing of a claim."""
+REFUSED = {
+    "29 numbers without a header": (square(IN_BODY).replace(SQUARE, ""), T_TUM, "29 columns and no header"),
+    "times a factor of 1e9 apart": (text(tum(ESTIMATE, TIMES_1E9)), T_TUM, "of the estimate seem to be nanoseconds"),
+    "KITTI, rows missing, not numbered": (text(kitti(ESTIMATE)[SOME]), T_KITTI, "must be the same frames, or be num"),
+    "bodies named, and others": (
+        square(IN_BODY, "BODY_FRAME imu"),
+        square(IN_BODY, "BODY_FRAME lidar"),
+        "poses of imu, reference of lidar",
+    ),
+    "cnspy, an error of SE(3)": (cnspy("type4"), T_TUM, r"errors \(type4, theta_R\) that are not read"),
+    "no trajectory": ("a letter to a friend\n", T_TUM, "is no trajectory"),
+}
+"""Pairs that are refused, and why."""
+
+
+def score(folder, estimate, truth, **options):
+    for name, content in (("est.txt", estimate), ("ref.txt", truth)):
+        (folder / name).write_text(content)
+    return sse.evaluate_trajectory(folder / "est.txt", folder / "ref.txt", **options)
+
+
+@pytest.mark.parametrize("name", JUDGED)
+def test_the_same_claim_has_the_same_nees_in_every_layout(tmp_path, name):
+    """Of layouts that are right and left only to first order: nearly."""
+    right = sse.evaluate_trajectory(ESTIMATE, TRUTH, align="none").claims
+    found = score(tmp_path, *JUDGED[name], align="none").claims
+    for part in ("pose", "position", "rotation"):
+        exact = part == "rotation" or "SQUARE" not in name
+        assert found[part].nees.mean == pytest.approx(right[part].nees.mean, rel=1e-6 if exact else 0.1)
+        assert found[part].verdict == "consistent, as far as one run can tell"
+
+
+@pytest.mark.parametrize("name", ERRORS)
+def test_the_same_poses_have_the_same_errors_in_every_layout(tmp_path, name):
+    right, found = sse.evaluate_trajectory(ESTIMATE, TRUTH, align="none"), score(tmp_path, *ERRORS[name], align="none")
+    assert found.frames == COUNT - 1  # the first of them starts the world
+    # Seconds since 1970 in a float64 are exact to 2e-7.
+    assert found.position_rmse_m == pytest.approx(right.position_rmse_m, rel=1e-9)
+    assert found.rotation_rmse_deg == pytest.approx(right.rotation_rmse_deg, rel=1e-6)
+
+
+def test_numbered_frames_of_kitti_are_paired_with_rows_missing(tmp_path):
+    numbered = np.column_stack([np.arange(COUNT), kitti(ESTIMATE)])[SOME]
+    found = score(tmp_path, text(numbered), T_KITTI, align="none")
+    right = sse.evaluate_trajectory(ESTIMATE.rows(SOME), TRUTH.rows(SOME), align="none")
+    assert found.frames == len(SOME) - 1
+    assert found.position_rmse_m == pytest.approx(right.position_rmse_m, rel=1e-9)
+
+
+@pytest.mark.parametrize("name", NOT_JUDGED)
+def test_what_cannot_be_judged_is_named_and_is_no_claim(tmp_path, name):
+    estimate, truth, reason = NOT_JUDGED[name]
+    found = score(tmp_path, estimate, truth)
+    assert found.verdict.startswith(("not judged", "none"))
+    assert any(reason in note for note in found.notes), found.notes
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_cannot_be_read_is_refused_with_a_true_reason_in_one_line(tmp_path, name):
+    estimate, truth, reason = REFUSED[name]
+    with pytest.raises(ValueError, match=reason) as refused:
+        score(tmp_path, estimate, truth)
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.skipif(find_spec("rosbags") is None, reason="needs rosbags (extra bags)")
+@pytest.mark.parametrize("kind", ["ROS 1 bag", "db3", "MCAP"])
+def test_a_bag_has_the_nees_of_its_numbers(tmp_path, kind):
+    from rosbags.rosbag1 import Writer as Writer1
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS1_NOETIC if kind == "ROS 1 bag" else Stores.ROS2_HUMBLE)
+    rooms = ("builtin_interfaces", "geometry_msgs", "nav_msgs", "std_msgs/msg/Header")
+    made = {name.rpartition("/")[2]: maker for name, maker in store.types.items() if name.startswith(rooms)}
+    path, odometry = tmp_path / ("drive.bag" if kind == "ROS 1 bag" else "drive"), "nav_msgs/msg/Odometry"
+    plugins = {"db3": StoragePlugin.SQLITE3, "MCAP": StoragePlugin.MCAP}
+    unmoved = made["Vector3"](0.0, 0.0, 0.0)
+    at_rest = made["TwistWithCovariance"](made["Twist"](unmoved, unmoved), np.zeros(36))
+    with Writer1(path) if kind == "ROS 1 bag" else Writer(path, version=9, storage_plugin=plugins[kind]) as writer:
+        connection = writer.add_connection("/odom", odometry, typestore=store)
+        for k, row in enumerate(tum(ESTIMATE)):
+            stamp = made["Time"](sec=int(row[0] + 1e-9), nanosec=round(1e9 * (row[0] % 1.0)) % 10**9)
+            front = (k, stamp, "map") if kind == "ROS 1 bag" else (stamp, "map")
+            pose = made["Pose"](made["Point"](*row[1:4]), made["Quaternion"](*row[4:]))
+            message = made["Odometry"](
+                made["Header"](*front), "base", made["PoseWithCovariance"](pose, IN_WORLD[k].ravel()), at_rest
+            )
+            pack = store.serialize_ros1 if kind == "ROS 1 bag" else store.serialize_cdr
+            writer.write(connection, round(1e9 * row[0]) + 1, pack(message, odometry))
+    found = sse.evaluate_trajectory(f"{path}:/odom", TRUTH, align="none")
+    right = sse.evaluate_trajectory(ESTIMATE, TRUTH, align="none")
+    assert found.claims["pose"].nees.mean == pytest.approx(right.claims["pose"].nees.mean, rel=1e-6)
