@@ -12,7 +12,6 @@ to who comes and goes, not to the size of P; only when too many blocks stand emp
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -26,9 +25,6 @@ from filters.state.layout import Layout
 from filters.validation import BoolArray, FloatArray, IntArray
 
 _EMPTY_SHARE = 1 / 8  # of the blocks: where carrying empty rows through every update costs more than leaving them out
-
-Adjust = Callable[[FloatArray, FloatArray], FloatArray]
-"""(J of new blocks by leading rows (m, c), effect of a rotation of the world on them (m, 3)) -> J to be used."""
 
 
 def _no_landmarks() -> IntArray:
@@ -223,7 +219,7 @@ class JointState:
         blocks[own] = self.model.first_estimates(self.anchors(), self.first_blocks[own], self.blocks[own])
         return replace(self, camera=self.predicted, blocks=blocks)
 
-    def augment(self, new: NewLandmarks, adjust: Adjust | None = None) -> None:
+    def augment(self, new: NewLandmarks) -> None:
         """Add landmarks with their covariance and their cross-covariance with everything else (Eq. 19-25).
 
         Eq. 25 as printed leaves out the correlation of the new landmark with the old map, which it inherits
@@ -242,12 +238,6 @@ class JointState:
         by_leading[:anchors, :3, :3] = np.eye(3)
         by_leading[anchors:] = new.by_leading
         J = by_leading.reshape(-1, leading)
-        if adjust is not None:
-            effect = np.zeros((len(blocks), self.size, 3))
-            effect[:, :3] = -rotations.skew(blocks[:, :3])
-            here = np.where(started.anchored[:, None], self.camera.position, np.nan)
-            effect[anchors:] = self.model.world_rotation(here, started.parameters)
-            J = adjust(J, effect.reshape(-1, 3))
         taken = self._take_blocks(len(blocks))
         anchor_block, parameter_block = taken[:anchors], taken[anchors:]
         rows = self.block_rows(taken)
@@ -374,12 +364,6 @@ class JointState:
         nothing = np.zeros((2, self.blocks.shape[1]))
         blocks = self.append(nothing, nothing, cross, own)
         self.clones = {**self.clones, name: Clone(self.camera.position, self.camera.orientation, blocks)}
-
-    def forget_clone(self, name: str) -> None:
-        """Marginalise a clone out."""
-        blocks = self.clones[name].blocks
-        self.clones = {other: clone for other, clone in self.clones.items() if other != name}
-        self.rest(np.zeros(len(self), dtype=bool), self.held[~np.isin(self.held, blocks)])
 
     def adopt(self, ids: IntArray, parameter_block: IntArray, anchor_block: IntArray) -> None:
         """Make landmarks of blocks that are here already; (M,) each, anchor block -1 where there is none."""
