@@ -16,6 +16,8 @@ from stereo_slam_env.recording.trajectory import Trajectory
 
 _ASTRAY = 0.1
 """Share of the reference's path; the last time that the error was below it is when an estimate diverged."""
+_PIECES = 20
+"""Pieces of the path, of the same length, that a divergence is looked for in."""
 _MUCH = 3.0
 """An alignment, a scale or an offset in time is mentioned where it makes the error so many times smaller."""
 _LEAST = 1e-6
@@ -91,15 +93,27 @@ def find_obstacles(pairs: Pairs, whole: tuple[Trajectory, Trajectory], alignment
 
 
 def _diverged_at(aligned: Trajectory, reference: Trajectory, path: float) -> float | None:
-    """When an estimate left the drive: its distance from its own start becomes wrong by more than the whole path.
+    """When an estimate left the drive, s from its first pose; None where it did not.
 
-    No world and no body of its own can do that.
+    Its distance from its own start becomes wrong by more than the whole path, which no world and no body of its own can
+    do; or it goes well over the first half of the path, and from some piece of it on to the end each is wrong by more
+    than its length.
     """
+    if path == 0.0:
+        return None
     ours, theirs = (np.linalg.norm(one.positions - one.positions[0], axis=1) for one in (aligned, reference))
     off = np.abs(ours - theirs)
-    if path == 0.0 or not off.max() > path:
-        return None
-    row = int(np.flatnonzero(off <= _ASTRAY * path)[-1])
+    if off.max() > path:
+        row = int(np.flatnonzero(off <= _ASTRAY * path)[-1])
+    else:
+        gone = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(reference.positions, axis=0), axis=1))])
+        ends = np.searchsorted(gone, np.linspace(0.0, path * (1.0 - 1e-9), _PIECES + 1))
+        ours, theirs = (np.linalg.norm(np.diff(one.positions[ends], axis=0), axis=1) for one in (aligned, reference))
+        well = np.flatnonzero(np.abs(ours - theirs) <= path / _PIECES)
+        first_bad = int(well[-1]) + 1 if len(well) else 0
+        if not _PIECES // 2 <= first_bad < _PIECES - 1 or len(well) < first_bad:
+            return None
+        row = int(ends[first_bad])
     times = reference.timestamps if reference.timestamps is not None else aligned.timestamps
     return float(row) if times is None else float(times[row] - times[0])
 

@@ -15,6 +15,7 @@ import warnings
 import zipfile
 import zlib
 from collections.abc import Collection, Mapping, Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -278,11 +279,22 @@ def _array(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> NDArray[Any]:
             at += len(piece)
     if at < info.file_size:
         raise EOFError(f"{info.filename} is cut off")
-    stream = io.BytesIO(content[:_MOST_HEADER])
-    version = np.lib.format.read_magic(stream)
-    read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-    shape, columns_first, dtype = read_header(stream)
+    long = content[6:8] != b"\1\0"  # of version 1.0 the length of the header has two bytes
+    end = 12 + int.from_bytes(content[8:12], "little") if long else 10 + int.from_bytes(content[8:10], "little")
+    shape, columns_first, dtype, begin = _header(bytes(content[: min(end, _MOST_HEADER)]))
     if dtype.hasobject:
         raise DamagedArchive(f"array {info.filename} holds pickled objects, which are not read")
     # A header that promises more than the part holds is refused here, before anything is allocated.
-    return np.ndarray(shape, dtype, content, stream.tell(), order="F" if columns_first else "C")
+    return np.ndarray(shape, dtype, content, begin, order="F" if columns_first else "C")
+
+
+@lru_cache(maxsize=4096)
+def _header(start: bytes) -> tuple[tuple[int, ...], bool, np.dtype[Any], int]:
+    """Shape, order and type of an array by the header at its start, and where its content begins.
+
+    The same headers come again and again, and NumPy compiles each as Python.
+    """
+    stream = io.BytesIO(start)
+    version = np.lib.format.read_magic(stream)
+    read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    return *read_header(stream), stream.tell()

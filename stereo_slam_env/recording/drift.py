@@ -3,7 +3,8 @@
 A file of covariances says of each pose how uncertain it is, not what it shares with the others, so of a motion between
 two poses it says nothing. What an odometry claims has three parts, in the coordinates of its world, in which an error
 needs no transport: increments, of which the later pose has all that the earlier one has; a part that is drawn once a
-drive; and a part that each pose has alone. With the last two the covariance of every motion follows.
+drive; and a part that each pose has alone. With the last two the covariance of every motion follows;
+`docs/derivations/drift.md` derives it.
 """
 
 from __future__ import annotations

@@ -203,6 +203,16 @@ def test_a_diverged_estimate_is_called_so_with_the_time():
 # ---- clocks ---------------------------------------------------------------------------------------------------------
 
 
+def test_an_estimate_that_leaves_the_drive_late_is_called_diverged_with_the_time():
+    """It goes on three times as fast over the last fifth: it ends less than the whole path away."""
+    estimate, truth = drive()
+    row = int(0.8 * len(truth))
+    away = np.concatenate([np.zeros((row, 3)), 2.0 * (truth.positions[row:] - truth.positions[row])])
+    score = sse.evaluate_trajectory(replace(estimate, positions=estimate.positions + away), truth)
+    assert score.diverged_at_s == pytest.approx(truth.timestamps[row] - truth.timestamps[0], rel=0.1)
+    assert score.verdict.startswith("not judged: the estimate diverged")
+
+
 @pytest.mark.parametrize("offset", [-0.37, 0.083])
 def test_an_offset_of_the_clocks_is_found(offset):
     estimate, truth = drive()
