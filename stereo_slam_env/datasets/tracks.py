@@ -115,14 +115,16 @@ def tracks_of_pixels(pixels: FloatArray) -> Tracks:
 
 
 def without_repeats(pixels: FloatArray) -> tuple[Tracks, int]:
-    """Observations as of `tracks_of_pixels` without those that repeat the frame before to the last bit, and how many.
+    """Observations as of `tracks_of_pixels` without frames that repeat the one before to the last bit, and how many.
 
     A tracker that stops in a frame, to look for new points, and goes on from the old pixels in the next image follows
     another point of the scene from there on: it gets an id of its own, that of the column plus a multiple of N.
     """
     seen = (pixels != -1.0).all(axis=0)
     repeated = np.zeros(seen.shape, dtype=bool)
-    repeated[1:] = seen[1:] & (pixels[:, 1:] == pixels[:, :-1]).all(axis=0)
+    both = seen[1:] & seen[:-1]
+    same = both & (pixels[:, 1:] == pixels[:, :-1]).all(axis=0)
+    repeated[1:] = same & (same == both).all(axis=1, keepdims=True)
     tracks = tracks_of_pixels(np.where(repeated, -1.0, pixels))
     points_before = np.cumsum(repeated, axis=0)[tracks.frame, tracks.ids]
     return replace(tracks, ids=tracks.ids + seen.shape[1] * points_before), int(repeated.sum())

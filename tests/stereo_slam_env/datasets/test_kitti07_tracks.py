@@ -104,7 +104,10 @@ def test_real_drive_has_the_published_size(real):
     assert path_length(np.array([frame.truth.position for frame in with_truth])) == pytest.approx(694.7, abs=0.1)
     assert all((frame.observation.uvd[:, 2] > 0).all() for frame in real.frames)
     assert (
-        sum(len(frame.observation) for frame in real.frames) + real.source["dropped_non_positive_disparity"] == 75_647
+        sum(len(frame.observation) for frame in real.frames)
+        + real.source["dropped_non_positive_disparity"]
+        + real.source["dropped_repeats"]
+        == 75_647
     )
 
 

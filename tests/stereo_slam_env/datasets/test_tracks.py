@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stereo_slam_env.datasets.tracks import Tracks, frames_of
+from stereo_slam_env.datasets.tracks import Tracks, frames_of, without_repeats
 
 
 def random_tracks(seed=3, landmarks=60, frames=30):
@@ -76,3 +76,14 @@ def test_unsorted_times_are_refused(times):
 def test_observations_of_frames_that_do_not_exist_are_refused():
     with pytest.raises(ValueError, match="only 0 to 4 exist"):
         frames_of(random_tracks(), 0.1 * np.arange(5), [None] * 5)
+
+
+def test_frames_that_repeat_the_one_before_are_left_out_and_their_tracks_become_new_ones() -> None:
+    pixels = np.arange(4.0 * 5 * 3).reshape(4, 5, 3)
+    pixels[:, 2, :2] = pixels[:, 1, :2]  # all that was seen before
+    pixels[:, :2, 2] = -1.0  # and a new point in that frame
+    pixels[:, 4, 0] = pixels[:, 3, 0]  # one point alone may stand still
+    tracks, repeats = without_repeats(pixels)
+    assert repeats == 2
+    ids = [sorted(tracks.ids[tracks.frame == frame].tolist()) for frame in range(5)]
+    assert ids == [[0, 1], [0, 1], [2], [2, 3, 4], [2, 3, 4]]
