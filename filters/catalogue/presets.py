@@ -107,8 +107,8 @@ class ColouredNoiseEKF(StereoEKF):
 
     What a `ColouredNoise` states becomes process noise of landmarks, a gauge walk, and variables for the misalignment
     of camera and reference and for the offset of the disparities; a scale that is not known is added to the covariance
-    of `pose` and `relative_pose`. Where the noise states nothing, it is taken for white. Shared anchors, right-invariant
-    errors, and the joint test over the frame where there is a gate.
+    of `pose` and `relative_pose`. Where the noise states nothing, it is taken for white. Shared anchors,
+    right-invariant errors, and the joint test over the frame where there is a gate.
     """
 
     open_options = StereoEKF.open_options - {"landmark", "measurement", "error", "consensus", "drift", "gauge_walk"}
