@@ -15,19 +15,17 @@ sees without a truth.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
 import stereo_slam_env as sse
 from filters import StereoCamera, StereoNoise, StereoObservation, nees
 from filters.validation import FloatArray
+from harness import arguments, show
 from stereo_slam_env.evaluation.trajectory_metrics import ate_rigid
 from stereo_slam_env.evaluation.windows import window_ends
 from stereo_slam_env.frontend import with_measured_noise
@@ -211,15 +209,10 @@ def changed(drive: Recording, name: str, look: int | None = None) -> Recording:
     return measured_again(change, look)
 
 
-def show(console: Console, title: str, drives: Sequence[Recording], changes: Sequence[str], look: int | None) -> None:
+def show_changes(title: str, drives: Sequence[Recording], changes: Sequence[str], look: int | None) -> None:
     """A row for each change; means over the drives."""
-    table = Table(title=title)
-    for number, head in enumerate(HEADS):
-        table.add_column(head, justify="right" if number else "left")
-    for name in changes:
-        rows = [scored(changed(drive, name, look)) for drive in drives]
-        table.add_row(name, *_mean(rows).cells)
-    console.print(table)
+    rows = [(name, *_mean([scored(changed(drive, name, look)) for drive in drives]).cells) for name in changes]
+    show(title, HEADS, rows)
 
 
 def _mean(rows: Sequence[Row]) -> Row:
@@ -249,43 +242,38 @@ def with_wrong_rig(drive: Recording, seed: int) -> Recording:
 
 def main() -> None:
     """Run and print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("data", type=Path, nargs="?")
-    parser.add_argument("--recordings", nargs="+", choices=list(RECORDINGS), default=list(RECORDINGS))
-    parser.add_argument("--changes", nargs="+", choices=list(CHANGES), default=list(CHANGES))
-    parser.add_argument("--look", type=int, metavar="FRAMES", help="at which the noise is measured; all if not given")
-    parser.add_argument("--rendered", type=int, default=0, metavar="SEEDS")
-    parser.add_argument("--wrong-rigs", type=int, default=0, metavar="SEEDS")
-    parser.add_argument("--first-seed", type=int, default=0)
-    parser.add_argument("--renderer", default="gl")
-    parser.add_argument("--route", default="right-turn")
-    arguments = parser.parse_args()
-    console = Console(width=110)
-    if arguments.data is not None:
-        for name in arguments.recordings:
-            if (arguments.data / name).is_dir():
-                drive = sse.load(arguments.data / name)[: RECORDINGS[name]]
-                show(console, f"{name}, {len(drive)} frames", [drive], arguments.changes, arguments.look)
-    if arguments.rendered:
-        seeds = range(arguments.first_seed, arguments.first_seed + arguments.rendered)
-        drives = list(rendered(seeds, arguments.renderer, arguments.route))
-        show(console, f"{arguments.route} by {arguments.renderer}", drives, arguments.changes, arguments.look)
-    if arguments.wrong_rigs:
-        seeds = range(arguments.first_seed, arguments.first_seed + arguments.wrong_rigs)
-        drives = list(rendered(seeds, arguments.renderer, arguments.route, rig=WRONG_RIG))
-        show_wrong_rigs(console, drives, seeds)
+    given = arguments(
+        __doc__,
+        "data?",
+        data=Path,
+        recordings=list(RECORDINGS),
+        changes=list(CHANGES),
+        look=int,
+        rendered=0,
+        wrong_rigs=0,
+        first_seed=0,
+        renderer="gl",
+        route="right-turn",
+    )
+    if given.data is not None:
+        for name in given.recordings:
+            if (given.data / name).is_dir():
+                drive = sse.load(given.data / name)[: RECORDINGS[name]]
+                show_changes(f"{name}, {len(drive)} frames", [drive], given.changes, given.look)
+    if given.rendered:
+        seeds = range(given.first_seed, given.first_seed + given.rendered)
+        drives = list(rendered(seeds, given.renderer, given.route))
+        show_changes(f"{given.route} by {given.renderer}", drives, given.changes, given.look)
+    if given.wrong_rigs:
+        seeds = range(given.first_seed, given.first_seed + given.wrong_rigs)
+        show_wrong_rigs(list(rendered(seeds, given.renderer, given.route, rig=WRONG_RIG)), seeds)
 
 
-def show_wrong_rigs(console: Console, drives: Sequence[Recording], seeds: Sequence[int]) -> None:
+def show_wrong_rigs(drives: Sequence[Recording], seeds: Sequence[int]) -> None:
     """A row for each seed, and the means."""
-    table = Table(title=f"rendered with a wrong rig, {len(drives)} seeds")
-    for number, head in enumerate(HEADS):
-        table.add_column(head, justify="right" if number else "left")
-    rows = [scored(with_wrong_rig(drive, seed)) for drive, seed in zip(drives, seeds, strict=True)]
-    for seed, row in zip(seeds, rows, strict=True):
-        table.add_row(str(seed), *row.cells)
-    table.add_row("mean", *_mean(rows).cells)
-    console.print(table)
+    scores = [scored(with_wrong_rig(drive, seed)) for seed, drive in zip(seeds, drives, strict=True)]
+    rows = [(str(seed), *row.cells) for seed, row in zip(seeds, scores, strict=True)]
+    show(f"rendered with a wrong rig, {len(drives)} seeds", HEADS, [*rows, ("mean", *_mean(scores).cells)])
 
 
 if __name__ == "__main__":

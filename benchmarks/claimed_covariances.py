@@ -13,19 +13,17 @@ windows of 1 and 10 s.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 from scipy.stats import chi2
 
 import stereo_slam_env as sse
 from filters import nees
+from harness import arguments, show
 from stereo_slam_env.cli.app import main as command
 from stereo_slam_env.evaluation.synchronisation import paired
 from stereo_slam_env.evaluation.trajectory_windows import motion_covariances, motions
@@ -126,44 +124,34 @@ def published(data: Path) -> list[Drive]:
 
 def main() -> None:
     """Print one table for the drives made here, and one for those of others."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, required=True, help="where the drives are kept")
-    parser.add_argument("--data", type=Path, help="folder of real recordings and trajectories")
-    parser.add_argument("--drives", type=int, default=20)
-    parser.add_argument("--halvings", type=int, default=20)
-    parser.add_argument("--only", choices=[*SIMULATED, "real"])
-    arguments = parser.parse_args()
-    table = Table(title="half of the drives by the model of the other half")
-    for title in ("drives", "windows, s", "NEES / 6 (of halvings)", "inside, % (of halvings)"):
-        table.add_column(title)
+    given = arguments(__doc__, out=Path("runs/claimed"), data=Path, drives=20, halvings=20, only=[*SIMULATED, "real"])
+    rows: list[Sequence[str]] = []
     for name, options in SIMULATED.items():
-        if arguments.only in (None, name):
-            how = ["bench", *options, "--filters", "frame-to-frame", "--seeds", str(arguments.drives), "--jobs", "1"]
-            drives = run_of(arguments.out / name, how)
-            found = halved(drives, arguments.halvings)
+        if name in given.only:
+            how = ["bench", *options, "--filters", "frame-to-frame", "--seeds", str(given.drives), "--jobs", "1"]
+            drives = run_of(given.out / name, how)
+            found = halved(drives, given.halvings)
             for length in LENGTHS:
-                rows = np.array([one[length] for one in found])
-                values, shares = rows[:, 0], 100.0 * rows[:, 1]
-                table.add_row(
-                    f"{len(drives)} {name}",
-                    f"{length:g}",
+                values, shares = np.array([one[length] for one in found]).T * [[1.0], [100.0]]
+                figures = (
                     f"{values.mean():.2f} ({values.min():.2f} to {values.max():.2f})",
                     f"{shares.mean():.0f} ({shares.min():.0f} to {shares.max():.0f})",
                 )
-    if table.rows:
-        Console().print(table)
-    if arguments.data is None or arguments.only in SIMULATED:
+                rows.append((f"{len(drives)} {name}", f"{length:g}", *figures))
+    heads = ("drives", "windows, s", "NEES / 6 (of halvings)", "inside, % (of halvings)")
+    show("half of the drives by the model of the other half", heads, rows)
+    if given.data is None or "real" not in given.only:
         return
     replayed = {
-        name: run_of(arguments.out / name, ["replay", str(arguments.data / name), "--filters", "frame-to-frame"])[0]
+        name: run_of(given.out / name, ["replay", str(given.data / name), "--filters", "frame-to-frame"])[0]
         for name in REPLAYED
     }
-    folder = arguments.data / "field" / "trajectories"
+    folder = given.data / "field" / "trajectories"
     field, runs = (
         {name: (sse.load_trajectory(folder / a), sse.load_trajectory(folder / b)) for name, (a, b) in files.items()}
         for files in (FIELD, RUNS)
     )
-    orb, sptam = published(arguments.data)
+    orb, sptam = published(given.data)
     of_one = {
         "frame-to-frame, KITTI 07": replayed["kitti07_tracks"],
         "frame-to-frame, Starry Night": replayed["starry_night_a"],
@@ -180,16 +168,15 @@ def main() -> None:
         "frame-to-frame, four recordings": replayed,
         "three systems, indoors": field,
     }
-    table = Table(title="each by the model of the others of its group")
-    for title in ("group", "held out", *chain(*((f"NEES / 6, {s:g} s", f"inside, {s:g} s, %") for s in LENGTHS))):
-        table.add_column(title)
+    rows = []
     for group, members in groups.items():
         for name, found in zip(members, left_out(list(members.values())), strict=True):
             cells = []
             for length in LENGTHS:
                 cells += [f"{found[length][0]:.2f}", f"{100.0 * found[length][1]:.0f}"] if length in found else ["", ""]
-            table.add_row(group, name, *cells)
-    Console(width=160).print(table)
+            rows.append((group, name, *cells))
+    heads = ("group", "held out", *chain(*((f"NEES / 6, {s:g} s", f"inside, {s:g} s, %") for s in LENGTHS)))
+    show("each by the model of the others of its group", heads, rows)
 
 
 if __name__ == "__main__":

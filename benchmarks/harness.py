@@ -20,7 +20,8 @@ def arguments(about: str | None, *positional: str, **options: Any) -> argparse.N
     """What the command line says, by options that are named as in Python and have the type of their default.
 
     A type is an option without a default, False a flag, a dict JSON. Of a tuple one value is taken, by default the
-    first; of a list several, by default all, and of a list of texts no others.
+    first; of a list several, by default all, and of a list of texts no others. "name?" is a positional that may be left
+    out.
     """
     parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
     for name, default in options.items():
@@ -39,7 +40,10 @@ def arguments(about: str | None, *positional: str, **options: Any) -> argparse.N
             settings["choices"] = default
         if name in positional:
             settings.pop("default", None)
-        parser.add_argument(name if name in positional else f"--{name.replace('_', '-')}", **settings)
+        if f"{name}?" in positional:
+            settings["nargs"] = "?"
+        is_positional = {name, f"{name}?"} & set(positional)
+        parser.add_argument(name if is_positional else f"--{name.replace('_', '-')}", **settings)
     return parser.parse_args()
 
 

@@ -200,7 +200,7 @@ def main() -> None:
     """Run and print."""
     given = arguments(
         __doc__,
-        "data",
+        "data?",
         data=Path,
         estimates=False,
         rendered=int,

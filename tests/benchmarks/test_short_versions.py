@@ -123,8 +123,8 @@ def test_an_argument_has_the_type_of_its_default(
 ) -> None:
     monkeypatch.setattr(sys, "argv", ["script.py", "DATA", *line.split()])
     options = {"seeds": 20, "only": ["a", "b"], "noise": ("pixels", "uvd"), "quick": False, "options": {}}
-    given = vars(script("harness").arguments("", "data", data=Path, images=Path, **options))
-    assert given["data"] == Path("DATA")
+    given = vars(script("harness").arguments("", "data", "more?", data=Path, more=Path, images=Path, **options))
+    assert (given["data"], given["more"]) == (Path("DATA"), None)
     assert {name: given[name] for name in expected} == expected
 
 

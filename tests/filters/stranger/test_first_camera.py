@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
-from filters import FilterBatch, Start, StereoEKF, check_part, jacobian, nees
+from filters import FilterBatch, Start, StereoEKF, StereoObservation, check_part, jacobian, nees
 
 from .. import textbook
 from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, SPEED, START_COVARIANCE, Frame, drive, finish, run, start
@@ -253,3 +254,22 @@ def test_what_cannot_be_is_refused_in_one_line(options: dict[str, object], words
     with pytest.raises(ValueError, match=words) as refused:
         StereoEKF(CAMERA, INDEPENDENT_PIXELS, **options)
     assert "\n" not in str(refused.value)
+
+
+def test_each_has_room_for_its_own_anchor() -> None:
+    uvd = np.column_stack([np.linspace(300.0, 900.0, 60), np.full(60, 150.0), np.full(60, 20.0)])
+    slam = start(StereoEKF(CAMERA, INDEPENDENT_PIXELS, landmark=EachWithItsAnchor(), gate=None))
+    slam.update(StereoObservation(np.arange(60), uvd))
+    assert slam.state_size == 12 + 9 * 60
+
+
+def test_the_gate_knows_the_orientation_of_the_anchor() -> None:
+    """A measurement passes just below the limit of its forecast, and not just above."""
+    for share, passes in ((0.999, True), (1.001, False)):
+        slam = StereoEKF(CAMERA, INDEPENDENT_PIXELS, landmark=InFirstCamera(), gate=0.9)
+        finish(slam, drive(2, 6, depths=DEPTHS))
+        seen = slam.forecast()
+        sigma, axis = np.linalg.eigh(seen.S[0])
+        nu = np.sqrt(share * chi2.ppf(0.9, 3) * sigma[-1]) * axis[:, -1]
+        report = slam.update(StereoObservation(seen.ids[:1], seen.uvd[:1] + nu))
+        assert (len(report.updated) == 1) is passes
