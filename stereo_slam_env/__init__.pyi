@@ -1,7 +1,5 @@
 """Public names of `stereo_slam_env`; each is imported when it is first used."""
 
-from .api import Comparison as Comparison
-from .api import Evaluation as Evaluation
 from .api import compare as compare
 from .api import evaluate as evaluate
 from .api import make_recording as make_recording
@@ -20,7 +18,6 @@ from .envs.recorder import RenderedDrive as RenderedDrive
 from .evaluation.drift_calibration import calibrate as calibrate
 from .evaluation.drift_model import DriftModel as DriftModel
 from .evaluation.drift_model import claim as claim
-from .evaluation.trajectory_score import TrajectoryScore as TrajectoryScore
 from .evaluation.trajectory_score import evaluate_trajectory as evaluate_trajectory
 from .files.package_versions import __version__ as __version__
 from .files.package_versions import show_versions as show_versions
