@@ -24,7 +24,7 @@ def landmark_belief(state: JointState) -> LandmarkBelief:
     points, rows = _points(state, index)
     P_map = symmetric.blocks(state.P, rows)
     with np.errstate(invalid="ignore", over="ignore"):
-        covariances = points.by_map @ P_map @ points.by_map.transpose(0, 2, 1)
+        covariances = _mirrored(points.by_map @ P_map @ points.by_map.transpose(0, 2, 1))
     inverse = model.inverse_distances(state.viewpoint[0], state.anchors(index), state.parameters(index))
     if model.in_camera or model.in_anchor:
         inverse.by_position[:] = 0.0
@@ -67,7 +67,8 @@ def forecast(
     uvd = sensor.predict(camera, points_c, sensor.values_at(state.camera))[:, :3]
     stage = Stage(uvd, np.eye(3, sensor.size), noise.R[None].repeat(len(index), axis=0))
     S = Extended().linearise(sensor, camera, state, index, stage).innovation_covariances(state.P)
-    return Forecast(ids, uvd, S, sensor.in_front(points_c) & camera.in_view(uvd))
+    S = Extended().linearise(sensor, camera, state, index, stage).innovation_covariances(state.P)
+    return Forecast(ids, uvd, _mirrored(S), sensor.in_front(points_c) & camera.in_view(uvd))
 
 
 def joint_covariance(state: JointState, index: IntArray) -> FloatArray:
@@ -101,5 +102,9 @@ def pose_landmark_covariances(state: JointState, index: IntArray) -> FloatArray:
     J[:, :POSE_SIZE, :POSE_SIZE] = np.eye(POSE_SIZE)
     J[:, POSE_SIZE:, POSE_SIZE:] = points.by_map
     with np.errstate(invalid="ignore", over="ignore"):
-        parts: FloatArray = J @ P @ J.transpose(0, 2, 1)
-    return parts
+        return _mirrored(J @ P @ J.transpose(0, 2, 1))
+
+
+def _mirrored(products: FloatArray) -> FloatArray:
+    """Products J P J^T (M, n, n), symmetric to the last bit: where they are large, rounding alone is not."""
+    return 0.5 * (products + products.transpose(0, 2, 1))

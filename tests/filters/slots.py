@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from filters.contract.odometry import BodyVelocity
 from filters.errors.model import ErrorDefinition
 from filters.landmarks.model import LandmarkModel
 from filters.measurements.model import MeasurementModel
@@ -20,6 +21,9 @@ def parts_of(slot: str) -> dict[str, Any]:
 
 LANDMARKS: Mapping[str, LandmarkModel] = parts_of("landmark")
 MEASUREMENTS: Mapping[str, MeasurementModel] = parts_of("measurement")
-MOTIONS: Mapping[str, MotionModel] = parts_of("motion")
+MOTIONS: Mapping[str, MotionModel] = {
+    name: motion for name, motion in parts_of("motion").items() if motion.takes is BodyVelocity
+}
+"""Those driven by a velocity or by nothing; `motions/test_strapdown.py` is of the one that takes inertial samples."""
 ERRORS: Mapping[str, ErrorDefinition] = parts_of("error")
 UPDATES: Mapping[str, Linearisation] = parts_of("update")

@@ -109,11 +109,11 @@ def relative_landmarks(
                     JP[a, q] = total
             finite = math.isfinite(c0) and math.isfinite(c1) and math.isfinite(c2)
             for a in range(3):
-                for q in range(3):
+                for q in range(a, 3):
                     total = 0.0
                     for k in range(width):
                         total += JP[a, k] * J[q, k]
-                    covariances[m, a, q] = total
+                    covariances[m, a, q], covariances[m, q, a] = total, total
                     finite = finite and math.isfinite(total)
             located[m] = ahead and finite
 
@@ -164,11 +164,11 @@ def forecasts(
                     for k in range(3):
                         s.gate_HP[k, c] += H[k, a] * covariance
             for k in range(3):
-                for j in range(3):
+                for j in range(k, 3):  # and its mirror: where S is large, rounding is not symmetric
                     total = 0.0
                     for c in range(width):
                         total += s.gate_HP[k, c] * H[j, c]
-                    S[m, k, j] = total + noise[f, k, j]
+                    S[m, k, j], S[m, j, k] = total + noise[f, k, j], total + noise[f, j, k]
 
 
 def compile_forecasts() -> None:

@@ -117,3 +117,13 @@ def test_a_landmark_at_infinity_is_not_finite_and_spoils_nothing_else() -> None:
     assert not np.isfinite(joint[6:9, 6:9]).any()
     rest = np.delete(np.arange(len(joint)), [6, 7, 8])
     np.testing.assert_array_equal(joint[np.ix_(rest, rest)], slam.joint_covariance(slam.state.ids[1:]))
+
+
+@pytest.mark.parametrize("options", KINDS, ids=str)
+def test_whatever_rounding_does_a_covariance_is_symmetric(options: dict) -> None:
+    """To the last bit, also where the map is hardly known: 20 s without a measurement."""
+    slam = driven(**options)
+    for _ in range(20):
+        slam.predict(1.0)
+    for covariances in (slam.landmarks.covariances, slam.forecast().S, slam.pose_landmark_covariances()):
+        np.testing.assert_array_equal(covariances, covariances.transpose(0, 2, 1))
