@@ -273,6 +273,15 @@ def shows_your_data(names, printed):
     assert Path("mine.npz").exists()
 
 
+def shows_inertial(names, out):
+    """Forces that cancel gravity for a tenth of a second leave the filter where it was."""
+    slam = names["slam"]
+    assert out == f"{slam.belief('imu-bias').value} {slam.belief('gravity').value}\n"
+    np.testing.assert_allclose(slam.belief("imu-bias").value, 0.0, atol=1e-9)
+    np.testing.assert_allclose(np.linalg.norm(slam.belief("gravity").value), 9.81, atol=0.01)
+    np.testing.assert_allclose(slam.pose.position, 0.0, atol=1e-3)
+
+
 SHOWS = {
     "README.md": shows_readme,
     "docs/active_perception.md": shows_active_perception,
@@ -284,6 +293,7 @@ SHOWS = {
     "docs/evaluate.md": shows_evaluate,
     "docs/claim.md": shows_claim,
     "docs/faults.md": shows_faults,
+    "docs/filters/inertial.md": shows_inertial,
     "docs/front_end.md": shows_front_end,
     "docs/index.md": shows_index,
     "docs/nees.md": shows_nees,
