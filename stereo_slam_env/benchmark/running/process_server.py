@@ -99,9 +99,11 @@ def _load_machine_code(tell: Callable[[], None]) -> None:
 
     `tell` is called after each, which may have been compiled first. What is wrong is told where a trial meets it.
     """
+    from numba import config
+
     from stereo_slam_env.benchmark.running.tasks import rehearsals
 
-    for rehearse in rehearsals():
+    for rehearse in () if config.DISABLE_JIT else rehearsals():
         with suppress(Exception):
             rehearse()
         tell()
