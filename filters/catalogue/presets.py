@@ -106,9 +106,9 @@ class ColouredNoiseEKF(StereoEKF):
     """Stereo EKF for errors that last from frame to frame, as those of tracks in real images do.
 
     What a `ColouredNoise` states becomes process noise of landmarks, a gauge walk, and variables for the misalignment
-    of camera and reference and for the offset of the disparities; a scale that is not known is added to the covariance
-    of `pose` and `relative_pose`. Where the noise states nothing, it is taken for white. Shared anchors,
-    right-invariant errors, and the joint test over the frame where there is a gate.
+    of camera and reference, the offset of the disparities and the rotation of the right camera. A scale that is not
+    known is added to the covariance of `pose` and `relative_pose`. Where the noise states nothing, it is taken for
+    white. Shared anchors, right-invariant errors, and the joint test over the frame where there is a gate.
     """
 
     open_options = StereoEKF.open_options - {"landmark", "measurement", "error", "consensus", "drift", "gauge_walk"}
@@ -118,7 +118,12 @@ class ColouredNoiseEKF(StereoEKF):
         scale = 0.0
         if isinstance(noise, ColouredNoise):
             stated |= {"drift": noise.drift, "gauge_walk": noise.gauge_walk}
-            priors = {"misalignment_sigma": noise.misalignment, "offset_sigma": noise.disparity_offset}
+            priors = {
+                "misalignment_sigma": noise.misalignment,
+                "offset_sigma": noise.disparity_offset,
+                "yaw_sigma": noise.right_yaw,
+                "roll_sigma": noise.right_roll,
+            }
             if any(priors.values()):
                 given = {name: sigma for name, sigma in priors.items() if sigma}
                 stated["measurement"] = {"name": "calibrated", **given}
