@@ -172,7 +172,8 @@ class CalibratedPair(MeasurementModel):
         straight = x - (1.0 + e[2]) * camera.baseline * w - e[7] * y
         seen = (straight - e[6]) / (1.0 + e[6] * straight)
         numbers = np.stack([camera.fx * x, camera.fy * y, camera.fx * (x - seen)], axis=-1)
-        return (1.0 + e[1]) * numbers + [camera.cx, camera.cy, e[0]]
+        seen_with: FloatArray = (1.0 + e[1]) * numbers + [camera.cx, camera.cy, e[0]]
+        return seen_with
 
     def backproject(self, camera: StereoCamera, uvd: FloatArray, values: Values) -> FloatArray:
         """The exact inverse."""
