@@ -199,7 +199,8 @@ def bench(
         str | None,
         typer.Option(
             "--rig",
-            help="Rig of simulated drives: 'reference', 'vga', 'qvga'; or numbers: baseline=0.2 or vga,baseline=0.2.",
+            help="Rig of simulated drives: a name ('reference', 'vga', 'qvga', 'kitti', 'euroc', 'zed2', 'd455', "
+            "'oak-d'), a calibration file, numbers (baseline=0.2), or both: vga,baseline=0.2.",
             show_default="what the scenario says",
         ),
     ] = None,
