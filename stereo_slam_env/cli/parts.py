@@ -7,6 +7,7 @@ import inspect
 import json
 import sys
 from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -46,6 +47,50 @@ TruthOption = Annotated[
 OutOption = Annotated[
     Path | None, typer.Option("--out", help="Run directory; an interrupted run in it is resumed.", show_default="new")
 ]
+
+
+@dataclass
+class ImagesOptions:
+    """Options of the commands that read stereo images."""
+
+    rig: Annotated[
+        str | None,
+        typer.Option(
+            "--rig",
+            help="Calibration file of the images, raw or rectified (KITTI, EuRoC, Kalibr, ROS, OpenCV), or numbers.",
+            show_default="that of the recording",
+        ),
+    ] = None
+    truth: Annotated[
+        str | None,
+        typer.Option(
+            "--truth", help="Poses of the left camera: a TUM file or another trajectory.", show_default="its own"
+        ),
+    ] = None
+    truth_body: Annotated[
+        Path | None,
+        typer.Option(
+            "--truth-body",
+            help="Pose of the left camera in the body of --truth: JSON with R (9 numbers) and t (m).",
+            metavar="T.json",
+            show_default="the left camera",
+        ),
+    ] = None
+
+    def given(self) -> dict[str, Any]:
+        """Arguments of `open_image_sequence`, JSON-able."""
+        from stereo_slam_env.sensing.rigs import Rig, calibration_of
+
+        given: dict[str, Any] = {}
+        if self.rig is not None:
+            rig: Rig = rig_from(self.rig)
+            calibration_of(rig)  # refused before any work
+            given["rig"] = rig
+        if self.truth is not None:
+            given["truth"] = self.truth
+        if self.truth_body is not None:
+            given["body"] = str(self.truth_body)
+        return given
 
 
 def body_from(path: Path | None, estimated: bool) -> Pose | Literal["estimated"] | None:

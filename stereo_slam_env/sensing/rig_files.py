@@ -288,6 +288,30 @@ def _camera_info(
     return stated_rectification((lenses[0], lenses[1]), (turns[0], turns[1]), (P[0], P[1]), str(paths[1]))
 
 
+def calibration_of_infos(messages: tuple[Any, Any], where: str, *, rectified: bool) -> Calibration:
+    """Calibration by the messages `sensor_msgs/CameraInfo` of both cameras, of images that are rectified or raw."""
+    path, tables = Path(where), []
+    for message in messages:
+        # ROS 1 writes these names in capitals.
+        matrices = {name: getattr(message, name, None) for name in "KDRPkdrp"}
+        K, D, R, P = (next(m for m in (matrices[n], matrices[n.lower()]) if m is not None) for n in "KDRP")
+        tables.append(
+            {
+                "image_width": int(message.width),
+                "image_height": int(message.height),
+                "camera_matrix": list(K),
+                "distortion_model": str(message.distortion_model),
+                "distortion_coefficients": list(D),
+                "rectification_matrix": list(R),
+                "projection_matrix": list(P),
+            }
+        )
+    if rectified:
+        P_left, P_right = (_numbers(path, table, "projection_matrix", 12).reshape(3, 4) for table in tables)
+        return rectified_rig(where, P_left, P_right, _size(path, tables[0], (), None))
+    return _camera_info((path, path), (tables[0], tables[1]), None)
+
+
 def _opencv(path: Path, table: dict[str, Any], size: Size | None) -> Calibration:
     """Of OpenCV's stereo calibration (M1, D1, M2, D2, R, T), and ORB-SLAM's settings, raw or rectified."""
     of_image = ("image_size", "imageSize", "size", "resolution")

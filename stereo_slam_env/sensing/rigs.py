@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, fields
+from dataclasses import asdict, fields, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -14,8 +14,7 @@ from filters.contract.known_names import require_known
 from filters.validation import finite_number
 from stereo_slam_env.sensing.rig_files import ENDINGS, Calibration, is_calibration, read_calibration
 
-RigName = Literal["reference", "vga", "qvga", "kitti", "euroc", "zed2", "d455", "oak-d"]
-Rig = RigName | StereoCamera | Mapping[str, Any]
+Rig = str | StereoCamera | Mapping[str, Any]
 """A name of `RIGS`, a calibration file, a camera, or its numbers: see `camera_of`."""
 
 RIGS: dict[str, StereoCamera] = {
@@ -71,7 +70,7 @@ def camera_of(rig: Rig, default: str = "reference") -> StereoCamera:
     if "name" in given and len(given) > len(_NUMBERS):
         raise ValueError(f"rig must not have a name beside all its numbers, got name {given['name']!r}: leave it out")
     numbers = {key: value for key, value in given.items() if key not in _PLACES}
-    found = calibration_of(given, default)
+    found = _base(given, default)
     numbers = {**asdict(found if isinstance(found, StereoCamera) else found.camera), **numbers}
     width, height = _whole("rig.width", numbers["width"]), _whole("rig.height", numbers["height"])
     inside = "px, inside the image: give it with the size"
@@ -81,8 +80,21 @@ def camera_of(rig: Rig, default: str = "reference") -> StereoCamera:
 
 
 def calibration_of(rig: Rig, default: str = "reference") -> Calibration:
-    """What a rig says of its images: a rig of rectified ones, or how raw ones are rectified; as of `camera_of`."""
-    table = {"name": rig} if isinstance(rig, str) else asdict(rig) if isinstance(rig, StereoCamera) else rig
+    """What a rig says of its images: a rig of rectified ones, or how raw ones are rectified; as of `camera_of`.
+
+    Beside a calibration of raw images only the baseline may be another one.
+    """
+    camera = camera_of(rig, default)
+    found = _base({"name": rig} if isinstance(rig, str) else rig, default) if isinstance(rig, str | Mapping) else camera
+    if isinstance(found, StereoCamera):
+        return camera
+    if replace(found.camera, baseline=camera.baseline) != camera:
+        raise ValueError("rig is a calibration of raw images: beside it only the baseline may be given")
+    return found if found.camera == camera else replace(found, camera=camera)
+
+
+def _base(table: Mapping[str, Any], default: str) -> Calibration:
+    """The rig or calibration that numbers of a table are put in place of."""
     if "left" in table or "right" in table:
         if not {"left", "right"} <= table.keys() or "name" in table:
             raise ValueError("rig must have the files of both cameras, left and right, and no name beside them")
@@ -92,7 +104,7 @@ def calibration_of(rig: Rig, default: str = "reference") -> Calibration:
         return RIGS[name]
     if isinstance(name, str) and is_calibration(name):
         return read_calibration(name, size=_size(table))
-    what = "rig" if isinstance(rig, str) or set(table) == {"name"} else "rig.name"
+    what = "rig" if isinstance(name, str) and set(table) == {"name"} else "rig.name"
     raise ValueError(f"{what} must be {_KINDS}, got {name!r}")
 
 
