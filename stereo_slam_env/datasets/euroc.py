@@ -3,7 +3,8 @@
 `mav0/cam0` (left) and `mav0/cam1` (right), each with `data.csv` (timestamp in ns, file name), `data/` with the images,
 and `sensor.yaml`: T_BS, which takes points of the camera to the body, the resolution, pinhole intrinsics (fu, fv, cu,
 cv) and radial-tangential distortion (k1, k2, p1, p2). Truth is `mav0/state_groundtruth_estimate0/data.csv`: timestamp
-in ns, position and quaternion (w first) of the body in its own world, and more columns that are not used.
+in ns, position and quaternion (w first) of the body in its own world, and more columns that are not used. `mav0/imu0`
+has `data.csv` (timestamp in ns, angular rates, specific forces) and `sensor.yaml` (T_BS, densities of the noise).
 
 Frame k is row k of `cam0/data.csv`. The images are rectified on reading, so the camera of the sequence is not the one
 in the file. The truth is that of the turned left camera; frames outside the time that it covers are left out.
@@ -20,7 +21,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
-from filters import Pose, StereoCamera
+from filters import InertialSamples, InertialUnit, Pose, StereoCamera
 from filters.contract.foreign_text import first_line
 from filters.validation import FloatArray, IntArray
 from stereo_slam_env.datasets.calibration import rectified_rig
@@ -29,15 +30,23 @@ from stereo_slam_env.datasets.known_recordings import reference_for
 from stereo_slam_env.datasets.sequence import Choice, ImageFiles, RecordedSequence, Rectify, known_poses
 from stereo_slam_env.files.paths import is_plain_name
 from stereo_slam_env.files.readers import finite_rows, read_text
+from stereo_slam_env.recording.inertial import samples_of_steps
 from stereo_slam_env.recording.recording import NO_REFERENCE, GreyImage
 
 NAME = "euroc"
 _IN_MAV0 = tuple(f"mav0/{camera}/{name}" for camera in ("cam0", "cam1") for name in ("data.csv", "sensor.yaml"))
 FILES = (_IN_MAV0, tuple(name.removeprefix("mav0/") for name in _IN_MAV0))
+INERTIAL = "imu0"
 TRUTH = "state_groundtruth_estimate0"
 STATED = f"The poses of {TRUTH}, interpolated and carried over to the rectified left camera."
 LARGEST_TRUTH_GAP_NS = 100_000_000
 """Truth is interpolated between rows that are no further apart (it comes at 200 Hz)."""
+_DENSITIES = (
+    "gyroscope_noise_density",
+    "accelerometer_noise_density",
+    "gyroscope_random_walk",
+    "accelerometer_random_walk",
+)
 _LATEST_NS = np.iinfo(np.int64).max
 
 
@@ -63,6 +72,7 @@ def open_sequence(path: Path, choice: Choice, *, use_truth: bool = True) -> Reco
     sensor, other = (_read_sensor(camera / "sensor.yaml") for camera in cameras)
     rig, turned, rectify = _rectification(sensor, other, cameras[1] / "sensor.yaml")
     ns = np.array(stamps, dtype=np.int64)
+    inertial = _samples(root / INERTIAL, ns, sensor, turned) if (root / INERTIAL / "data.csv").exists() else []
     truth, table, truth_from = None, root / TRUTH / "data.csv", NO_REFERENCE
     if use_truth and table.exists():
         rows_ns, rows = _read_truth(table)
@@ -71,7 +81,7 @@ def open_sequence(path: Path, choice: Choice, *, use_truth: bool = True) -> Reco
         last = last if choice.last is None else min(last, choice.last)
         choice = Choice(max(choice.first or 0, first), last, choice.on_broken)
     folders = cameras[0] / "data", cameras[1] / "data"
-    files = ImageFiles(folders, (left, right), 1e-9 * (ns - ns[0]), cameras[0] / "data.csv", truth, table)
+    files = ImageFiles(folders, (left, right), 1e-9 * (ns - ns[0]), cameras[0] / "data.csv", truth, table, (), inertial)
     name = root.parent.name if root.name == "mav0" else root.name
     source = {"reader": NAME, "path": str(root), "rectified": "cv2.stereoRectify, alpha 0"}
     return RecordedSequence(f"{NAME}_{name}", files, choice, lambda image: rig, source, truth_from, rectify)
@@ -134,17 +144,39 @@ def _camera_poses(
     return poses, (int(covered[0]), int(covered[-1]))
 
 
+def _samples(folder: Path, stamps: IntArray, left: _Sensor, turned: FloatArray) -> list[InertialSamples | None]:
+    """Inertial samples of the step to each frame."""
+    table, sensor = folder / "data.csv", folder / "sensor.yaml"
+    text = _text(sensor)
+    T_ci = np.linalg.solve(left.T_bs, _transform(sensor, text))
+    densities = (_scalar(sensor, text, key) for key in _DENSITIES)
+    unit = InertialUnit(turned @ T_ci[:3, 3], Rotation.from_matrix(turned @ T_ci[:3, :3]).as_quat(), *densities)
+    rows_ns, rows = _read_stamped(table, 6)
+    origin = stamps[0]
+    return samples_of_steps(table, 1e-9 * (rows_ns - origin), rows, 1e-9 * (stamps - origin), unit)
+
+
 def _read_truth(path: Path) -> tuple[IntArray, FloatArray]:
     """Timestamps (K,) ns, increasing, and rows (K, 7): position and quaternion xyzw."""
+    stamps, rows = _read_stamped(path, 7)
+    return stamps, rows[:, [0, 1, 2, 4, 5, 6, 3]]
+
+
+def _read_stamped(path: Path, count: int) -> tuple[IntArray, FloatArray]:
+    """Timestamps (K,) ns, increasing, and the `count` numbers behind them."""
     stamps, rows = [], []
     for number, line in _rows(path):
         words = line.split(",")
         try:
-            x, y, z, qw, qx, qy, qz = (float(word) for word in words[1:8])
-            stamps.append(np.int64(words[0]))
+            stamp, row = np.int64(words[0]), [float(word) for word in words[1 : count + 1]]
+            if len(row) < count:
+                raise ValueError
         except (ValueError, OverflowError) as error:
-            raise ValueError(f"{path}: line {number} is not a timestamp in ns and 7 numbers: correct it") from error
-        rows.append([x, y, z, qx, qy, qz, qw])
+            raise ValueError(
+                f"{path}: line {number} is not a timestamp in ns and {count} numbers: correct it"
+            ) from error
+        stamps.append(stamp)
+        rows.append(row)
     if len(rows) < 2 or not (np.diff(stamps) > 0).all():
         raise ValueError(f"{path} must have two rows or more with increasing timestamps: copy it again")
     return np.array(stamps, dtype=np.int64), np.array(rows)
@@ -224,6 +256,13 @@ def _numbers(path: Path, text: str, key: str, count: int) -> FloatArray:
     if found is None:
         raise ValueError(f"{path} lacks '{key}: [...]': take the calibration of this recording")
     return _parsed(path, found[1], key, count)
+
+
+def _scalar(path: Path, text: str, key: str) -> float:
+    found = re.search(rf"^{key}\s*:\s*(\S+)", text, re.MULTILINE)
+    if found is None:
+        raise ValueError(f"{path} lacks '{key}': take the data sheet of this unit")
+    return float(_parsed(path, found[1], key, 1)[0])
 
 
 def _transform(path: Path, text: str) -> FloatArray:
