@@ -106,7 +106,7 @@ def _constraints(
                 break
             move = np.linalg.solve(V, g)
             x, y, rho = x + move[0], y + move[1], rho + move[2]
-            settled = g @ move < _SETTLED
+            settled = bool(g @ move < _SETTLED)
         distances[t] = np.nan
         if not good:
             continue
@@ -182,12 +182,13 @@ class MultiStateConstraintEKF(StereoEKF):
             raise ValueError(f"measurement must be 'joint' or 'left' with a window, got {type(sensor).__name__}")
         if not error.linearises_at_the_state:
             raise ValueError(f"error must linearise at the state with a window, got {type(error).__name__}")
-        if sensor.size < 3 and map_landmarks:
+        self._numbers = 2 if type(sensor) is LeftOnly else 3
+        if self._numbers < 3 and map_landmarks:
             raise ValueError(f"map_landmarks must be 0 with measurement='left', got {map_landmarks}: see its page")
-        self._own_whitening = _whitening(noise.R, sensor.size)
+        self._own_whitening = _whitening(noise.R, self._numbers)
         self._limits = np.full(window + 1, np.inf)
         if gate is not None:
-            self._limits[_LEAST:] = [gate_limit(gate, sensor.size * k - 3) for k in range(_LEAST, window + 1)]
+            self._limits[_LEAST:] = [gate_limit(gate, self._numbers * k - 3) for k in range(_LEAST, window + 1)]
 
     def reset(self, start: Start = AT_ORIGIN) -> None:
         """Start again, without clones, tracks and landmarks."""
@@ -230,18 +231,18 @@ class MultiStateConstraintEKF(StereoEKF):
         """What makes the errors of measurements independent, of variance one, (M, size, 3)."""
         if observation.R is None:
             return np.broadcast_to(self._own_whitening, (len(observation), *self._own_whitening.shape))
-        return _whitening(observation.R, self.options.measurement.size)
+        return _whitening(observation.R, self._numbers)
 
     def _correct_by(self, tracks: dict[int, _Track]) -> UpdateReport:
         """Correct the window with what complete tracks say of it."""
         tracks = {i: track for i, track in tracks.items() if len(track.numbers) >= _LEAST}
         if not tracks:
             return UpdateReport()
-        names, camera, size = self._names, self.camera, self.options.measurement.size
+        names, camera = self._names, self.camera
         belief, begin = self.belief(*names), self._frame - len(names)
         first, counts = np.array([(track.first - begin, len(track.numbers)) for track in tracks.values()]).T.copy()
         uvd, whitening = map(np.array, zip(*chain.from_iterable(t.numbers for t in tracks.values()), strict=True))
-        room = int((size * counts - 3).sum())
+        room = int((self._numbers * counts - 3).sum())
         H, nu, distances = np.zeros((room, 6 * len(names))), np.zeros(room), np.zeros(len(tracks))
         rig = np.array([camera.fx, camera.fy, camera.cx, camera.cy, camera.baseline])
         given = rig, belief.value.reshape(-1, 7), belief.covariance, first, counts, uvd, whitening, self._limits
@@ -263,7 +264,7 @@ def _whitening(R: FloatArray, size: int) -> FloatArray:
     return np.concatenate([inverse, np.zeros((*inverse.shape[:-1], 3 - size))], axis=-1)
 
 
-def _merged(report: UpdateReport, other: UpdateReport) -> UpdateReport:
+def _merged(first: UpdateReport, second: UpdateReport) -> UpdateReport:
     """Both in one."""
-    both = {f.name: (getattr(report, f.name), getattr(other, f.name)) for f in fields(UpdateReport)}
-    return UpdateReport(**{n: a + b if n.startswith("nis") else np.concatenate([a, b]) for n, (a, b) in both.items()})
+    both: dict[str, Any] = {f.name: (getattr(first, f.name), getattr(second, f.name)) for f in fields(UpdateReport)}
+    return UpdateReport(**{n: sum(two) if n.startswith("nis") else np.concatenate(two) for n, two in both.items()})
