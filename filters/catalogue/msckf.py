@@ -255,7 +255,8 @@ class MultiStateConstraintEKF(StereoEKF):
                 H, nu = triangle[:, :-1], triangle[:, -1]
             told = self.correct(nu, dict(zip(names, np.hsplit(H, len(names)), strict=True)), np.eye(len(nu)))
         fates = {"updated": abs(distances) == distances, "gated": distances < 0.0, "behind_camera": np.isnan(distances)}
-        return UpdateReport(**{fate: ids[which] for fate, which in fates.items()}, nis=told.nis, nis_dof=told.nis_dof)
+        told_of: dict[str, Any] = {fate: ids[which] for fate, which in fates.items()}
+        return UpdateReport(**told_of, nis=told.nis, nis_dof=told.nis_dof)
 
 
 def _whitening(R: FloatArray, size: int) -> FloatArray:
