@@ -128,12 +128,9 @@ def _constraints(
 
 @cache
 def _kernel() -> Any:
-    from numba import njit  # takes longer to import than all the rest
+    from filters.engine.compiled.blas import entry  # Numba takes longer to import than all the rest
 
-    from filters.engine.compiled.blas import ENTRY
-    from filters.engine.compiled.disk_cache import KEPT
-
-    return njit(**KEPT, **ENTRY)(_constraints)
+    return entry(_constraints)
 
 
 @dataclass
@@ -267,5 +264,8 @@ def _whitening(R: FloatArray, size: int) -> FloatArray:
 
 def _merged(first: UpdateReport, second: UpdateReport) -> UpdateReport:
     """Both in one."""
-    both: dict[str, Any] = {f.name: (getattr(first, f.name), getattr(second, f.name)) for f in fields(UpdateReport)}
-    return UpdateReport(**{n: sum(two) if n.startswith("nis") else np.concatenate(two) for n, two in both.items()})
+    merged: dict[str, Any] = {}
+    for name in (f.name for f in fields(UpdateReport)):
+        both = getattr(first, name), getattr(second, name)
+        merged[name] = sum(both) if name.startswith("nis") else np.concatenate(both)
+    return UpdateReport(**merged)
