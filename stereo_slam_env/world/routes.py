@@ -6,7 +6,7 @@ import logging
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cache, cached_property, wraps
+from functools import cache, cached_property, partial, wraps
 from importlib.metadata import entry_points
 from pathlib import Path
 from types import MappingProxyType
@@ -60,12 +60,12 @@ class Route:
     @cached_property
     def travel(self) -> FloatArray:
         """Rotation of a camera that looks in the direction of travel of each step; (K - 1, 3, 3)."""
-        return np.array([rotations.exp([0.0, yaw, 0.0]) for yaw in self.middle_headings])
+        return _yawed(self.middle_headings)
 
     @cached_property
     def attitudes(self) -> FloatArray:
         """Nominal rotation R_wc of the camera at each frame; (K, 3, 3)."""
-        return np.array([rotations.exp([0.0, yaw, 0.0]) for yaw in self.headings])
+        return _yawed(self.headings)
 
     @cached_property
     def positions(self) -> FloatArray:
@@ -137,6 +137,11 @@ def pulse(time: FloatArray, start: float, end: float, ramp: float) -> FloatArray
     return (0.5 - 0.5 * np.cos(np.pi * np.clip(edge, 0.0, 1.0))).astype(np.float64)
 
 
+def _yawed(yaws: FloatArray) -> FloatArray:
+    """Rotations by yaws (N,) about y, rad; (N, 3, 3)."""
+    return rotations.exp(np.stack([np.zeros_like(yaws), yaws, np.zeros_like(yaws)], axis=1))
+
+
 def _step_times(frames: int) -> FloatArray:
     return (np.arange(frames - 1, dtype=np.float64) + 0.5) * FRAME_PERIOD
 
@@ -176,11 +181,66 @@ def loop() -> Route:
     return Route("loop", speeds, yaw_rates)
 
 
+def random_town(rng: np.random.Generator) -> Route:
+    """A drive with one to four turns to either side: 60 to 350 m, at 4 to 6 m/s between the turns."""
+    angles, heading = rng.uniform(0.5, 1.7, rng.integers(1, 5)), 0.0
+    for number, angle in enumerate(angles):
+        turn = rng.choice([-angle, angle])
+        angles[number] = turn if abs(heading + turn) < _FARTHEST_ROUND else -turn  # it does not cross itself
+        heading += angles[number]
+    legs = np.concatenate([rng.uniform(15.0, 50.0, 1), rng.uniform(30.0, 70.0, len(angles))])
+    return _turning("random-town", legs, angles, rng.uniform(4.0, 6.0), rng.uniform(9.0, 14.0, len(angles)))
+
+
+def random_loop(rng: np.random.Generator) -> Route:
+    """Round a block with sides of 45 to 80 m, to the left or to the right, and 24 m further."""
+    first, second = rng.uniform(45.0, 80.0, 2)
+    begun = rng.uniform(0.35, 0.65) * first
+    legs = np.array([begun, second, first, second, first - begun + _BEYOND])
+    angles = np.full(4, rng.choice([-1.0, 1.0]) * 0.5 * np.pi)
+    return _turning("random-loop", legs, angles, rng.uniform(4.0, 5.5), np.full(4, rng.uniform(9.0, 14.0)))
+
+
+def _turning(name: str, legs: FloatArray, angles: FloatArray, cruise: float, radii: FloatArray) -> Route:
+    """Straight legs (T + 1,), m, and the turns (T,) between them, rad, with these mean radii, m, at 3 m/s."""
+    fast, slow, ramp = cruise * FRAME_PERIOD, _TURN_SPEED * FRAME_PERIOD, round(_RAMP / FRAME_PERIOD)
+    rise = slow + (fast - slow) * (0.5 - 0.5 * np.cos(np.pi * (np.arange(ramp) + 0.5) / ramp))
+    steps, yaws = [], []  # m and rad in each step
+    for number, leg in enumerate(legs):
+        before, after = rise[: ramp * (number > 0)], rise[: ramp * (number < len(angles))][::-1]
+        even = max(round((leg - before.sum() - after.sum()) / fast), 0)
+        steps += [before, np.full(even, fast), after]
+        yaws.append(np.zeros(len(before) + even + len(after)))
+        if number < len(angles):
+            time = _step_times(max(round(abs(angles[number]) * radii[number] / slow), 2 * ramp) + 1)
+            shape = pulse(time, 0.0, len(time) * FRAME_PERIOD, 1.2)
+            steps.append(np.full(len(time), slow))
+            yaws.append(angles[number] * shape / shape.sum())
+    return Route(name, np.concatenate(steps) / FRAME_PERIOD, np.concatenate(yaws) / FRAME_PERIOD)
+
+
+def _typical(draw: Callable[[np.random.Generator], Route]) -> Route:
+    """One of the routes that are drawn, always the same."""
+    return draw(np.random.default_rng(0))
+
+
+_TURN_SPEED, _RAMP = 3.0, 3.0
+"""In the turns of random routes, m/s; and the time of braking before and of accelerating after them, s."""
+_FARTHEST_ROUND = 2.0
+"""Farthest direction from the first one on a random route, rad."""
+_BEYOND = 24.0
+"""m: how far a random loop goes on beyond its start."""
+RANDOM_ROUTES: Mapping[str, Callable[[np.random.Generator], Route]] = MappingProxyType(
+    {"random-town": random_town, "random-loop": random_loop}
+)
+"""Routes that are drawn anew for each episode, by name."""
+
 _ROUTES: dict[str, Callable[[], Route]] = {
     "straight": straight,
     "right-turn": right_turn,
     "town": town,
     "loop": loop,
+    **{name: partial(_typical, draw) for name, draw in RANDOM_ROUTES.items()},
 }
 ROUTES: Mapping[str, Callable[[], Route]] = MappingProxyType(_ROUTES)
 """Registered routes by name; read-only, see `register_route`."""
