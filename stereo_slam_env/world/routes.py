@@ -14,12 +14,12 @@ from typing import TypeVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
 
 from filters.contract.known_names import did_you_mean
 from filters.geometry import rotations
 from filters.validation import FloatArray, positive
 from stereo_slam_env.files.readers import read_poses
+from stereo_slam_env.world.recorded_paths import require_one_drive, smoothed, steady, strides
 
 ENTRY_POINT_GROUP = "stereo_slam.scenes"
 """Functions of installed packages that register scenes and routes."""
@@ -295,18 +295,8 @@ def load_registrations() -> None:
 
 KITTI_PERIOD = 0.1037
 """Mean time between two frames of KITTI odometry, s."""
-_SPACING = 0.25
-"""Of the points along the smoothed path, m."""
-_STRIDE = 0.3
-"""Steps shorter than this do not tell a direction, m."""
-_PATH_SMOOTHING = 1.5
-"""Over which positions are smoothed, m along the path."""
-_TIME_SMOOTHING = 0.3
-"""Over which they are smoothed in time, s."""
 _AT_REST = 0.02
 """Speed that counts as standing still, m/s."""
-_FASTEST = 60.0
-"""m/s: poses further apart than that are not of one drive."""
 _SHORTEST = 5.0
 _STRAIGHT_BELOW = 0.08
 """rad/s; recorded drives are never quite straight."""
@@ -326,18 +316,18 @@ def kitti_route(path: str | Path, period: float = KITTI_PERIOD) -> Route:
         raise ValueError(f"{path} is not a file: give a KITTI pose file, 12 numbers a row")
     positions, orientations = read_poses(path)
     level = positions[:, [0, 2]] - positions[0, [0, 2]]
-    _require_one_drive(path, level, np.array([rotations.matrix(q)[[0, 2], 2] for q in orientations]), period)
+    require_one_drive(path, level, np.array([rotations.matrix(q)[[0, 2], 2] for q in orientations]), period)
 
-    strides, driven = _strides(level)
+    points, driven = strides(level)
     if driven[-1] < _SHORTEST:
         raise ValueError(f"{path} drives only {driven[-1]:.1f} m: a route needs {_SHORTEST:.0f} m")
-    arc, smooth = _smoothed(strides)
+    arc, smooth = smoothed(points)
     tangents = np.gradient(smooth, axis=0)
     headings = np.unwrap(np.arctan2(tangents[:, 0], tangents[:, 1]))
 
     duration = (len(level) - 1) * period
     frames = int(duration / FRAME_PERIOD) + 1
-    at = np.interp(np.arange(frames) * FRAME_PERIOD, np.arange(len(level)) * period, _steady(driven, period))
+    at = np.interp(np.arange(frames) * FRAME_PERIOD, np.arange(len(level)) * period, steady(driven, period))
     speeds = np.diff(at) / FRAME_PERIOD
     heading = np.interp(at, arc, headings)
     return Route(
@@ -364,51 +354,3 @@ def named_route(name: str) -> Route:
         return kitti_route(name)
     hint = did_you_mean(name, ROUTES)
     raise ValueError(f"route must be one of {', '.join(map(repr, ROUTES))} or a KITTI pose file, got {name!r}{hint}")
-
-
-def _require_one_drive(path: Path, level: FloatArray, forward: FloatArray, period: float) -> None:
-    steps = np.diff(level, axis=0)
-    far = np.flatnonzero(np.linalg.norm(steps, axis=1) > _FASTEST * period)
-    if far.size:
-        raise ValueError(
-            f"{path} jumps by {np.linalg.norm(steps[far[0]]):.1f} m from row {far[0]} to the next: "
-            "give the poses of one drive"
-        )
-    ahead = (steps * forward[:-1]).sum(axis=1)
-    back = np.flatnonzero(ahead < -_STRIDE)
-    if back.size:
-        raise ValueError(f"{path} drives backwards at row {back[0]}: z must be forward, and the car must not reverse")
-
-
-def _strides(level: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Points at least a stride apart (N, 2), and the distance driven at every row (K,), which never falls."""
-    kept, last, driven, before = [level[0]], level[0], np.zeros(len(level)), 0.0
-    for row, point in enumerate(level):
-        step = float(np.hypot(*(point - last)))
-        driven[row] = before + step
-        if step >= _STRIDE:
-            kept.append(point)
-            last, before = point, before + step
-    return np.array(kept), np.maximum.accumulate(driven)
-
-
-def _steady(driven: FloatArray, period: float) -> FloatArray:
-    """The distance at every row (K,), smoothed over time as if the speeds at both ends went on."""
-    margin = min(int(4 * _TIME_SMOOTHING / period), len(driven) - 1)
-    going_on = np.pad(driven, margin, mode="reflect", reflect_type="odd")
-    smooth: FloatArray = gaussian_filter1d(going_on, _TIME_SMOOTHING / period, mode="nearest")
-    return smooth[margin : margin + len(driven)]
-
-
-def _smoothed(strides: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The path by arc length: lengths (N,) and points (N, 2), continued straight at both ends while smoothing."""
-    margin = 4 * _PATH_SMOOTHING
-    few = min(5, len(strides) - 1)
-    ends = np.stack([strides[0] - strides[few], strides[-1] - strides[-1 - few]])
-    first, last = ends / np.linalg.norm(ends, axis=1, keepdims=True)
-    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(strides, axis=0), axis=1))])
-    knots = np.concatenate([[-margin], along, [along[-1] + margin]])
-    points = np.concatenate([strides[:1] + margin * first, strides, strides[-1:] + margin * last])
-    arc = np.arange(-margin, along[-1] + margin, _SPACING)
-    dense = np.stack([np.interp(arc, knots, points[:, i]) for i in range(2)], axis=1)
-    return arc, np.asarray(gaussian_filter1d(dense, _PATH_SMOOTHING / _SPACING, axis=0, mode="nearest"))
