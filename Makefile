@@ -10,7 +10,7 @@ BENCH ?= --preset quick
 PYTEST ?=
 RUN_TESTS = $(BIN)/python -m pytest --numprocesses $(WORKERS) --dist loadfile --max-worker-restart 0
 WORKERS ?= 2
-EXTRAS := dev,gtsam,evo,bags,gl,ray,dask,rl,video,docs,viewer,pictures
+EXTRAS := dev,gtsam,evo,bags,gl,ray,dask,rl,video,docs,viewer,pictures,notebooks
 PYTHONS ?= python3.10 python3.11 python3.12 python3.13
 
 # The matrices are small: a second BLAS thread never helps and can cost a lot. Parallelism comes from whole runs.
@@ -22,7 +22,7 @@ help: ## Show this help
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-9s %s\n", $$1, $$2}'
 	@echo "  variables: PYTHON=$(PYTHON)  BENCH=\"$(BENCH)\" (arguments of stereo-slam bench)  PYTEST=\"...\" (of pytest)  WORKERS=$(WORKERS) (processes of pytest)"
 
-bench: $(VENV)/.installed ## Compare the filters in the simulated world and write the report (two minutes after set-up)
+bench: $(VENV)/.installed ## Compare the filters in the simulated world and write the report (under a minute after set-up)
 	@$(BIN)/stereo-slam bench $(BENCH)
 
 test: lint ## Lint, types and the tests that show that the installation can be trusted
