@@ -9,8 +9,8 @@ import numpy as np
 from scipy.stats import chi2, norm, qmc
 
 from filters import nees
-from filters.geometry import rotations
 from filters.consistency import are_definite
+from filters.geometry import rotations
 from filters.motions.model import POSE_SIZE, POSITION, ROTATION
 from filters.validation import FloatArray
 from stereo_slam_env.evaluation.consistency import mean_band

@@ -220,13 +220,13 @@ def _covariances(columns: Columns) -> tuple[FloatArray | None, dict[str, Any]]:
     orientations = np.stack([values[f"q{a}"] for a in "xyzw"], axis=1)
     if all(f"covariance{i}" in values for i in range(36)):
         found = np.stack([values[f"covariance{i}"] for i in range(36)], axis=1).reshape(-1, POSE_SIZE, POSE_SIZE)
-        said = claim_of_ros(orientations, found)
-        if "covariances" in said:
-            said["notes"] = [
+        claim = claim_of_ros(orientations, found)
+        if "covariances" in claim:
+            claim["notes"] = [
                 "its covariances are read as those of ROS poses: the rotation about the axes of the world",
-                *said.get("notes", []),
+                *claim.get("notes", []),
             ]
-        return said.pop("covariances", None), said
+        return claim.pop("covariances", None), claim
     if not all(name in values for name in _BLOCKS):
         return None, {}
     for part, kind in ((POSITION, "Pt"), (ROTATION, "Pr")):

@@ -35,6 +35,8 @@ Sensor = Literal["landmarks", "images"]
 Metric = Literal["map", "bound", "windows"]
 Positive = Annotated[float, Meta(gt=0, le=MOST_SECONDS)]
 
+OUTSIDE = "trajectory"
+"""Name of a competitor that is a trajectory from outside."""
 _MOTION: Mapping[str, float] = asdict(ConstantVelocity())
 
 
@@ -95,6 +97,26 @@ class FilterChoice(_Choice):
     _of: ClassVar[str] = "filter"
 
     policy: PolicyChoice | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.is_outside:
+            require_known(f"options of {self.label} have no key", self.options, ("file", "body"))
+            if not all(isinstance(value, str) for value in (self.options.get("file"), self.options.get("body", ""))):
+                raise ValueError(f"{self.label} must say its trajectory, as options = {{file = 'est.tum'}}")
+
+    @property
+    def is_outside(self) -> bool:
+        """Whether it is no filter, but a trajectory that another program has estimated: option `file`.
+
+        `{seed}` in it stands for the seed of the recording. `body` is JSON with the pose of the left camera in the body
+        whose poses these are.
+        """
+        return self.name == OUTSIDE
+
+    def outside_file(self, seed: int | None) -> str:
+        """The file, or bag and topic, of a recording."""
+        return str(self.options["file"]).replace("{seed}", "recording" if seed is None else str(seed))
 
 
 DEFAULT_FILTERS = (
@@ -233,6 +255,15 @@ class Scenario:
     def _check_competitors(self) -> None:
         if not self.filters:
             raise ValueError("filters must name at least one filter")
+        outside = [choice for choice in self.filters if choice.is_outside]
+        if outside and (self.policies or len(outside) == len(self.filters)):
+            raise ValueError(
+                f"{outside[0].label} is a trajectory: it stands beside at least one filter, and in no policy's loop"
+            )
+        if self.source.seeded and len(self.seeds) > 1:
+            for choice in outside:
+                if "{seed}" not in choice.options["file"]:
+                    raise ValueError(f"{choice.label} has one file for several recordings: write {{seed}} in its name")
         kind = self.source.kind
         if self.policies and not self.source.for_policies:
             raise ValueError(
