@@ -69,7 +69,7 @@ def _cell(result: CellResult) -> dict[str, Any]:
     trials = {}
     for label, figures in result.figures.items():
         trials[label] = [
-            {"recording": key[0], "seed": key[1], **{name: row.get(name) for name in KEPT}}
+            {"recording": key[0], "seed": key[1], **{name: _short(row.get(name)) for name in KEPT}}
             | _claim(runs.get((label, *key)) if key in first else None)
             for key, row in figures.of_run.items()
         ]
@@ -100,7 +100,12 @@ def _claim(run: FilterRun | None) -> dict[str, Any]:
         return {}
     claim = score.claims["pose"]
     found = {"scale_gap": claim.scale_gap, "coverage_90": claim.coverage[0.9], "log_score": claim.log_score.mean}
-    return {"claim": {**found, "gauge": "that of the recording, not aligned"}}
+    return {"claim": {**{name: _short(value) for name, value in found.items()}, "gauge": score.alignment}}
+
+
+def _short(value: Any) -> Any:
+    """A number with as many digits as are compared, and some."""
+    return float(f"{value:.9g}") if isinstance(value, float) else value
 
 
 def _missing(result: CellResult) -> Iterator[str]:
@@ -119,8 +124,9 @@ def _missing(result: CellResult) -> Iterator[str]:
         unscored = sum(row["frames_not_scored"] or 0 for row in rows)
         if unscored:
             yield f"{name}: {unscored} frames of {choice.label} have no NEES"
-        if choice.is_outside:
-            yield f"{name}: {choice.label} is a trajectory from outside, which is not run again"
+    outside = [choice.label for choice in result.directory.scenario.competitors if choice.is_outside]
+    if outside:
+        yield f"{name}: from outside, and not run again: {', '.join(outside)}"
 
 
 def _moved(scenario: Scenario, to: Path | None) -> Scenario:

@@ -349,7 +349,8 @@ def _chosen(
 
 def _outside(text: str) -> FilterChoice:
     """The competitor that `--trajectory` names."""
-    from stereo_slam_env.benchmark.scenarios.scenario import OUTSIDE, FilterChoice
+    from stereo_slam_env.benchmark.scenarios.outside import OUTSIDE
+    from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice
 
     label, equals, name = text.partition("=")
     if not (label and equals and name):

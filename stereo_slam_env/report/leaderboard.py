@@ -6,6 +6,7 @@ Sorted by how far the claim is from the truth, not by the error: the factor of t
 from __future__ import annotations
 
 import sys
+import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -38,7 +39,9 @@ def _about(name: str, packet: Mapping[str, Any], cell: Mapping[str, Any]) -> str
     kinds = sorted({str(one["reference"]) for one in cell["recordings"]})
     missing = [sentence.partition(": ")[2] for sentence in packet["missing"] if sentence.startswith(f"{cell['name']}:")]
     lines = [f"`stereo-slam verify results/{name}` runs a part of it again. Truth: {', '.join(kinds)}."]
-    return "\n\n".join([*lines, *(f"Missing: {'; '.join(missing)}." for _ in [0] if missing)])
+    if missing:
+        lines.append("\n".join(textwrap.wrap(f"Missing: {'; '.join(missing)}.", 100, break_on_hyphens=False)))
+    return "\n\n".join(lines)
 
 
 def _row(label: str, trials: Sequence[Mapping[str, Any]]) -> tuple[float, str, list[str]]:

@@ -24,6 +24,7 @@ from stereo_slam_env.benchmark.scenarios.bounds import (
     MOST_SEED,
     require_bounded,
 )
+from stereo_slam_env.benchmark.scenarios.outside import OUTSIDE, SEED, require_file, require_place
 
 if TYPE_CHECKING:
     from typing import Self
@@ -35,8 +36,6 @@ Sensor = Literal["landmarks", "images"]
 Metric = Literal["map", "bound", "windows"]
 Positive = Annotated[float, Meta(gt=0, le=MOST_SECONDS)]
 
-OUTSIDE = "trajectory"
-"""Name of a competitor that is a trajectory from outside."""
 _MOTION: Mapping[str, float] = asdict(ConstantVelocity())
 
 
@@ -101,9 +100,7 @@ class FilterChoice(_Choice):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.is_outside:
-            require_known(f"options of {self.label} have no key", self.options, ("file", "body"))
-            if not all(isinstance(value, str) for value in (self.options.get("file"), self.options.get("body", ""))):
-                raise ValueError(f"{self.label} must say its trajectory, as options = {{file = 'est.tum'}}")
+            require_file(self)
 
     @property
     def is_outside(self) -> bool:
@@ -116,7 +113,7 @@ class FilterChoice(_Choice):
 
     def outside_file(self, seed: int | None) -> str:
         """The file, or bag and topic, of a recording."""
-        return str(self.options["file"]).replace("{seed}", "recording" if seed is None else str(seed))
+        return str(self.options["file"]).replace(SEED, "recording" if seed is None else str(seed))
 
 
 DEFAULT_FILTERS = (
@@ -255,15 +252,8 @@ class Scenario:
     def _check_competitors(self) -> None:
         if not self.filters:
             raise ValueError("filters must name at least one filter")
-        outside = [choice for choice in self.filters if choice.is_outside]
-        if outside and (self.policies or len(outside) == len(self.filters)):
-            raise ValueError(
-                f"{outside[0].label} is a trajectory: it stands beside at least one filter, and in no policy's loop"
-            )
-        if self.source.seeded and len(self.seeds) > 1:
-            for choice in outside:
-                if "{seed}" not in choice.options["file"]:
-                    raise ValueError(f"{choice.label} has one file for several recordings: write {{seed}} in its name")
+        recordings = len(self.seeds) if self.source.seeded else 1
+        require_place(self.filters, with_policies=bool(self.policies), recordings=recordings)
         kind = self.source.kind
         if self.policies and not self.source.for_policies:
             raise ValueError(
