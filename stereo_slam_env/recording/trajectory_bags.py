@@ -54,7 +54,7 @@ def read_bag(path: Path, topic: str | None) -> Trajectory:
     require_module("rosbags", "bags")
     if not (path.is_file() or path.is_dir()):
         raise ValueError(f"{path} does not exist, or is no file: give a bag, or a trajectory as text")
-    with _opened(path) as reader:
+    with opened_bag(path) as reader:
         types = {c.topic: c.msgtype for c in reader.connections}
         name, _, pair = (topic or "").partition(":")
         asked = [c for c in types if topic and c.strip("/") == name.strip("/")]
@@ -102,7 +102,7 @@ def _trajectory(path: Path, what: str, table: FloatArray, **about: Any) -> Traje
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[Any]:
+def opened_bag(path: Path) -> Iterator[Any]:
     """The reader of a bag; whatever it or a message raises is damage, in one line."""
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore

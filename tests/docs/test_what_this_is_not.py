@@ -30,7 +30,7 @@ from filters import (
 )
 from filters.parts import SLOTS
 from stereo_slam_env.benchmark.scenarios.scenario import Scenario
-from stereo_slam_env.datasets import IMAGE_LAYOUTS
+from stereo_slam_env.datasets import image_layouts
 from stereo_slam_env.envs.recorder import RenderedDrive
 from stereo_slam_env.frontend.ego_motion import robust_step
 from stereo_slam_env.frontend.settings import TrackerSettings
@@ -140,10 +140,14 @@ def the_front_end_measures_uvd():
     assert np.max(rows) < 2.0
 
 
-@says("The EuRoC reader rectifies on reading; all other images must already be rectified.")
-def one_reader_rectifies():
-    that_do = [layout.NAME for layout in IMAGE_LAYOUTS if "stereoRectify" in inspect.getsource(layout)]
-    assert that_do == ["euroc"]
+@says(
+    "The readers of EuRoC and TUM-VI, VSLAM-LAB, plain folders and ROS bags rectify on reading; all other images must "
+    "already be rectified."
+)
+def some_readers_rectify():
+    sources = {layout.NAME: inspect.getsource(layout) for layout in image_layouts()}
+    that_do = [name for name, source in sources.items() if "Rectification" in source or "Recalibrated" in source]
+    assert that_do == ["euroc", "vslam_lab", "stereo_folder", "ros_bag"]
 
 
 @says("Fisheye, canted and depth cameras have models for measurements (fisheye, unrectified, depth), but no front end.")
@@ -173,20 +177,20 @@ def the_front_end_measures_an_offset():
 
 
 @says(
-    "Filters can estimate more: coloured-noise that offset and the misalignment of camera and vehicle, the measurement "
-    "calibrated also the focal length and the baseline."
+    "Filters can estimate more: coloured-noise that offset and the rotation of the right camera, the measurement "
+    "calibrated also the focal length, the baseline and the misalignment of camera and vehicle."
 )
 def filters_estimate_calibration():
-    noise = ColouredNoise(np.eye(3), misalignment=0.005, disparity_offset=0.05)
+    noise = ColouredNoise(np.eye(3), disparity_offset=0.05, right_yaw=0.002, right_roll=0.002)
     slam = driven(make_filter("coloured-noise", camera=CAMERA, noise=noise), drive(0, 8))
     believed = slam.belief("calibration")
-    assert len(believed.value) == 4  # the offset, and three angles
+    assert len(believed.value) == 3  # the offset, yaw and roll
     assert np.diag(believed.covariance)[0] < 0.05**2
-    priors = {f"{name}_sigma": 0.01 for name in ("offset", "focal", "baseline", "misalignment")}
+    priors = {f"{name}_sigma": 0.01 for name in ("offset", "focal", "baseline", "misalignment", "yaw", "roll")}
     calibrated = {"name": "calibrated", **priors}
     slam = driven(StereoEKF(CAMERA, StereoNoise.diagonal(1.0, 1.0, 1.0), measurement=calibrated), drive(0, 8))
     assert np.abs(slam.belief("calibration").value).min() > 0.0
-    assert len(slam.belief("calibration").value) == 6
+    assert len(slam.belief("calibration").value) == 8
 
 
 @says("A wrong baseline cannot be seen from images at all.")
