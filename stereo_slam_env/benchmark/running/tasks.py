@@ -24,6 +24,7 @@ from filters import ConstantVelocity
 from filters.catalogue.presets import PRESETS
 from filters.contract.foreign_text import first_line
 from stereo_slam_env.benchmark.recordings.source import OpenedImages
+from stereo_slam_env.benchmark.recordings.sources import StreetSource
 from stereo_slam_env.benchmark.running.isolation import NoProcess, Tell, WorkDied, WorkTooSlow, run_isolated
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, Scenario
 from stereo_slam_env.benchmark.scenarios.streams import (
@@ -325,6 +326,17 @@ def _bound_of(task: Task, bound: Bound | None) -> Done:
 def _bounded(task: Task, tell: Tell) -> Bound | None:
     motion = ConstantVelocity(**task.scenario.motion)
     return cramer_rao_bound(_given(task), motion, use_odometry=task.scenario.use_odometry, progress=tell)
+
+
+def rehearsals() -> Iterator[Callable[[], object]]:
+    """Functions that record two frames, run the usual filters over them, and compute the bound."""
+    usual = Scenario("rehearsal", StreetSource({"route": "right-turn"}), frames=2, gate=None, metrics=("map",))
+    made: list[Recording] = []
+    yield lambda: made.append(make_recording(usual, 0))
+    for recording in made:
+        yield partial(cramer_rao_bound, recording, ConstantVelocity())
+        for choice in usual.filters:
+            yield partial(_run_on, recording, Task(0, usual, 0), choice, lambda done, total: None)
 
 
 def watch_search(scenario: Scenario, watch: Watch, progress: Tell | None = None) -> None:
