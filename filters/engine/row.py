@@ -28,7 +28,6 @@ from filters.geometry.retractions import ADDITIVE
 from filters.measurements.model import MeasurementModel
 from filters.motions.model import CameraState, StepInput
 from filters.parts import SLOTS, kernels_of
-from filters.state import symmetric
 from filters.state.joint_state import JointState
 from filters.validation import FloatArray, IntArray
 
@@ -52,6 +51,8 @@ def recipe_of(camera: StereoCamera, options: Options) -> Recipe:
     seen = None if own_stages else kernels_of(sensor)
     driven = None if own_jacobians else kernels_of(motion)
     by_numbers = own_jacobians or landmark is None or seen is None or not kernels_of(options.update)
+    sigma_points = options.update.sigma_points(layout.measured + 3 * model.anchored + model.size)
+    by_numbers |= bool(sigma_points) and landmark is not None and landmark.turn is None and not model.additive
     turns = error is not None and error.turns
     moves_by_numbers = (
         error is None
@@ -96,6 +97,7 @@ def recipe_of(camera: StereoCamera, options: Options) -> Recipe:
         gauge_walk=options.gauge_walk,
         iterations=options.iterations,
         drop_unseen=options.drop_unseen,
+        sigma_points=() if by_numbers else sigma_points,
         min_disparity=options.min_disparity,
         measured=layout.measured,
         velocity=v,
@@ -245,14 +247,10 @@ class Row:
 
     @state.setter
     def state(self, state: JointState) -> None:
-        used = np.delete(np.arange(len(state.blocks)), state.empty_blocks)
-        number = np.full(len(state.blocks) + 1, -1)
-        number[used] = np.arange(len(used))
-        kept = np.concatenate([state.layout.rows, state.block_rows(used)])
-        blocks, first = np.zeros((2, len(used), self.engine.recipe.block_values))
-        kind, own = np.full(len(used), POINT), number[state.parameter_block]
-        size = state.blocks.shape[1]
-        blocks[:, :size], first[:, :size] = state.blocks[used], state.first_blocks[used]
+        own, size = state.parameter_block, state.blocks.shape[1]
+        blocks, first = np.zeros((2, len(state.blocks), self.engine.recipe.block_values))
+        kind = np.full(len(blocks), POINT)
+        blocks[:, :size], first[:, :size] = state.blocks, state.first_blocks
         free = state.anchor_block < 0
         plan = self.engine.recipe.plan
         points = free & (plan.changes or plan.points)
@@ -261,7 +259,7 @@ class Row:
         if state.model.in_anchor:
             turns = state.anchor_poses()[2]
         for clone in state.clones.values():
-            position, rotation = number[clone.blocks]
+            position, rotation = clone.blocks
             kind[position], kind[rotation] = CLONE_POSITION, CLONE_ROTATION
             for values in (blocks, first):
                 values[position, :3], values[rotation, :4] = clone.position, clone.orientation
@@ -271,14 +269,14 @@ class Row:
             FilterState(
                 x=values_of.of(state.camera),
                 predicted=values_of.of(state.predicted),
-                P=symmetric.keep(state.P, kept).T,
+                P=state.P.T,
                 blocks=blocks,
                 first=first,
                 kind=kind,
                 ids=state.ids,
                 own=own,
-                anchor=number[np.column_stack([state.anchor_block, turns])],
-                held=number[state.held],
+                anchor=np.column_stack([state.anchor_block, turns]),
+                held=state.held,
             ),
         )
         self.clones = [name for name in state.clones if isinstance(name, str)]

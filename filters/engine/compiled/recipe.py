@@ -63,6 +63,8 @@ class Plan(NamedTuple):
     tail_dof: float
     iterations: int
     drop_unseen: bool
+    sigma_points: FloatArray
+    """Distance, weights of the centre in mean and covariance, weight of the others; none: by Jacobians."""
     min_disparity: float
     measured: int
     """Leading rows that the measurements depend on: the pose, variables of the sensor, perhaps the velocity."""
@@ -154,6 +156,7 @@ class Recipe:
     tail_dof: float | None = None
     iterations: int = 1
     drop_unseen: bool = True
+    sigma_points: tuple[float, ...] = ()
     min_disparity: float | None = None
     """As of `StereoEKF`."""
     drift: LandmarkDrift | None = None
@@ -242,6 +245,7 @@ class Recipe:
             tail_dof=float("inf") if self.tail_dof is None else float(self.tail_dof),
             iterations=self.iterations,
             drop_unseen=self.drop_unseen,
+            sigma_points=floats(self.sigma_points),
             min_disparity=-float("inf") if self.min_disparity is None else float(self.min_disparity),
             measured=self.measured,
             velocity=self.velocity,

@@ -101,6 +101,14 @@ class Scratch(NamedTuple):
     gate_HP: FloatArray
     inverse_R: FloatArray
     small: FloatArray
+    root: FloatArray
+    """Cholesky factor of what a measurement depends on, pose first, and what is drawn and fitted along it."""
+    sigma_positions: FloatArray
+    sigma_rotations: FloatArray
+    sigma_z: FloatArray
+    sigma_along: FloatArray
+    added: FloatArray
+    """What sigma points have added to R, (M, 4, 4)."""
     result: FloatArray
     """What a unit gives back, (2,)."""
     noise: FloatArray
@@ -132,7 +140,14 @@ def scratch(
     rows = max(8, max(rows, used) + MOST_ROWS, M * MOST_ROWS if at_once else min(M * MOST_ROWS, CHUNK_ROWS + MOST_ROWS))
     size, seen = recipe.size, recipe.seen_size
     width, others, most = recipe.measured + 3 * recipe.anchors + size, recipe.measured - POSE_SIZE, max(MOST_ROWS, size)
-    K, v, numbers, moved = max(M, blocks), recipe.value_size, recipe.sensor_size, len(recipe.moved_rows)
+    drawn, lines = (2 * width + 1, M) if recipe.sigma_points else (1, 0)
+    N, K, v, numbers, moved = (
+        max(M, drawn),
+        max(M, blocks, drawn),
+        recipe.value_size,
+        recipe.sensor_size,
+        len(recipe.moved_rows),
+    )
     integers = {name: np.zeros(M, dtype=np.int64) for name in ("where", "place", "land", "select", "core")}
     return Scratch(
         F=np.zeros((leading, leading)),
@@ -188,13 +203,13 @@ def scratch(
         effect=np.zeros((K, size, 3)),
         sensed=np.zeros(len(recipe.sensed) + (6 if recipe.measured > recipe.velocity else 0)),
         points_c=np.zeros((M, seen)),
-        numbers=np.zeros((M, numbers)),
-        by_point=np.zeros((M, numbers, seen)),
-        by_values=np.zeros((M, numbers, others)),
-        in_front=np.zeros(M, dtype=np.bool_),
+        numbers=np.zeros((N, numbers)),
+        by_point=np.zeros((N, numbers, seen)),
+        by_values=np.zeros((N, numbers, others)),
+        in_front=np.zeros(N, dtype=np.bool_),
         uvd=np.zeros((M, 3)),
         by_uvd=np.zeros((M, seen, 3)),
-        back_by_values=np.zeros((M, seen, others)),
+        back_by_values=np.zeros((N, seen, others)),
         by_start=np.zeros((M, size, seen)),
         possible=np.zeros(M, dtype=np.bool_),
         gate_rows=np.zeros(width, dtype=np.int64),
@@ -202,6 +217,12 @@ def scratch(
         gate_HP=np.zeros((MOST_ROWS, width + 8)),
         inverse_R=np.zeros((M if recipe.consensus else 1, MOST_ROWS, MOST_ROWS)),
         small=np.zeros((3, most, most)),
+        root=np.zeros((width, width) if lines else (1, 1)),
+        sigma_positions=np.zeros((2 * POSE_SIZE + 1, 3)),
+        sigma_rotations=np.zeros((3 * (2 * POSE_SIZE + 1), 3)),
+        sigma_z=np.zeros((drawn, MOST_ROWS)),
+        sigma_along=np.zeros((MOST_ROWS, width)),
+        added=np.zeros((max(1, lines), MOST_ROWS, MOST_ROWS)),
         result=np.zeros(2),
         noise=np.zeros((M, 3, 3)),
         gone=np.zeros(blocks, dtype=np.bool_),
