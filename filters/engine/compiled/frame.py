@@ -135,8 +135,8 @@ def _steps(
     if plan.by_numbers:
         if not _ask(routines, TO_DRIFT, b, s, part, count):
             return False
-        return part > 0 or _linearise(routines, plan, variant, stage, S, b, x, blocks, s, count, AGAIN)
-    _linearise(routines, plan, variant, whole, S, b, x, blocks, s, count, AGAIN)
+    else:
+        _linearise(routines, plan, variant, whole, S, b, x, blocks, s, count, AGAIN)
     take_steps(plan, plan.drift[part], S.P[b], s, s.select, count)
     return _linearise(routines, plan, variant, stage, S, b, x, blocks, s, count, AGAIN)
 

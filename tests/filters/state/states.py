@@ -28,7 +28,10 @@ def without_map(camera: CameraState, P: FloatArray, model: LandmarkModel, layout
 
 def transform_variables(state: JointState, F: FloatArray, added: FloatArray | None = None) -> None:
     """P of the named variables becomes F P F^T + added."""
-    symmetric.transform_leading(state.P, F, np.zeros_like(F) if added is None else added)
+    size, P = len(F), state.P
+    moved = F @ symmetric.full(P[:size, :size]) @ F.T + (0.0 if added is None else added)
+    P[:size, :size] = 0.5 * (moved + moved.T)
+    P[size:, :size] = P[size:, :size] @ F.T
 
 
 def new_landmarks(
