@@ -10,8 +10,9 @@ the project. There, those tests of its room that reach the changed statement are
 or they take three times the processor time that they take without it. Kernels are mutated where they run as plain
 Python, so that no change needs compiling. What survives is printed as a diff: it is to be read, and to be killed by a
 test or judged to make no difference. Annotations and texts are not mutated. `--results` keeps what was found: the same
-command goes on where it was ended. `--limit` is that of one run of
-tests, seconds; `--budget` that of processor time for the tests of one mutant: the quickest that reach it are run. Ends with 1 where a smaller share than `--least` percent was killed.
+command goes on where it was ended. `--limit` is that of one run of tests, seconds; `--budget` that of processor time
+for the tests of one mutant: the quickest that reach it are run. Ends with 1 where a smaller share than `--least`
+percent was killed.
 """
 
 from __future__ import annotations

@@ -27,7 +27,11 @@ def recipe_with(landmark: str, calibrated: bool = True, **options: object) -> Re
     pair = CalibratedPair(1.0, 1.0, 1.0, 1.0) if calibrated else "joint"
     given = {"error": "so3", "gate": None, "landmark": landmark, "measurement": pair, **given}
     recipe = StereoEKF(CAMERA, StereoNoise(R), **given).engine.recipe
-    return replace(recipe, **options)
+    return with_plan(recipe, **options)
+
+
+def with_plan(recipe: Recipe, **options: object) -> Recipe:
+    return replace(recipe, plan=recipe.plan._replace(**options))
 
 
 def started(recipe: Recipe) -> Engine:
@@ -36,7 +40,7 @@ def started(recipe: Recipe) -> Engine:
     engine, L = Engine(recipe), recipe.plan.leading
     x = np.zeros(recipe.values)
     x[:3], x[3:7] = (1.0, 2.0, 3.0), Rotation.from_rotvec([0.2, -0.5, 0.1]).as_quat()
-    if recipe.plan.sensed:
+    if len(recipe.plan.sensed):
         x[7:13] = 0.7, 0.02, -0.03, 0.01, -0.02, 0.015
     v = recipe.plan.velocity
     x[v + 1 : v + 7] = 0.5, 0.1, 4.0, 0.02, 0.1, -0.01
@@ -84,7 +88,7 @@ def jacobian(function, size: int, step: float = 1e-6) -> np.ndarray:
 
 
 def calibration_of(recipe: Recipe, x: np.ndarray) -> np.ndarray:
-    return x[7:13] if recipe.plan.sensed else np.zeros(6)
+    return x[7:13] if len(recipe.plan.sensed) else np.zeros(6)
 
 
 def directions(angles: np.ndarray) -> np.ndarray:
@@ -153,7 +157,7 @@ def test_new_landmarks_inherit_the_uncertainty_of_pose_and_calibration(landmark:
 @pytest.mark.parametrize("considered", [(), (6, 7, 8, 9, 10, 11), (0, 7, 13)])
 @pytest.mark.parametrize("landmark", LANDMARKS)
 def test_an_update_is_the_dense_one_and_schmidts_for_considered_rows(landmark: str, considered: tuple) -> None:
-    recipe = recipe_with(landmark, considered=considered)
+    recipe = recipe_with(landmark, considered=np.array(considered, dtype=np.int64))
     engine = started(recipe)
     engine.step(0.0, observed(UVD))
     before, uvd = exported(engine), UVD + np.random.default_rng(5).standard_normal(UVD.shape)
@@ -254,7 +258,7 @@ def test_passes_with_the_prior_held_end_at_the_most_probable_state(landmark: str
 
 def test_a_random_walk_adds_its_variance() -> None:
     recipe = recipe_with("inverse-depth")
-    walking = replace(recipe, walk=tuple(np.linspace(0.0, 1.0, recipe.plan.leading)))
+    walking = with_plan(recipe, walk=np.linspace(0.0, 1.0, recipe.plan.leading))
     still, moving = started(recipe), started(walking)
     for engine in (still, moving):
         engine.step(0.1, None)
@@ -274,7 +278,7 @@ def test_a_measurement_without_a_cholesky_factor_is_left_out_alone(iterations: i
     others = [0, 1, 3]
     outcome = broken.step(0.0, replace(seen, R=noise))
     kept = replace(seen, ids=seen.ids[others], uvd=seen.uvd[others], offsets=np.array([0, 3]))
-    expected = Engine(replace(recipe, drop_unseen=False))
+    expected = Engine(with_plan(recipe, drop_unseen=False))
     expected.load(0, without.export(0))
     expected.step(0.0, kept)
     np.testing.assert_array_equal(outcome.fates == FAILED, [False, False, True, False])
