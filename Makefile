@@ -10,7 +10,7 @@ BENCH ?= --preset quick
 PYTEST ?=
 RUN_TESTS = $(BIN)/python -m pytest --numprocesses $(WORKERS) --dist loadfile --max-worker-restart 0
 WORKERS ?= 2
-EXTRAS := dev,gtsam,evo,bags,gl,ray,dask,rl,video,docs,viewer,pictures
+EXTRAS := dev,gtsam,evo,bags,gl,ray,dask,rl,video,docs,viewer,pictures,notebooks
 PYTHONS ?= python3.10 python3.11 python3.12 python3.13
 
 # The matrices are small: a second BLAS thread never helps and can cost a lot. Parallelism comes from whole runs.

@@ -21,7 +21,7 @@ from joblib import Parallel, delayed
 
 from filters import StereoNoise
 from harness import arguments, show
-from stereo_slam_env.datasets import TRACK_LAYOUTS, layout_of, load
+from stereo_slam_env.datasets import layout_of, load, track_layouts
 from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.evaluation.results import FilterSummary
 from stereo_slam_env.evaluation.run_figures import figures_of, summarise_all
@@ -52,7 +52,7 @@ def recordings(data: Path) -> dict[str, Recording]:
     folders = [folder for folder in sorted(data.iterdir()) if folder.is_dir()]
     found: dict[str, Recording] = {}
     for folder in folders:
-        if layout_of(folder) in [layout.NAME for layout in TRACK_LAYOUTS]:
+        if layout_of(folder) in [layout.NAME for layout in track_layouts()]:
             found[folder.name] = load(folder)
     with contextlib.suppress(ImportError):
         found["gtsam (against its odometry)"] = load("gtsam")

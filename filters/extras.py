@@ -29,6 +29,7 @@ CORE = {
     "pybullet": DISTRIBUTION,  # one of two distributions, by the machine: pip knows which
     "scipy": "scipy",
     "vl_convert": "vl-convert-python",
+    "yaml": "pyyaml",
 }
 """Requirement of the distribution that brings a module."""
 

@@ -17,6 +17,7 @@ import typer
 
 from stereo_slam_env.cli import bench as cli_bench
 from stereo_slam_env.cli import claim as cli_claim
+from stereo_slam_env.cli import convert as cli_convert
 from stereo_slam_env.cli import evaluate as cli_evaluate
 from stereo_slam_env.cli import scenes as cli_scenes
 from stereo_slam_env.cli import studies as cli_studies
@@ -54,6 +55,7 @@ app.command()(cli_bench.replay)
 app.command(cls=TakesTruths)(cli_evaluate.evaluate)
 app.command(cls=TakesTruths)(cli_claim.calibrate)
 app.command()(cli_claim.claim)
+app.command()(cli_convert.convert)
 app.command()(cli_studies.faults)
 app.command()(cli_studies.paper)
 app.command()(cli_train.train)

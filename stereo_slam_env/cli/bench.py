@@ -13,6 +13,7 @@ import typer
 
 from stereo_slam_env.cli.parts import (
     FiltersOption,
+    ImagesOptions,
     Interrupted,
     JobsOption,
     OutOption,
@@ -199,7 +200,8 @@ def bench(
         str | None,
         typer.Option(
             "--rig",
-            help="Rig of simulated drives: 'reference', 'vga', 'qvga'; or numbers: baseline=0.2 or vga,baseline=0.2.",
+            help="Rig of simulated drives: a name ('reference', 'vga', 'qvga', 'kitti', 'euroc', 'zed2', 'd455', "
+            "'oak-d'), a calibration file, numbers (baseline=0.2), or both: vga,baseline=0.2.",
             show_default="what the scenario says",
         ),
     ] = None,
@@ -269,10 +271,14 @@ def bench(
     options.run(directory)
 
 
+@with_options(ImagesOptions, "images")
 @with_options(RunOptions, "options")
 def replay(
     path: Annotated[
-        str, typer.Argument(help="Folder of a real recording (known by its files), or 'gtsam' for the wheel's example.")
+        str,
+        typer.Argument(
+            help="Folder of a real recording (known by its files), a ROS bag, or 'gtsam' for the wheel's example."
+        ),
     ],
     odometry: Annotated[bool, typer.Option("--odometry/--no-odometry", help="Use it where there is any.")] = True,
     consensus: Annotated[
@@ -295,6 +301,7 @@ def replay(
     ] = False,
     *,
     options: RunOptions,
+    images: ImagesOptions,
 ) -> None:
     """Run filters over a real drive, of tracks or of images."""
     from stereo_slam_env.benchmark import Scenario, Study
@@ -307,7 +314,7 @@ def replay(
     where = path if path.partition(":")[0] == "gtsam" else str(Path(path).resolve())
     options.require_place()
     stated = {} if reference is None else values_from("--reference", reference, ["kind"])
-    source = DatasetSource(where, {"on_broken": "skip"} if skip_broken else {}, stated)
+    source = DatasetSource(where, {**images.given(), **({"on_broken": "skip"} if skip_broken else {})}, stated)
     name = f"replay-{Path(where).name.replace(':', '-')}"
     # No bound: the true noise is not known.
     real = Scenario(name, source, REAL_DRIVE_FILTERS, use_odometry=odometry, metrics=("map", "windows"))

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import datetime
 import inspect
+import json
 import sys
 from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -45,6 +47,50 @@ TruthOption = Annotated[
 OutOption = Annotated[
     Path | None, typer.Option("--out", help="Run directory; an interrupted run in it is resumed.", show_default="new")
 ]
+
+
+@dataclass
+class ImagesOptions:
+    """Options of the commands that read stereo images."""
+
+    rig: Annotated[
+        str | None,
+        typer.Option(
+            "--rig",
+            help="Calibration file of the images, raw or rectified (KITTI, EuRoC, Kalibr, ROS, OpenCV), or numbers.",
+            show_default="that of the recording",
+        ),
+    ] = None
+    truth: Annotated[
+        str | None,
+        typer.Option(
+            "--truth", help="Poses of the left camera: a TUM file or another trajectory.", show_default="its own"
+        ),
+    ] = None
+    truth_body: Annotated[
+        Path | None,
+        typer.Option(
+            "--truth-body",
+            help="Pose of the left camera in the body of --truth: JSON with R (9 numbers) and t (m).",
+            metavar="T.json",
+            show_default="the left camera",
+        ),
+    ] = None
+
+    def given(self) -> dict[str, Any]:
+        """Arguments of `open_image_sequence`, JSON-able."""
+        from stereo_slam_env.sensing.rigs import Rig, calibration_of
+
+        given: dict[str, Any] = {}
+        if self.rig is not None:
+            rig: Rig = rig_from(self.rig)
+            calibration_of(rig)  # refused before any work
+            given["rig"] = rig
+        if self.truth is not None:
+            given["truth"] = self.truth
+        if self.truth_body is not None:
+            given["body"] = str(self.truth_body)
+        return given
 
 
 def body_from(path: Path | None, estimated: bool) -> Pose | Literal["estimated"] | None:
@@ -102,14 +148,22 @@ def refuse(message: str) -> int:
 
 
 def rig_from(text: str) -> str | dict[str, Any]:
-    """The rig that `--rig` says: NAME, KEY=NUMBER,... or NAME,KEY=NUMBER,... ."""
+    """The rig that `--rig` says: NAME or FILE, KEY=NUMBER,..., both, left=FILE,right=FILE, or a table as JSON."""
+    if text.lstrip().startswith("{"):
+        return _table("--rig", text.strip())
     rig: dict[str, Any] = {}
     for part in text.split(","):
         key, equals, value = (piece.strip() for piece in part.partition("="))
         if not equals:
             key, value = "name", key
         try:
-            number = value if key == "name" else int(value) if value.lstrip("+-").isdecimal() else float(value)
+            number = (
+                value
+                if key in ("name", "left", "right")
+                else int(value)
+                if value.lstrip("+-").isdecimal()
+                else float(value)
+            )
         except ValueError:
             raise ValueError(f"--rig must be a name, numbers or both, as vga,baseline=0.2, got {text!r}") from None
         if key in rig:
@@ -131,12 +185,12 @@ def values_from(option: str, text: str, words: Collection[str]) -> dict[str, flo
 
 
 def listed(option: str, text: str) -> list[str | dict[str, Any]]:
-    """Names, and tables as scenario files have them, separated by commas: A,{name = "B", options = {gate = 0.9}}.
+    """Names and tables, as TOML or JSON has them, separated by commas: A,{name = "B", options = {gate = 0.9}}.
 
     Raises
     ------
     ValueError
-        A table is not written as TOML has it.
+        A table is written as neither of them has it.
     """
     pieces, depth = [""], 0
     for character in text:
@@ -155,7 +209,13 @@ def _table(option: str, text: str) -> dict[str, Any]:
     else:
         import tomli as tomllib
     try:
-        table: dict[str, Any] = tomllib.loads(f"table = {text}")["table"]
+        table: dict[str, Any] = json.loads(text)
+    except (json.JSONDecodeError, RecursionError):
+        pass
+    else:
+        return table
+    try:
+        table = tomllib.loads(f"table = {text}")["table"]
     except tomllib.TOMLDecodeError as error:
         usual = '{name = "hybrid", options = {gate = 0.9}}'
         raise ValueError(f"{option} must be names, or tables such as {usual}, got {text}: {error}") from None

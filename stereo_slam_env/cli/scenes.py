@@ -20,7 +20,12 @@ def _scene(
     surroundings: Annotated[str, typer.Option("--surroundings", help="What stands along the route.")] = "street",
     renderer: Annotated[str, typer.Option("--renderer", help="'tiny', everywhere, or 'gl', fast.")] = "tiny",
     rig: Annotated[
-        str, typer.Option("--rig", help="'reference' 1344x391, 'vga' or 'qvga'; numbers of your own: vga,baseline=0.2.")
+        str,
+        typer.Option(
+            "--rig",
+            help="'reference' 1344x391, 'vga', 'kitti', 'euroc', 'zed2', ...; a calibration file; numbers of your own: "
+            "vga,baseline=0.2.",
+        ),
     ] = "reference",
     moving_cars: Annotated[int, typer.Option("--moving-cars", help="Cars that drive.", min=0)] = 0,
     pedestrians: Annotated[int, typer.Option("--pedestrians", help="People that walk.", min=0)] = 0,

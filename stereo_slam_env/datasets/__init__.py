@@ -1,9 +1,6 @@
-"""Readers of real recordings: `load` gives a `Recording` of tracks or of images, whatever layout a folder has.
+"""Readers of real recordings: `load` gives a `Recording` of tracks or of images, whatever layout a folder or file has.
 
-A layout is a module with `NAME`, `FILES` and a reader: `read(path, **options)` gives the recording of a layout of
-tracks (`TRACK_LAYOUTS`), `open_sequence(path, choice, **options)` the sequence of a layout of images (`IMAGE_LAYOUTS`),
-which then goes through the front end. `FILES` holds one or more sets of entries, any of which tells a folder of this
-layout; `*` stands for anything, `../` for the folder around.
+A layout is one of `registry`, ours or a third party's, and is recognised by its files.
 """
 
 from __future__ import annotations
@@ -12,24 +9,18 @@ import dataclasses
 import inspect
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 from filters.contract.known_names import require_known
 from filters.contract.noise import ColouredNoise
-from stereo_slam_env.datasets import (
-    euroc,
-    karlsruhe,
-    kitti00_stereo_tracks,
-    kitti06_stereo51,
-    kitti07_tracks,
-    kitti_odometry,
-    kitti_raw,
-    starry_night,
-)
+from stereo_slam_env.datasets import kitti00_stereo_tracks
 from stereo_slam_env.datasets.image_files import BrokenPair
 from stereo_slam_env.datasets.kitti_odometry import write_kitti_sequence
-from stereo_slam_env.datasets.sequence import Choice, OnBroken, RecordedSequence
+from stereo_slam_env.datasets.registry import Layout, available_recordings, file_layout, image_layouts, track_layouts
+from stereo_slam_env.datasets.restated import Recalibrated, WithTruth
+from stereo_slam_env.datasets.ros_bag import grey_of
+from stereo_slam_env.datasets.sequence import Choice, OnBroken
+from stereo_slam_env.evaluation.body_frames import read_body
 from stereo_slam_env.files.paths import is_there, require_inside, require_links_inside
 from stereo_slam_env.frontend.calibration import calibrated
 from stereo_slam_env.frontend.recorder import record_tracks
@@ -37,21 +28,22 @@ from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.frontend.track_noise import with_measured_noise
 from stereo_slam_env.recording.archive import load_recording
 from stereo_slam_env.recording.recording import ImageSequence, Recording
+from stereo_slam_env.sensing.rigs import Rig, calibration_of
 
-TRACK_LAYOUTS: tuple[ModuleType, ...] = (kitti07_tracks, kitti00_stereo_tracks, starry_night)
-IMAGE_LAYOUTS: tuple[ModuleType, ...] = (kitti06_stereo51, kitti_odometry, kitti_raw, karlsruhe, euroc)
 EXAMPLE = "gtsam"
-_CHOICE = ("first", "last", "on_broken")
+_CHOICE = ("first", "last", "on_broken", "rig", "truth", "body")
 
 __all__ = [
-    "IMAGE_LAYOUTS",
-    "TRACK_LAYOUTS",
     "BrokenPair",
+    "available_recordings",
+    "grey_of",
     "holds_images",
+    "image_layouts",
     "layout_of",
     "load",
     "open_for_front_end",
     "open_image_sequence",
+    "track_layouts",
     "write_kitti_sequence",
 ]
 
@@ -62,8 +54,8 @@ def load(source: str | Path, **options: Any) -> Recording:
     Parameters
     ----------
     source : str or Path
-        A folder, whose layout is recognised by its files; a file of `save_recording` (`NAME.npz`); or `gtsam`, the
-        example data inside the gtsam wheel.
+        A folder, whose layout is recognised by its files; a ROS bag; a file of `save_recording` (`NAME.npz`); or
+        `gtsam`, the example data inside the gtsam wheel.
     **options
         Options of the reader, see its `read`; for images those of `open_for_front_end`.
 
@@ -88,11 +80,12 @@ def load(source: str | Path, **options: Any) -> Recording:
     if path.suffix == ".npz" and is_there(path) and path.is_file():
         require_known("a recording in one file has no option", options, [])
         return _with_its_noise(load_recording(path))
-    _require_folder(path, f", a recording in one file (NAME.npz) or {EXAMPLE!r}")
-    layout = _recognised(path, TRACK_LAYOUTS)
-    if layout is None:
+    if (layout := _of_file(path)) is None:
+        _require_folder(path, f", a bag, a recording in one file (NAME.npz) or {EXAMPLE!r}")
+        layout = _recognised(path, track_layouts())
+    if layout is None or not hasattr(layout, "read"):
         if not holds_images(path):
-            raise _unknown_layout(path, (*TRACK_LAYOUTS, *IMAGE_LAYOUTS))
+            raise _unknown_layout(path, (*track_layouts(), *image_layouts()))
         return record_tracks(*open_for_front_end(path, **options))
     _require_options(layout.NAME, layout.read, options)
     require_links_inside(path)
@@ -134,18 +127,28 @@ def open_image_sequence(
     first: int | None = None,
     last: int | None = None,
     on_broken: OnBroken = "raise",
+    rig: Rig | None = None,
+    truth: str | Path | None = None,
+    body: str | Path | None = None,
     **options: Any,
-) -> RecordedSequence:
+) -> ImageSequence:
     """Open a recording of stereo images; the layout is recognised by the files in the folder.
 
     Parameters
     ----------
     path : str or Path
-        A folder of a known layout, or one that holds exactly one such folder, up to two levels down.
+        A folder of a known layout, or one that holds exactly one such folder, up to two levels down; or a bag.
     first, last : int, optional
         Frame numbers to start and to end with, both included.
     on_broken : {"raise", "skip"}
         What is done about pairs that cannot be used; "skip" leaves them out and counts them in `skipped`.
+    rig : str, StereoCamera or mapping, optional
+        Calibration in place of that of the recording, see `sensing.rigs.camera_of`; raw images are rectified by it.
+    truth : str or Path, optional
+        True poses in place of those of the recording: a trajectory of the left camera in any layout, see
+        `load_trajectory`, with times of the clock of the images.
+    body : str or Path, optional
+        JSON with R and t of the left camera's pose in the body whose poses are in `truth`.
     **options
         Options of the reader, see its `open_sequence`.
 
@@ -156,41 +159,66 @@ def open_image_sequence(
         folder: one line that names it.
     """
     given = Path(path)
-    _require_folder(given)
-    found = _image_recordings(given)
-    if len(found) > 1:
-        names = ", ".join(str(folder.relative_to(given)) for folder in found)
-        raise ValueError(f"{given} holds {len(found)} recordings, give one of them: {names}")
-    layout = _recognised(found[0], IMAGE_LAYOUTS) if found else None
+    layout = _of_file(given)
+    folder = given
     if layout is None:
-        raise _unknown_layout(given, IMAGE_LAYOUTS)
-    folder = require_inside(found[0], given)
-    require_links_inside(folder)
-    _require_options(layout.NAME, layout.open_sequence, options, _CHOICE)
-    sequence: RecordedSequence = layout.open_sequence(folder, Choice(first, last, on_broken), **options)
+        _require_folder(given, " or a bag")
+        found = _image_recordings(given)
+        if len(found) > 1:
+            names = ", ".join(str(folder.relative_to(given)) for folder in found)
+            raise ValueError(f"{given} holds {len(found)} recordings, give one of them: {names}")
+        layout = _recognised(found[0], image_layouts()) if found else None
+        if layout is None:
+            raise _unknown_layout(given, image_layouts())
+        folder = require_inside(found[0], given)
+        require_links_inside(folder)
+    parameters = _require_options(layout.NAME, layout.open_sequence, options, _CHOICE)
+    if body is not None and truth is None:
+        raise ValueError("body is that of the poses in truth: give truth, too")
+    if "rig" in parameters:
+        options["rig"], rig = rig, None
+    sequence: ImageSequence = layout.open_sequence(folder, Choice(first, last, on_broken), **options)
+    if rig is not None:
+        sequence = Recalibrated(sequence, calibration_of(rig), str(rig))
+    if truth is not None:
+        sequence = WithTruth(sequence, str(truth), None if body is None else read_body(Path(body)))
     return sequence
 
 
 def holds_images(path: str | Path) -> bool:
-    """Whether the folder is a recording of images, and not one of tracks or none at all."""
+    """Whether the folder or file is a recording of images, and not one of tracks or none at all."""
     folder = Path(path)
-    return folder.is_dir() and _recognised(folder, TRACK_LAYOUTS) is None and bool(_image_recordings(folder))
+    if (layout := _of_file(folder)) is not None:
+        return hasattr(layout, "open_sequence")
+    return folder.is_dir() and _recognised(folder, track_layouts()) is None and bool(_image_recordings(folder))
+
+
+def _of_file(path: Path) -> Any | None:
+    """The layout of a recording in one file; None of what is none."""
+    return file_layout(path) if is_there(path) and path.is_file() else None
 
 
 def layout_of(folder: Path) -> str | None:
     """Name of the layout that the folder itself has; None where it has none of those known."""
-    layout = _recognised(folder, (*TRACK_LAYOUTS, *IMAGE_LAYOUTS))
+    layout = _recognised(folder, (*track_layouts(), *image_layouts()))
     return None if layout is None else str(layout.NAME)
 
 
-def _recognised(folder: Path, layouts: Iterable[ModuleType]) -> ModuleType | None:
+def _recognised(folder: Path, layouts: Iterable[Any]) -> Any | None:
     return next((layout for layout in layouts if not _lacking(folder, layout)), None)
 
 
-def _lacking(folder: Path, layout: ModuleType) -> list[str]:
+def _lacking(folder: Path, layout: Layout) -> list[str]:
     """The entries that the folder lacks to have the layout, of the set that comes nearest."""
-    sets: Sequence[Sequence[str]] = layout.FILES
-    return min(([entry for entry in entries if not _holds(folder, entry)] for entries in sets), key=len)
+    return _nearest_set(folder, layout)[0]
+
+
+def _nearest_set(folder: Path, layout: Layout) -> tuple[list[str], float]:
+    """The entries that the folder lacks of the set that comes nearest, and their share of the set."""
+    missing = [[entry for entry in entries if not _holds(folder, entry)] for entries in layout.FILES]
+    shares = [(len(lacking) / len(entries), lacking) for lacking, entries in zip(missing, layout.FILES, strict=True)]
+    share, lacking = min(shares, key=lambda one: one[0])
+    return lacking, share
 
 
 def _holds(folder: Path, entry: str) -> bool:
@@ -200,9 +228,9 @@ def _holds(folder: Path, entry: str) -> bool:
 
 def _image_recordings(folder: Path) -> list[Path]:
     """The folder itself if it has a layout of images, else those up to two levels below it that have one."""
-    if _recognised(folder, IMAGE_LAYOUTS) is not None:
+    if _recognised(folder, image_layouts()) is not None:
         return [folder]
-    found = [below for below in _folders(folder) if _recognised(below, IMAGE_LAYOUTS)]
+    found = [below for below in _folders(folder) if _recognised(below, image_layouts())]
     return [below for below in found if below.parent not in found]  # a recording's own folder may look like one, too
 
 
@@ -221,21 +249,24 @@ def _require_folder(path: Path, others: str = "") -> None:
 
 def _require_options(
     reader: str, read: Callable[..., Any], options: Mapping[str, Any], others: Sequence[str] = ()
-) -> None:
+) -> list[str]:
+    """Names of the keyword-only parameters of a reader, one of which or of `others` every option must be."""
     parameters = inspect.signature(read).parameters.values()
-    known = [*others, *(parameter.name for parameter in parameters if parameter.kind is parameter.KEYWORD_ONLY)]
-    require_known(f"the reader {reader} has no option", options, known)
+    own = [parameter.name for parameter in parameters if parameter.kind is parameter.KEYWORD_ONLY]
+    require_known(f"the reader {reader} has no option", options, [*others, *own])
+    return own
 
 
-def _unknown_layout(path: Path, layouts: Sequence[ModuleType]) -> ValueError:
+def _unknown_layout(path: Path, layouts: Sequence[Any]) -> ValueError:
     """The error for a folder without a known layout: one line with the nearest one and what it lacks of it."""
     for folder in _folders(path):
-        lacking = {layout: _lacking(folder, layout) for layout in layouts}
-        nearest = min(layouts, key=lambda layout: len(lacking[layout]) / len(layout.FILES[0]))
-        if len(lacking[nearest]) < len(nearest.FILES[0]):
+        lacking = {layout.NAME: _nearest_set(folder, layout) for layout in layouts}
+        nearest = min(layouts, key=lambda layout: lacking[layout.NAME][1])
+        if lacking[nearest.NAME][1] < 1:
             where = "" if folder == path else f", in {folder.relative_to(path)}"
-            missing = ", ".join(lacking[nearest])
+            missing = ", ".join(lacking[nearest.NAME][0])
             return ValueError(f"{path} has no known layout: nearest is {nearest.NAME}{where}, which lacks {missing}")
     what = "has no known layout: it holds no file of one" if any(path.iterdir()) else "is empty"
-    known = ", ".join(layout.NAME for layout in layouts)
-    return ValueError(f"{path} {what}; known are {known} (their files: docs/real_data.md)")
+    return ValueError(
+        f"{path} {what}; stereo-slam convert --list says which are known (their files: docs/real_data.md)"
+    )

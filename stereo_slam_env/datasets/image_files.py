@@ -47,9 +47,9 @@ class BrokenPair(ValueError):
         self.reason = reason
 
 
-def numbered_images(folder: Path, prefix: str = "") -> dict[int, Path]:
-    """The images `<prefix><digits>.png|jpg|jpeg` of a folder by their number; empty where there is no folder."""
-    pattern = re.compile(re.escape(prefix) + r"(\d+)\.(png|jpg|jpeg)", re.IGNORECASE)
+def numbered_images(folder: Path, prefix: str = "", suffix: str = "") -> dict[int, Path]:
+    """The images `<prefix><digits><suffix>.png|jpg|jpeg` of a folder by their number; none where there is no folder."""
+    pattern = re.compile(re.escape(prefix) + r"(\d+)" + re.escape(suffix) + r"\.(png|jpg|jpeg)", re.IGNORECASE)
     found: dict[int, Path] = {}
     for path in sorted(folder.iterdir()) if folder.is_dir() else ():
         match = pattern.fullmatch(path.name)
@@ -69,7 +69,11 @@ def read_grey(path: Path, size: tuple[int, int] | None = None) -> GreyImage:
 
     Missing, cut, damaged, too large, no PNG or JPEG, or not of the width and height in `size`.
     """
-    data = _content(path)
+    return decoded_grey(path, _content(path), size)
+
+
+def decoded_grey(path: Path, data: bytes, size: tuple[int, int] | None = None) -> GreyImage:
+    """Grey values (H, W) of the content of a PNG or JPEG; as `read_grey`, with `path` for messages."""
     found = _checked_size(path, data)
     if size is not None and found != size:
         raise BrokenPair(

@@ -27,12 +27,13 @@ from scipy.spatial.transform import Rotation
 
 from filters import Pose
 from filters.validation import FloatArray, positive
-from stereo_slam_env.datasets.calibration import projections, rig_of
+from stereo_slam_env.datasets.calibration import rig_of
 from stereo_slam_env.datasets.image_files import numbered_images
 from stereo_slam_env.datasets.sequence import Choice, ImageFiles, RecordedSequence, known_poses
 from stereo_slam_env.files.paths import require_inside
 from stereo_slam_env.files.readers import finite_rows, read_table
 from stereo_slam_env.recording.recording import Reference
+from stereo_slam_env.sensing.projections import projections
 
 NAME = "karlsruhe"
 FILES = (("I1_*", "I2_*", "*calib.txt"), ("I1_*", "I2_*", "../*calib.txt"))

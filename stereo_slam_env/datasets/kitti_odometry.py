@@ -18,13 +18,14 @@ import numpy as np
 
 from filters import Pose, StereoCamera
 from filters.validation import FloatArray
-from stereo_slam_env.datasets.calibration import of_left_camera, projections, rig_of
+from stereo_slam_env.datasets.calibration import of_left_camera, rig_of
 from stereo_slam_env.datasets.image_files import numbered_images
 from stereo_slam_env.datasets.known_recordings import POSITION, reference_for
 from stereo_slam_env.datasets.sequence import Choice, ImageFiles, RecordedSequence, poses_of_rows
 from stereo_slam_env.files.paths import require_inside
 from stereo_slam_env.files.readers import read_table
 from stereo_slam_env.recording.recording import NO_REFERENCE, ImageSequence, StereoPair
+from stereo_slam_env.sensing.projections import projections
 
 NAME = "kitti_odometry"
 FILES = (("calib.txt", "times.txt", "image_0", "image_1"), ("calib.txt", "times.txt", "image_2", "image_3"))

@@ -21,14 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from filters import BodyVelocity, Pose
 from filters.validation import FloatArray
-from stereo_slam_env.datasets.calibration import (
-    camera_position,
-    entry,
-    of_left_camera,
-    projections,
-    read_entries,
-    rig_of,
-)
+from stereo_slam_env.datasets.calibration import of_left_camera, rig_of
 from stereo_slam_env.datasets.image_files import numbered_images
 from stereo_slam_env.datasets.kitti_odometry import CAMERAS, chosen_cameras
 from stereo_slam_env.datasets.sequence import Choice, ImageFiles, RecordedSequence, known_poses
@@ -36,6 +29,7 @@ from stereo_slam_env.datasets.tracks import camera_velocities
 from stereo_slam_env.files.paths import require_inside
 from stereo_slam_env.files.readers import finite_rows, read_text
 from stereo_slam_env.recording.recording import Reference
+from stereo_slam_env.sensing.projections import camera_position, entry, projections, read_entries
 
 NAME = "kitti_raw"
 TRUTH = Reference(

@@ -69,6 +69,7 @@ _KITTI_00 = _kitti("Before frame 16 it is extrapolated, and wrong.", 16)
 _KITTI_06 = _kitti("It is still settling in frames 0 to 10.", 12)
 _MH = KnownRecording(Reference("surveyed", "EuRoC's ground truth: laser tracker, smoothed with the IMU."))
 _V1 = KnownRecording(Reference("surveyed", "EuRoC's ground truth: motion capture, smoothed with the IMU."))
+_TARTANAIR = KnownRecording(Reference("simulation", "TartanAir's exact poses."))
 _STARRY = KnownRecording(
     Reference("surveyed", "Motion capture; its own errors are about 0.01 m and 0.01 to 0.03 rad."), 100
 )
@@ -89,6 +90,8 @@ KNOWN: Mapping[str, KnownRecording] = {
     "464e4e0b30798b052a111a1b18f231965f71b78bf315ee8ca52ae67f24669958": _MH,
     "dc82ffc66aa6e0227feb7619cbac895247137cfa3b82a7ac62966397bc806d29": _MH,
     "0920b770cacf2cae627c80814ac33d7758ebb7a7ada849a06b05e709d604f41d": _V1,
+    # TartanAir V2, the drive whose first pairs are the test clip of MAC-VO
+    "b62f08847edca1d0ccba8abf1c63fb5f87b9a7e0884f37e9319502da6a4d3c0a": _TARTANAIR,
     # Starry Night, steps 0 to 1199
     "e7e9606fe34ecf117df3110c7609a39f3ec579fb69c36279617ebe7b5cdc7772": _STARRY,
 }

@@ -17,9 +17,9 @@ from filters import BodyVelocity, Pose, Start, StereoCamera
 from filters.geometry import rotations
 from filters.validation import BoolArray, FloatArray
 from stereo_slam_env.datasets.image_files import BrokenPair, read_grey
-from stereo_slam_env.recording.recording import GreyImage, Reference, StereoPair
+from stereo_slam_env.recording.recording import Reference, StereoPair
+from stereo_slam_env.sensing.lenses import Rectification, Rectify
 
-Rectify = Callable[[GreyImage, GreyImage], tuple[GreyImage, GreyImage]]
 OnBroken = Literal["raise", "skip"]
 _ORTHONORMAL = 1e-2
 """Largest entry of R R^T - I of a pose that is believed to be one; files have as few as six digits."""
@@ -213,6 +213,11 @@ class RecordedSequence:
     def skipped(self) -> Mapping[str, int]:
         """Reason -> number of pairs left out; what is wrong with images is known once all pairs were read."""
         return dict(self._skipped)
+
+    @property
+    def R_left(self) -> FloatArray:
+        """(3, 3): from the left camera as it is mounted to that of the pairs."""
+        return self._rectify.R_left if isinstance(self._rectify, Rectification) else np.eye(3)
 
     @property
     def frame_numbers(self) -> tuple[int, ...]:

@@ -14,7 +14,7 @@ from filters.validation import positive, whole_number
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.rendering.backends import RendererName, image_quality
 from stereo_slam_env.sensing.pixel_noise import NoiseName
-from stereo_slam_env.sensing.rigs import Rig, camera_of
+from stereo_slam_env.sensing.rigs import RIGS, Rig, camera_of
 from stereo_slam_env.sensing.tracking import TrackingPolicy
 from stereo_slam_env.simulator.simulator import Physics
 from stereo_slam_env.simulator.state import ODOMETRY_SIGMAS
@@ -76,9 +76,9 @@ class StereoOptions:
         limits = {"moving_cars": (0, 100), "pedestrians": (0, 100), "max_landmarks": (1, 10_000), "supersample": (1, 4)}
         for name, (low, high) in limits.items():
             whole_number(name, getattr(self, name), low, high)
-        if isinstance(self.rig, str):
-            camera_of(self.rig)
-        else:  # numbers that are not given are those of the usual rig
+        if not (
+            isinstance(self.rig, str) and self.rig in RIGS
+        ):  # numbers that are not given are those of the usual rig
             object.__setattr__(self, "rig", camera_of(self.rig, str(type(self).rig)))
         positive("sigma", self.sigma)
         positive("lasting", self.lasting, allow_zero=True)

@@ -46,7 +46,7 @@ def read_bag(path: Path, topic: str | None) -> Trajectory:
     require_module("rosbags", "bags")
     if not (path.is_file() or path.is_dir()):
         raise ValueError(f"{path} does not exist, or is no file: give a bag, or a trajectory as text")
-    with _opened(path) as reader:
+    with opened_bag(path) as reader:
         found = {c.topic: c.msgtype for c in reader.connections if c.msgtype in _TYPES}
         listed = ", ".join(plain(name) for name in sorted(found)) or "none"
         alike = [name for name in found if topic is None or name.strip("/") == topic.strip("/")]
@@ -82,7 +82,7 @@ def read_bag(path: Path, topic: str | None) -> Trajectory:
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[Any]:
+def opened_bag(path: Path) -> Iterator[Any]:
     """The reader of a bag; whatever it or a message raises is damage, in one line."""
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore

@@ -1,27 +1,36 @@
-"""Stereo rigs: three by name, any other by its numbers. All take 10 frames a second."""
+"""Stereo rigs: some by name, any other by its calibration file or its numbers. All take 10 frames a second."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, fields
-from typing import Any, Literal
+from dataclasses import asdict, fields, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from filters import StereoCamera
 from filters.contract.known_names import require_known
 from filters.validation import finite_number
+from stereo_slam_env.sensing.rig_files import ENDINGS, Calibration, is_calibration, read_calibration
 
-RigName = Literal["reference", "vga", "qvga"]
-Rig = RigName | StereoCamera | Mapping[str, Any]
-"""A name of `RIGS`, a camera, or its numbers: see `camera_of`."""
+Rig = str | StereoCamera | Mapping[str, Any]
+"""A name of `RIGS`, a calibration file, a camera, or its numbers: see `camera_of`."""
 
 RIGS: dict[str, StereoCamera] = {
     "reference": StereoCamera(721.5, 721.5, 672.0, 195.5, 0.571, 1344, 391),
     "vga": StereoCamera(460.0, 460.0, 319.5, 239.5, 0.571, 640, 480),
     "qvga": StereoCamera(230.0, 230.0, 159.5, 119.5, 0.571, 320, 240),
+    "kitti": StereoCamera(718.856, 718.856, 607.1928, 185.2157, 386.1448 / 718.856, 1241, 376),
+    "euroc": StereoCamera(435.2047, 435.2047, 367.4517, 252.2009, 47.90639 / 435.2047, 752, 480),
+    "zed2": StereoCamera(530.0, 530.0, 639.5, 359.5, 0.12, 1280, 720),
+    "d455": StereoCamera(643.0, 643.0, 639.5, 359.5, 0.095, 1280, 720),
+    "oak-d": StereoCamera(882.0, 882.0, 639.5, 399.5, 0.075, 1280, 800),
 }
-"""`reference` is like the cars of Karlsruhe and KITTI; the others are cheaper to render."""
+"""`reference` is like the cars of Karlsruhe and KITTI; `vga` and `qvga` are cheaper to render. `kitti` is the grey pair
+of 2011_10_03 (odometry 00 to 02), `euroc` the MAV's pair as rectified for ORB-SLAM. The others are nominal, by the data
+sheets: focal length over pixel (ZED 2 in HD720: 2.12 mm, 4 um; D455: 1.93 mm, 3 um) or field of view (OAK-D: 72
+degrees), principal point in the middle; that of one device is in its calibration file."""
 
 CAMERA_HEIGHT = 1.65
 """Of both cameras above the ground, m."""
@@ -30,34 +39,39 @@ LONGEST_SIDE = 8192
 _BOUNDS = {"fx": (1.0, 1e5, "px"), "fy": (1.0, 1e5, "px"), "baseline": (0.001, 10.0, "m")}
 """Beyond these a number is a mistake of units."""
 _NUMBERS = tuple(field.name for field in fields(StereoCamera))
+_PLACES = ("name", "left", "right")
+_KINDS = f"one of {', '.join(map(repr, RIGS))} or a calibration file (*{', *'.join(ENDINGS)})"
 
 
 def camera_of(rig: Rig, default: str = "reference") -> StereoCamera:
-    """The stereo camera that a name, a camera or a table of numbers stands for.
+    """The stereo camera that a name, a calibration file, a camera or a table of numbers stands for.
 
     Parameters
     ----------
     rig : str, StereoCamera or mapping
-        A name of `RIGS`; a camera; or some of its numbers (fx, fy, cx, cy in px, baseline in m, width, height in px)
-        and the `name` of the rig that the others are taken from: ``{"name": "vga", "baseline": 0.2}``.
+        A name of `RIGS`; a calibration file, or its folder, see `rig_files` (of raw images: the rig once they are
+        rectified); a camera; or a table. A table has some of the seven numbers (fx, fy, cx, cy in px, baseline in m,
+        width, height in px) and the `name` of the rig or file that the others are taken from:
+        ``{"name": "vga", "baseline": 0.2}``; or, instead of the name, the files of both cameras, `left` and `right`.
     default : str
-        The rig that numbers are taken from where no `name` is given.
+        The rig that numbers are taken from where neither name nor file is given.
 
     Raises
     ------
     ValueError
-        No such rig, no such number, a number that no camera has, or a name beside all seven numbers.
+        No such rig or file, no such number, a number that no camera has, or a name beside all seven numbers.
     """
     if isinstance(rig, str):
-        return _named("rig", rig)
+        return RIGS[rig] if rig in RIGS else camera_of({"name": rig})
     given = asdict(rig) if isinstance(rig, StereoCamera) else rig
     if not isinstance(given, Mapping):
-        raise ValueError(f"rig must be a name ({_names()}), a StereoCamera or a table of its numbers, got {rig!r}")
-    require_known("rig has no number", given, ("name", *_NUMBERS))
-    if len(given) > len(_NUMBERS):
+        raise ValueError(f"rig must be {_KINDS}, a StereoCamera or a table of its numbers, got {rig!r}")
+    require_known("rig has no number", given, (*_PLACES, *_NUMBERS))
+    if "name" in given and len(given) > len(_NUMBERS):
         raise ValueError(f"rig must not have a name beside all its numbers, got name {given['name']!r}: leave it out")
-    base = _named("rig.name", given.get("name", default))
-    numbers = {**asdict(base), **{key: value for key, value in given.items() if key != "name"}}
+    numbers = {key: value for key, value in given.items() if key not in _PLACES}
+    found = _base(given, default)
+    numbers = {**asdict(found if isinstance(found, StereoCamera) else found.camera), **numbers}
     width, height = _whole("rig.width", numbers["width"]), _whole("rig.height", numbers["height"])
     inside = "px, inside the image: give it with the size"
     bounds = {**_BOUNDS, "cx": (0.0, width - 1.0, inside), "cy": (0.0, height - 1.0, inside)}
@@ -65,14 +79,58 @@ def camera_of(rig: Rig, default: str = "reference") -> StereoCamera:
     return StereoCamera(**checked, width=width, height=height)
 
 
-def _named(what: str, name: Any) -> StereoCamera:
-    if not isinstance(name, str) or name not in RIGS:
-        raise ValueError(f"{what} must be one of {_names()}, got {name!r}")
-    return RIGS[name]
+def calibration_of(rig: Rig, default: str = "reference") -> Calibration:
+    """What a rig says of its images: a rig of rectified ones, or how raw ones are rectified; as of `camera_of`.
+
+    Beside a calibration of raw images only the baseline may be another one.
+    """
+    camera = camera_of(rig, default)
+    found = _base({"name": rig} if isinstance(rig, str) else rig, default) if isinstance(rig, str | Mapping) else camera
+    if isinstance(found, StereoCamera):
+        return camera
+    if replace(found.camera, baseline=camera.baseline) != camera:
+        raise ValueError("rig is a calibration of raw images: beside it only the baseline may be given")
+    return found if found.camera == camera else replace(found, camera=camera)
 
 
-def _names() -> str:
-    return ", ".join(map(repr, RIGS))
+def _base(table: Mapping[str, Any], default: str) -> Calibration:
+    """The rig or calibration that numbers of a table are put in place of."""
+    if "left" in table or "right" in table:
+        if not {"left", "right"} <= table.keys() or "name" in table:
+            raise ValueError("rig must have the files of both cameras, left and right, and no name beside them")
+        return read_calibration(_text("rig.left", table["left"]), _text("rig.right", table["right"]), _size(table))
+    name = table.get("name", default)
+    if isinstance(name, str) and name in RIGS:
+        return RIGS[name]
+    if isinstance(name, str) and is_calibration(name):
+        return read_calibration(name, size=_size(table))
+    what = "rig" if isinstance(name, str) and set(table) == {"name"} else "rig.name"
+    raise ValueError(f"{what} must be {_KINDS}, got {name!r}")
+
+
+def plain_rig(rig: Rig, default: str = "reference") -> str | dict[str, Any]:
+    """The same rig without files, JSON-able: a name of `RIGS`, or a table of numbers."""
+    if isinstance(rig, str) and rig in RIGS:
+        return rig
+    if isinstance(rig, Mapping) and not _of_files(rig):
+        return dict(rig)
+    return asdict(camera_of(rig, default))
+
+
+def _of_files(table: Mapping[str, Any]) -> bool:
+    return "left" in table or "right" in table or ("name" in table and table["name"] not in RIGS)
+
+
+def _size(table: Mapping[str, Any]) -> tuple[int, int] | None:
+    if not {"width", "height"} <= table.keys():
+        return None
+    return _whole("rig.width", table["width"]), _whole("rig.height", table["height"])
+
+
+def _text(name: str, value: Any) -> str:
+    if not isinstance(value, str | Path):
+        raise ValueError(f"{name} must be a calibration file, got {value!r}")
+    return str(value)
 
 
 def _whole(name: str, value: Any) -> int:

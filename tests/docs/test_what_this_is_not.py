@@ -30,7 +30,7 @@ from filters import (
 )
 from filters.parts import SLOTS
 from stereo_slam_env.benchmark.scenarios.scenario import Scenario
-from stereo_slam_env.datasets import IMAGE_LAYOUTS
+from stereo_slam_env.datasets import image_layouts
 from stereo_slam_env.envs.recorder import RenderedDrive
 from stereo_slam_env.frontend.ego_motion import robust_step
 from stereo_slam_env.frontend.settings import TrackerSettings
@@ -140,10 +140,14 @@ def the_front_end_measures_uvd():
     assert np.max(rows) < 2.0
 
 
-@says("The EuRoC reader rectifies on reading; all other images must already be rectified.")
-def one_reader_rectifies():
-    that_do = [layout.NAME for layout in IMAGE_LAYOUTS if "stereoRectify" in inspect.getsource(layout)]
-    assert that_do == ["euroc"]
+@says(
+    "The readers of EuRoC and TUM-VI, VSLAM-LAB, plain folders and ROS bags rectify on reading; all other images must "
+    "already be rectified."
+)
+def some_readers_rectify():
+    sources = {layout.NAME: inspect.getsource(layout) for layout in image_layouts()}
+    that_do = [name for name, source in sources.items() if "Rectification" in source or "Recalibrated" in source]
+    assert that_do == ["euroc", "vslam_lab", "stereo_folder", "ros_bag"]
 
 
 @says("Fisheye, canted and depth cameras have models for measurements (fisheye, unrectified, depth), but no front end.")

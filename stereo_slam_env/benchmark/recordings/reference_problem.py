@@ -35,7 +35,7 @@ from filters.geometry.poses import Pose
 from filters.validation import FloatArray, positive
 from stereo_slam_env.recording.recording import SIMULATION, Frame, LandmarkTruth, Recording, Velocity
 from stereo_slam_env.sensing.pixel_noise import NOISE_MODELS
-from stereo_slam_env.sensing.rigs import CAMERA_HEIGHT, Rig, camera_of
+from stereo_slam_env.sensing.rigs import CAMERA_HEIGHT, RIGS, Rig, camera_of
 from stereo_slam_env.sensing.tracking import TrackingPolicy
 from stereo_slam_env.simulator.scenes import SceneArrays, scene_arrays
 from stereo_slam_env.simulator.simulator import Simulator
@@ -118,7 +118,7 @@ def _drive(name: str, route: Route, seed: int, noise: str, sigma: float, frames:
         "sigma": sigma,
         "frames": frames,
         "landmarks": most,
-        "rig": rig if isinstance(rig, str) else asdict(camera),
+        "rig": rig if isinstance(rig, str) and rig in RIGS else asdict(camera),
     }
     return Recording(name, camera, tuple(taken), pixel_noise.stereo_noise, start, landmarks, source, SIMULATION)
 

@@ -25,6 +25,7 @@ import msgspec
 from filters.contract.known_names import did_you_mean, require_known
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.recording.recording import ImageSequence, Recording
+from stereo_slam_env.sensing.rigs import plain_rig
 
 if TYPE_CHECKING:
     from typing import Self
@@ -90,6 +91,8 @@ class Source(msgspec.Struct, frozen=True, tag_field="kind", forbid_unknown_field
             An option is unknown, missing or of the wrong type: the message names it.
         """
         checked("options", options, dict[str, Any])
+        if cls.has_rig and "rig" in options:  # a calibration file is read now: what is stored must be what happens
+            options = {**options, "rig": plain_rig(options["rig"])}
         own = [name for name in cls.__struct_fields__ if name != "arguments"]
         fields = {name: value for name, value in options.items() if name in own}
         others = {name: value for name, value in options.items() if name not in own}

@@ -226,7 +226,7 @@ def shown(copy, program, *, terminal=False):
         capture_output=True,
         stdin=subprocess.DEVNULL,
         check=True,
-        timeout=240,
+        timeout=280,
     )
     written = (done.stdout if terminal else done.stderr).decode()
     return written.replace("\r\n", "\n").removesuffix("\x1b[0m")  # colours off: Numba's colorama at the end

@@ -225,12 +225,12 @@ def test_processes_change_nothing(finished, tmp_path):
 
 @pytest.mark.usefixtures("third_party", "finished")  # after the latter nothing has to be compiled within the limit
 def test_policies_that_raise_crash_or_hang_never_take_the_run_down(tmp_path):
-    scenario = dataclasses.replace(SHORT, frame_time_limit=2.0, seeds=(0,))
+    scenario = dataclasses.replace(SHORT, frame_time_limit=5.0, seeds=(0,))
     result = run_benchmark(scenario, tmp_path / "out", policies=["raises", "crashes", "hangs", "fixed"], jobs=1)
     raising, crashing, hanging, sound = result.summaries
     assert raising.failures == ("seed 0, frame 2: policy: RuntimeError: my neck hurts",)
     assert crashing.failures == ("seed 0, its process ended with code 7",)
-    assert hanging.failures == ("seed 0, no sign of life for 2 s",)
+    assert hanging.failures == ("seed 0, no sign of life for 5 s",)
     assert (raising.diverged, crashing.diverged, hanging.diverged, sound.diverged) == (1, 1, 1, 0)
     assert all(np.isfinite(one.true_positions).all() for one in result.runs)
 

@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from stereo_slam_env.datasets import IMAGE_LAYOUTS, TRACK_LAYOUTS, load
+from stereo_slam_env.datasets import available_recordings, image_layouts, load, track_layouts
 
 from .small_folders import kitti00, kitti07, starry_night
 
@@ -24,15 +24,15 @@ def complaint(path):
     return text.removeprefix(str(path))
 
 
-def test_an_unknown_folder_gets_one_line_with_the_known_layouts(tmp_path):
-    assert complaint(tmp_path).startswith(" is empty; known are ")
+def test_an_unknown_folder_gets_one_line_that_says_where_the_known_layouts_are(tmp_path):
+    assert complaint(tmp_path).startswith(" is empty; stereo-slam convert --list says which are known")
     (tmp_path / "letter.txt").write_text("")
     text = complaint(tmp_path)
-    assert text.startswith(" has no known layout: it holds no file of one; known are ")
-    assert all(reader.NAME in text for reader in (*TRACK_LAYOUTS, *IMAGE_LAYOUTS))
+    assert text.startswith(" has no known layout: it holds no file of one; stereo-slam convert --list says which")
+    assert available_recordings().keys() == {reader.NAME for reader in (*track_layouts(), *image_layouts())}
 
 
-@pytest.mark.parametrize("reader", [r for r in TRACK_LAYOUTS if len(r.FILES[0]) > 1], ids=lambda reader: reader.NAME)
+@pytest.mark.parametrize("reader", [r for r in track_layouts() if len(r.FILES[0]) > 1], ids=lambda reader: reader.NAME)
 def test_a_missing_file_is_named(tmp_path, reader):
     folder = {"kitti07_tracks": kitti07, "kitti00_stereo_tracks": kitti00}[reader.NAME](tmp_path)
     (folder / reader.FILES[0][0]).unlink()
@@ -52,7 +52,7 @@ def test_the_nearest_layout_is_that_of_tracks_or_of_images_here_or_in_a_folder_b
 
 
 def test_a_missing_folder_and_a_file_are_told_apart(tmp_path):
-    remedy = ": give a folder with a recording, a recording in one file (NAME.npz) or 'gtsam'"
+    remedy = ": give a folder with a recording, a bag, a recording in one file (NAME.npz) or 'gtsam'"
     assert complaint(tmp_path / "nowhere") == f" does not exist{remedy}"
     (tmp_path / "file").write_text("")
     assert complaint(tmp_path / "file") == f" is a file, not a folder{remedy}"

@@ -15,6 +15,8 @@ FIRST_STAMP, STEP_NS, TRUTH_STEP_NS = 1403636579763555584, 50_000_000, 5_000_000
 K0 = np.array([[200.0, 0.0, 158.0], [0.0, 199.0, 121.5], [0.0, 0.0, 1.0]])
 K1 = np.array([[201.5, 0.0, 165.0], [0.0, 200.0, 117.0], [0.0, 0.0, 1.0]])
 D0, D1 = np.array([-0.28, 0.07, 2e-4, 2e-5]), np.array([-0.27, 0.06, -1e-4, -3e-5])
+E0, E1 = np.array([0.0035, 0.0007, -0.002, 0.0002]), np.array([0.0034, 0.0018, -0.0027, 0.0003])
+"""Of equidistant lenses, as those of TUM-VI."""
 T_BS = []
 for angles, at in (([0.02, -0.01, 1.56], [-0.0216, -0.0647, 0.0098]), ([0.01, 0.012, 1.55], [-0.0198, 0.0454, 0.0079])):
     T = np.eye(4)
@@ -49,7 +51,7 @@ def body_pose(seconds):
     return np.array([4.6 + 0.8 * seconds, -1.8 + 0.3 * seconds**2, 0.8]), R
 
 
-def sensor_yaml(T, K, D):
+def sensor_yaml(T, K, D, model):
     rows = ",\n         ".join(", ".join(f"{x:.12g}" for x in row) for row in T)
     return (
         "# General sensor definitions.\nsensor_type: camera\ncomment: VI-Sensor cam (MT9M034)\n\n"
@@ -57,26 +59,45 @@ def sensor_yaml(T, K, D):
         f"T_BS:\n  cols: 4\n  rows: 4\n  data: [{rows}]\n\n"
         f"# Camera specific definitions.\nrate_hz: 20\nresolution: [{SIZE[0]}, {SIZE[1]}]\ncamera_model: pinhole\n"
         f"intrinsics: [{K[0, 0]}, {K[1, 1]}, {K[0, 2]}, {K[1, 2]}] #fu, fv, cu, cv\n"
-        f"distortion_model: radial-tangential\ndistortion_coefficients: [{', '.join(map(str, D))}]\n"
+        f"distortion_model: {model}\ndistortion_coefficients: [{', '.join(map(str, D))}]\n"
     )
 
 
-def euroc(root, *, truth_from=0, truth_to=FRAMES - 1):
+def camchain_yaml():
+    """Kalibr's file of the equidistant pair, as TUM-VI has it: T_cam_imu takes points of the body to the camera."""
+    text = ""
+    for eye, (T, K, E) in enumerate(zip(T_BS, (K0, K1), (E0, E1), strict=True)):
+        rows = "".join(f"  - [{', '.join(f'{x:.12g}' for x in row)}]\n" for row in np.linalg.inv(T))
+        text += (
+            f"cam{eye}:\n  T_cam_imu:\n{rows}  camera_model: pinhole\n  distortion_coeffs: [{', '.join(map(str, E))}]\n"
+            f"  distortion_model: equidistant\n  intrinsics: [{K[0, 0]}, {K[1, 1]}, {K[0, 2]}, {K[1, 2]}]\n"
+            f"  resolution: [{SIZE[0]}, {SIZE[1]}]\n  rostopic: /cam{eye}/image_raw\n"
+        )
+    return text
+
+
+def euroc(root, *, truth_from=0, truth_to=FRAMES - 1, lenses="radial-tangential", kalibr=False):
     """`MH_01_easy/mav0`; the dots stand still before the left camera, so all images are alike."""
     mav0 = root / "MH_01_easy" / "mav0"
+    bent = (E0, E1) if lenses == "equidistant" else (D0, D1)
     T_10 = np.linalg.solve(T_BS[1], T_BS[0])
     stamps = [FIRST_STAMP + k * STEP_NS for k in range(FRAMES)]
-    for eye, (K, D, T) in enumerate(((K0, D0, np.eye(4)), (K1, D1, T_10))):
+    for eye, (K, D, T) in enumerate(((K0, bent[0], np.eye(4)), (K1, bent[1], T_10))):
         rotation = Rotation.from_matrix(T[:3, :3]).as_rotvec().reshape(3, 1)
-        pixels, _ = cv2.projectPoints(DOTS_C.reshape(-1, 1, 3), rotation, T[:3, 3:], K, D)
+        projected = cv2.fisheye.projectPoints if lenses == "equidistant" else cv2.projectPoints
+        pixels, _ = projected(DOTS_C.reshape(-1, 1, 3), rotation, T[:3, 3:].copy(), K, D)
         folder = mav0 / f"cam{eye}"
         lines = ["#timestamp [ns],filename"]
         for stamp in stamps:
             write_png(folder / "data" / f"{stamp}.png", blobs(pixels.reshape(-1, 2)))
             lines.append(f"{stamp},{stamp}.png")
         (folder / "data.csv").write_text("\n".join(lines) + "\r\n")
-        (folder / "sensor.yaml").write_text(sensor_yaml(T_BS[eye], K, D))
-    folder = mav0 / "state_groundtruth_estimate0"
+        if not kalibr:
+            (folder / "sensor.yaml").write_text(sensor_yaml(T_BS[eye], K, D, lenses))
+    if kalibr:
+        (mav0.parent / "dso").mkdir()
+        (mav0.parent / "dso" / "camchain.yaml").write_text(camchain_yaml())
+    folder = mav0 / ("mocap0" if kalibr else "state_groundtruth_estimate0")
     folder.mkdir()
     lines = ["#timestamp, p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], q_RS_z [], v_x"]
     # Off the image times by 1 ms, so that it has to be interpolated.
@@ -88,10 +109,13 @@ def euroc(root, *, truth_from=0, truth_to=FRAMES - 1):
     return root / "MH_01_easy"
 
 
-@pytest.fixture
-def rectified_dots(tmp_path):
+@pytest.fixture(
+    params=[{}, {"lenses": "equidistant"}, {"lenses": "equidistant", "kalibr": True}],
+    ids=["EuRoC", "fisheye", "TUM-VI"],
+)
+def rectified_dots(tmp_path, request):
     """The sequence, and the dots in its rectified left camera."""
-    sequence = open_image_sequence(euroc(tmp_path))
+    sequence = open_image_sequence(euroc(tmp_path, **request.param))
     T_10 = np.linalg.solve(T_BS[1], T_BS[0])
     # Independent of the reader: x of the rectified frame is along the baseline.
     left_in_right = -T_10[:3, :3].T @ T_10[:3, 3]
@@ -192,9 +216,10 @@ def test_what_is_wrong_is_named(tmp_path):
     sensor = mav0 / "cam0" / "sensor.yaml"
     good = sensor.read_text()
     for bad, match in (
-        (good.replace("intrinsics", "intrinsic"), r"lacks 'intrinsics: \[\.\.\.\]'"),
-        (good.replace("T_BS", "T_SB"), "lacks 'T_BS'"),
-        (good.replace("radial-tangential", "equidistant"), "distortion_model is 'equidistant'"),
+        (good.replace("intrinsics", "intrinsic"), r"cam0/sensor\.yaml holds no calibration that is known"),
+        (good.replace("T_BS", "T_SB"), r"cam0/sensor\.yaml lacks 'T_BS'"),
+        (good.replace("radial-tangential", "fov"), "the lens model 'fov' cannot be rectified by OpenCV"),
+        (good.replace("radial-tangential", "equidistant"), "one lens is equidistant, the other radial-tangential"),
         (good.replace("[320, 240]", "[320]"), "'resolution' has 1 numbers where 2"),
     ):
         sensor.write_text(bad)

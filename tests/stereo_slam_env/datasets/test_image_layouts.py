@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from filters import Pose
-from stereo_slam_env.datasets import IMAGE_LAYOUTS, open_image_sequence
+from stereo_slam_env.datasets import image_layouts, open_image_sequence
 from stereo_slam_env.datasets.kitti06_stereo51 import P_I, R_CI
 from stereo_slam_env.frontend.recorder import record_tracks
 
@@ -222,10 +222,8 @@ def test_the_one_recording_inside_a_folder_stands_for_it(tmp_path):
 
 
 def test_unknown_folders_options_and_paths_get_one_clear_line(tmp_path):
-    with pytest.raises(ValueError, match="is empty; known are ") as caught:
+    with pytest.raises(ValueError, match="is empty; stereo-slam convert --list says which are known") as caught:
         open_image_sequence(tmp_path)
-    assert all(layout.NAME in str(caught.value) for layout in IMAGE_LAYOUTS)
-    assert "kitti07_tracks" not in str(caught.value)
     assert "\n" not in str(caught.value)
     with pytest.raises(ValueError, match="does not exist"):
         open_image_sequence(tmp_path / "nowhere")
@@ -240,10 +238,10 @@ def test_unknown_folders_options_and_paths_get_one_clear_line(tmp_path):
         open_image_sequence(folder)
 
 
-@pytest.mark.parametrize("reader", IMAGE_LAYOUTS, ids=lambda reader: reader.NAME)
+@pytest.mark.parametrize("reader", image_layouts(), ids=lambda reader: reader.NAME)
 def test_every_reader_says_what_it_takes(reader):
     assert reader.FILES
-    assert "Layout" in reader.__doc__ or "layout" in reader.__doc__
+    assert reader.__doc__
 
 
 def test_the_real_pairs_of_kitti_06():

@@ -53,8 +53,10 @@ def test_a_name_is_the_camera_of_the_table():
 
 
 WRONG = [
-    ("imax", "rig must be one of 'reference', 'vga', 'qvga', got 'imax'"),
-    (7, r"rig must be a name \('reference', 'vga', 'qvga'\), a StereoCamera or a table of its numbers, got 7"),
+    ("imax", r"rig must be one of 'reference', 'vga', .* or a calibration file \(.*\*\.yaml.*\), got 'imax'"),
+    (7, r"rig must be one of 'reference', .*, a StereoCamera or a table of its numbers, got 7"),
+    ("none.yaml", r"none\.yaml does not exist: give a calibration file"),
+    ({"left": "l.yaml"}, "rig must have the files of both cameras, left and right"),
     ({"name": "imax", "baseline": 0.2}, r"rig\.name must be one of .*, got 'imax'"),
     ({"name": {}}, r"rig\.name must be one of .*, got \{\}"),
     ({"basline": 0.2}, "rig has no number 'basline', did you mean 'baseline'"),

@@ -1,0 +1,141 @@
+"""A sequence of images with another calibration, or with true poses of another file, than its own."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation, Slerp
+
+from filters import Pose, Start, StereoCamera
+from filters.validation import FloatArray
+from stereo_slam_env.datasets.known_recordings import reference_for
+from stereo_slam_env.recording.recording import ImageSequence, Reference, StereoPair
+from stereo_slam_env.recording.trajectory import Trajectory
+from stereo_slam_env.recording.trajectory_files import load_trajectory
+from stereo_slam_env.sensing.lenses import Rectification
+from stereo_slam_env.sensing.rig_files import Calibration
+
+LARGEST_GAP = 0.1
+"""True poses are interpolated between rows that are no further apart, s."""
+
+
+class Recalibrated:
+    """A sequence whose images are rectified by another calibration; its poses are those of the turned left camera."""
+
+    def __init__(self, sequence: ImageSequence, calibration: Calibration, said: str) -> None:
+        self._sequence = sequence
+        self._rectify = calibration if isinstance(calibration, Rectification) and calibration.needed else None
+        self.camera = calibration if isinstance(calibration, StereoCamera) else calibration.camera
+        stored = sequence.camera.width, sequence.camera.height
+        if stored != (self.camera.width, self.camera.height):
+            taken = f"{self.camera.width}x{self.camera.height}"
+            raise ValueError(f"rig {said} is of images {taken}, those of {sequence.name} are {stored[0]}x{stored[1]}")
+        self.name, self.start, self.truth_from = sequence.name, sequence.start, sequence.truth_from
+        self.source: Mapping[str, Any] = {**sequence.source, "rig": said}
+
+    @property
+    def R_left(self) -> FloatArray:
+        """(3, 3): from the left camera as it is mounted to that of the pairs."""
+        return np.eye(3) if self._rectify is None else self._rectify.R_left
+
+    @property
+    def skipped(self) -> Mapping[str, int]:
+        """As of the sequence."""
+        return self._sequence.skipped
+
+    def __len__(self) -> int:
+        return len(self._sequence)
+
+    def pairs(self) -> Iterator[StereoPair]:
+        """The pairs in time order; may be called again."""
+        for pair in self._sequence.pairs():
+            if self._rectify is None:
+                yield pair
+                continue
+            left, right = self._rectify(pair.left, pair.right)
+            turn = self._rectify.R_left
+            yield replace(pair, left=left, right=right, truth=turned(pair.truth, turn), odometry=None)
+
+
+def turned(pose: Pose | None, R_left: FloatArray) -> Pose | None:
+    """Pose of the rectified left camera, in a world that is turned likewise, from that of the camera as mounted."""
+    if pose is None:
+        return None
+    R_wc = R_left @ pose.R_wc @ R_left.T
+    return Pose(R_left @ pose.position, Rotation.from_matrix(R_wc).as_quat())
+
+
+class WithTruth:
+    """A sequence with the true poses of a trajectory file, interpolated at its times.
+
+    Pairs before the first true pose are left out, since W is the left camera at the first pair; later ones that have
+    none go without.
+    """
+
+    start = Start()
+
+    def __init__(self, sequence: ImageSequence, path: str, body: Pose | None = None) -> None:
+        trajectory = load_trajectory(path)
+        if trajectory.timestamps is None:
+            raise ValueError(f"{path} has no times, so that no pose belongs to an image: give a TUM file")
+        turn = Pose(np.zeros(3), Rotation.from_matrix(getattr(sequence, "R_left", np.eye(3)).T).as_quat())
+        self._sequence, self._truth, self._body = sequence, trajectory, turn if body is None else body @ turn
+        self._epoch = float(sequence.source.get("epoch_s", 0.0))
+        self.name, self.camera = sequence.name, sequence.camera
+        self.source: Mapping[str, Any] = {**sequence.source, "truth": path}
+        where = "of the left camera" if body is None else "carried over to the left camera"
+        self.truth_from: Reference = reference_for(trajectory.positions, f"The poses {where} in {Path(path).name}.")
+        self._outside = 0
+
+    @property
+    def skipped(self) -> Mapping[str, int]:
+        """As of the sequence, and pairs before the first true pose."""
+        outside = {"before the first true pose": self._outside} if self._outside else {}
+        return {**self._sequence.skipped, **outside}
+
+    def __len__(self) -> int:
+        """Number of pairs, with those before the first true pose."""
+        return len(self._sequence)
+
+    def pairs(self) -> Iterator[StereoPair]:
+        """The pairs in time order; may be called again. A `ValueError` where no pair has a true pose."""
+        origin, outside = None, 0
+        for pair in self._sequence.pairs():
+            pose = pose_at(self._truth, pair.timestamp + self._epoch, self._body)
+            if origin is None and pose is None:
+                outside += 1
+                continue
+            first = origin is None
+            origin = origin or pose
+            truth = None if pose is None or origin is None else origin.inverse() @ pose
+            yield replace(pair, truth=truth, odometry=None if first else pair.odometry)
+        self._outside = outside
+        if origin is None:
+            times = self._truth.timestamps
+            assert times is not None
+            raise ValueError(
+                f"{self.source['truth']} covers none of the images: its times are {times[0]:.9g} to {times[-1]:.9g} s, "
+                f"theirs begin at {self._epoch:.9g} s: give times of one clock"
+            )
+
+
+def pose_at(trajectory: Trajectory, time: float, T_bc: Pose | None = None) -> Pose | None:
+    """The pose of the body, or of a frame C fixed to it, at a time, s; None outside, or in a gap."""
+    times = trajectory.timestamps
+    assert times is not None
+    after = int(np.searchsorted(times, time))
+    if after < len(times) and abs(times[after] - time) < 1e-6:
+        pose = trajectory.pose(after)
+    elif not 0 < after < len(times) or times[after] - times[after - 1] > LARGEST_GAP:
+        return None
+    else:
+        both = slice(after - 1, after + 1)
+        share = (time - times[after - 1]) / (times[after] - times[after - 1])
+        position = (1 - share) * trajectory.positions[after - 1] + share * trajectory.positions[after]
+        between = Slerp([0.0, 1.0], Rotation.from_quat(trajectory.orientations[both]))
+        pose = Pose(position, between(share).as_quat())
+    return pose if T_bc is None else pose @ T_bc

@@ -1,0 +1,362 @@
+"""Calibrations of stereo rigs in the files of others: KITTI, EuRoC, Kalibr, ROS CameraInfo, OpenCV, VSLAM-LAB.
+
+A calibration of rectified images gives the rig at once, one of raw images gives its rectification by OpenCV. A file of
+one camera is read with that of the other, which stands beside it under the name that goes with the first: `cam0` and
+`cam1`, `left` and `right`, `intrinsics` and `extrinsics`.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from filters import StereoCamera
+from filters.contract.foreign_text import first_line, plain
+from filters.validation import FloatArray
+from stereo_slam_env.files.paths import is_there
+from stereo_slam_env.files.readers import read_json, read_text
+from stereo_slam_env.sensing.lenses import Lens, LensModel, Rectification, rectification, stated_rectification
+from stereo_slam_env.sensing.projections import entry, projections, read_entries, rectified_rig
+
+Calibration = StereoCamera | Rectification
+"""A rig whose images are rectified, or how raw ones are."""
+Size = tuple[int, int]
+MOST_BYTES = 300_000
+"""Larger calibrations are refused: no rig has so many numbers."""
+MOST_PIXELS = 40_000_000
+"""Images of more are refused."""
+ENDINGS = (".txt", ".yaml", ".yml", ".json")
+_PARTNERS = (("cam0", "cam1"), ("left", "right"), ("Left", "Right"), ("intrinsics", "extrinsics"), ("infra1", "infra2"))
+_IN_FOLDERS = (
+    *("calib.txt", "calib_cam_to_cam.txt", "mav0/cam0/sensor.yaml", "cam0/sensor.yaml", "calibration.yaml"),
+    *("camchain*.yaml", "*-camchain*.yaml", "dso/camchain.yaml", "left.yaml", "intrinsics.yml"),
+)
+_MODELS: Mapping[str, LensModel] = {
+    **dict.fromkeys(("radtan", "radtan4", "radtan5", "radial-tangential", "plumb_bob"), "radial-tangential"),
+    **dict.fromkeys(("rational_polynomial", "pinhole", "none", ""), "radial-tangential"),
+    **dict.fromkeys(("equidistant", "equi", "equid4", "kannalabrandt8", "fisheye"), "equidistant"),
+}
+_KNOWN = "KITTI calib.txt, EuRoC sensor.yaml, Kalibr camchain, ROS CameraInfo, OpenCV, ORB-SLAM or VSLAM-LAB yaml"
+
+
+def is_calibration(name: str) -> bool:
+    """Whether a name means a file or folder with a calibration, not a rig of our own."""
+    return name.endswith(ENDINGS) or "/" in name or is_there(Path(name))
+
+
+def read_calibration(path: str | Path, right: str | Path | None = None, size: Size | None = None) -> Calibration:
+    """The calibration of a stereo rig by its file, or by the folder that holds it.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file of both cameras, that of the left one, or a folder.
+    right : str or Path, optional
+        The file of the right camera; None: found beside the left one, where its file is of one camera.
+    size : (int, int), optional
+        Width and height of the images, px, for a file that does not say it.
+
+    Returns
+    -------
+    StereoCamera or Rectification
+        The rig of rectified images, or the rectification of raw ones, whose `camera` is the rig.
+
+    Raises
+    ------
+    ValueError
+        Missing, damaged, of another form, or no rig: one line that names the file.
+    """
+    file = _file_of(Path(path))
+    if file.suffix == ".txt":
+        return _kitti(file, size)
+    table = _table(file)
+    for known, read in (("cam0", _kalibr), ("cameras", _vslam_lab)):
+        if known in table:
+            return read(file, table, size)
+    if _first(table, "M1", "K1", "cameraMatrix1", "LEFT.K") is not None or "Camera.bf" in table or "Stereo.b" in table:
+        return _opencv(file, _with_partner(file, right, table), size)
+    for known, read_both in (("intrinsics", _euroc), ("camera_matrix", _camera_info)):
+        if known in table:
+            other = _partner(file, right)
+            return read_both((file, other), (table, _table(other)), size)
+    raise ValueError(
+        f"{file} holds no calibration that is known ({', '.join(map(plain, table)) or 'nothing'}): {_KNOWN}"
+    )
+
+
+def body_of_camera(path: Path) -> FloatArray:
+    """T (4, 4) that takes points of the left camera, as mounted, to the body: T_BS, or T_cam_imu of cam0 inverted."""
+    table = _table(path)
+    if "cam0" in table:
+        return np.asarray(np.linalg.inv(_transform(path, table["cam0"], "T_cam_imu")), dtype=np.float64)
+    if "cameras" in table:
+        return _transform(path, table["cameras"][0], "T_BS") if "T_BS" in table["cameras"][0] else np.eye(4)
+    return _transform(path, table, "T_BS")
+
+
+def _file_of(path: Path) -> Path:
+    if path.is_dir():
+        found = [file for name in _IN_FOLDERS for file in sorted(path.glob(name))]
+        if not found:
+            raise ValueError(f"{path} holds no calibration ({', '.join(_IN_FOLDERS)}): name the file")
+        return found[0]
+    if not is_there(path):
+        raise ValueError(f"{path} does not exist: give a calibration file ({_KNOWN})")
+    return path
+
+
+def _partner(file: Path, right: str | Path | None) -> Path:
+    if right is not None:
+        return _file_of(Path(right))
+    for one, other in _PARTNERS:
+        at = str(file).rfind(one)
+        if at >= 0 and is_there(found := Path(str(file)[:at] + other + str(file)[at + len(one) :])):
+            return found
+    raise ValueError(f"{file} is of one camera, and none beside it is of the other: give both, left and right")
+
+
+def _with_partner(file: Path, right: str | Path | None, table: dict[str, Any]) -> dict[str, Any]:
+    """The entries of a file and of the one that goes with it, where there is one and it is needed."""
+    if _first(table, "R", "T", "Stereo.T_c1_c2", "Stereo.b", "Camera.bf", "RIGHT.P") is not None:
+        return table
+    return {**_table(_partner(file, right)), **table}
+
+
+def _table(path: Path) -> dict[str, Any]:
+    """Content of a YAML or JSON file; what OpenCV writes beyond YAML is taken out."""
+    import yaml
+
+    if path.suffix == ".json":
+        found = read_json(path)
+    else:
+        text = re.sub(r"^%YAML.*$|!!opencv-\w+", "", read_text(path, most_bytes=MOST_BYTES), flags=re.MULTILINE)
+        try:
+            found = yaml.load(text, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+        except (yaml.YAMLError, ValueError, TypeError, RecursionError) as error:
+            why = " ".join(str(error).split()) if isinstance(error, yaml.YAMLError) else first_line(error)
+            raise ValueError(f"{path} is no YAML ({plain(why)[:200]}): take the calibration again") from error
+    if not isinstance(found, dict):
+        raise ValueError(f"{path} holds no entries 'name: value': take the calibration again")
+    return {str(key): value for key, value in found.items()}
+
+
+def _first(table: Mapping[str, Any], *names: str) -> Any:
+    return next((table[name] for name in names if name in table), None)
+
+
+def _numbers(path: Path, table: Mapping[str, Any], names: str | Sequence[str], *counts: int) -> FloatArray:
+    """The numbers of the first of these entries, flat, of one of these counts (none: of any)."""
+    names = (names,) if isinstance(names, str) else names
+    value = _first(table, *names)
+    if value is None:
+        raise ValueError(f"{path} lacks '{names[0]}': take the calibration of this rig")
+    value = value.get("data", value) if isinstance(value, dict) else value
+    try:
+        numbers = np.array(list(_flat(value)), dtype=np.float64)
+    except (TypeError, ValueError, OverflowError, RecursionError) as error:
+        raise ValueError(f"{path}: '{names[0]}' holds no numbers ({first_line(error)}): correct it") from error
+    if (counts and numbers.size not in counts) or not np.isfinite(numbers).all():
+        wanted = " or ".join(map(str, counts))
+        raise ValueError(f"{path}: '{names[0]}' has {numbers.size} numbers where {wanted} finite ones were expected")
+    return numbers
+
+
+def _flat(value: Any) -> Iterator[float]:
+    if isinstance(value, list):
+        for one in value:
+            yield from _flat(one)
+    else:
+        yield float(value)
+
+
+def _size(path: Path, table: Mapping[str, Any], names: Sequence[str], given: Size | None) -> Size:
+    if given is None and _first(table, *names) is None and "image_width" not in table:
+        raise ValueError(f"{path} does not say the size of the images: give width and height with it")
+    if given is not None:
+        width, height = given
+    elif _first(table, *names) is not None:
+        width, height = (int(n) for n in _numbers(path, table, names, 2))
+    else:
+        width, height = (int(_numbers(path, table, name, 1)[0]) for name in ("image_width", "image_height"))
+    if width < 1 or height < 1 or width * height > MOST_PIXELS:
+        raise ValueError(f"{path}: resolution {width}x{height} is none of an image that is read: correct it")
+    return width, height
+
+
+def _lens(path: Path, intrinsics: FloatArray, size: Size, distortion: FloatArray, model: Any) -> Lens:
+    """A lens of (fx, fy, cx, cy) or K (9), px."""
+    name = plain(str(model)).strip().lower().replace("_tangential", "-tangential")
+    if name not in _MODELS:
+        known = ", ".join(known for known in _MODELS if known)
+        raise ValueError(f"{path}: the lens model {name!r} cannot be rectified by OpenCV; known are {known}")
+    fx, fy, cx, cy = (float(n) for n in (intrinsics if intrinsics.size == 4 else intrinsics[[0, 4, 2, 5]]))
+    try:
+        return Lens(fx, fy, cx, cy, *size, tuple(map(float, distortion)), _MODELS[name])
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}: take the calibration again") from error
+
+
+def _kitti(path: Path, size: Size | None) -> StereoCamera:
+    entries = read_entries(path)
+    names = ("P_rect_00", "P_rect_01") if "P_rect_00" in entries else ("P0", "P1")
+    P = projections(path, names)
+    if size is None and "S_rect_00" in entries:
+        width, height = entry(path, entries, "S_rect_00", (2,))
+        size = int(width), int(height)
+    if size is None:
+        image = next((file for file in sorted(path.parent.glob("image_[02]/*.png"))), None)
+        size = None if image is None else _png_size(image)
+    if size is None:
+        raise ValueError(f"{path} does not say the size of the images: give width and height with it")
+    return rectified_rig(path, *P, size)
+
+
+def _png_size(path: Path) -> Size | None:
+    with path.open("rb") as stream:
+        head = stream.read(24)
+    return (int.from_bytes(head[16:20], "big"), int.from_bytes(head[20:24], "big")) if len(head) == 24 else None
+
+
+def _euroc(paths: tuple[Path, Path], tables: tuple[dict[str, Any], dict[str, Any]], size: Size | None) -> Calibration:
+    lenses, poses = [], []
+    for path, table in zip(paths, tables, strict=True):
+        if (model := str(table.get("camera_model", "pinhole"))) != "pinhole":
+            raise ValueError(f"{path}: camera_model is {plain(model)!r}, only 'pinhole' can be read")
+        known = _size(path, table, ("resolution",), size)
+        of_lens = _numbers(path, table, "distortion_coefficients")
+        intrinsics = _numbers(path, table, "intrinsics", 4)
+        lenses.append(_lens(path, intrinsics, known, of_lens, table.get("distortion_model", "radial-tangential")))
+        poses.append(_transform(path, table, "T_BS"))
+    return rectification(lenses[0], lenses[1], tuple((np.linalg.inv(poses[1]) @ poses[0]).ravel()), str(paths[1]))
+
+
+def _kalibr(path: Path, table: dict[str, Any], size: Size | None) -> Calibration:
+    lenses, poses = [], []
+    for name in ("cam0", "cam1"):
+        camera = table.get(name)
+        if not isinstance(camera, dict):
+            raise ValueError(f"{path} lacks '{name}': a camchain of two cameras is needed")
+        if (model := str(camera.get("camera_model", "pinhole"))) != "pinhole":
+            raise ValueError(f"{path}: camera_model is {plain(model)!r}, only 'pinhole' can be read")
+        known = _size(path, camera, ("resolution",), size)
+        of_lens = _numbers(path, camera, ("distortion_coeffs", "distortion_coefficients"))
+        model = camera.get("distortion_model", "radtan")
+        of_lens = of_lens[: 0 if model == "none" else None]
+        lenses.append(_lens(path, _numbers(path, camera, "intrinsics", 4), known, of_lens, model))
+        poses.append(camera)
+    if "T_cn_cnm1" in poses[1]:
+        T_rl = _transform(path, poses[1], "T_cn_cnm1")
+    else:
+        T_ri, T_li = (_transform(path, camera, "T_cam_imu") for camera in (poses[1], poses[0]))
+        T_rl = T_ri @ np.linalg.inv(T_li)
+    return rectification(lenses[0], lenses[1], tuple(T_rl.ravel()), str(path))
+
+
+def _vslam_lab(path: Path, table: dict[str, Any], size: Size | None) -> Calibration:
+    cameras = table["cameras"]
+    if not isinstance(cameras, list) or len(cameras) < 2 or not all(isinstance(one, dict) for one in cameras):
+        raise ValueError(f"{path}: 'cameras' must list two cameras, left and right")
+    lenses, poses = [], []
+    for camera in cameras[:2]:
+        known = _size(path, camera, ("image_dimension",), size)
+        focal = _numbers(path, camera, "focal_length", 1, 2)
+        intrinsics = np.concatenate([np.resize(focal, 2), _numbers(path, camera, "principal_point", 2)])
+        model = _first(camera, "distortion_type", "cam_model") or "pinhole"
+        of_lens = (
+            _numbers(path, camera, "distortion_coefficients") if "distortion_coefficients" in camera else np.empty(0)
+        )
+        lenses.append(_lens(path, intrinsics, known, of_lens if of_lens.any() else np.empty(0), model))
+        poses.append(_transform(path, camera, "T_BS") if "T_BS" in camera else np.eye(4))
+    return rectification(lenses[0], lenses[1], tuple((np.linalg.inv(poses[1]) @ poses[0]).ravel()), str(path))
+
+
+def _camera_info(
+    paths: tuple[Path, Path], tables: tuple[dict[str, Any], dict[str, Any]], size: Size | None
+) -> Calibration:
+    lenses, turns, P = [], [], []
+    for path, table in zip(paths, tables, strict=True):
+        known = _size(path, table, (), size)
+        of_lens = _numbers(path, table, "distortion_coefficients")
+        model = table.get("distortion_model", "plumb_bob")
+        lenses.append(_lens(path, _numbers(path, table, "camera_matrix", 9), known, of_lens, model))
+        turns.append(_numbers(path, table, "rectification_matrix", 9).reshape(3, 3))
+        P.append(_numbers(path, table, "projection_matrix", 12).reshape(3, 4))
+    return stated_rectification((lenses[0], lenses[1]), (turns[0], turns[1]), (P[0], P[1]), str(paths[1]))
+
+
+def calibration_of_infos(messages: tuple[Any, Any], where: str, *, rectified: bool) -> Calibration:
+    """Calibration by the messages `sensor_msgs/CameraInfo` of both cameras, of images that are rectified or raw."""
+    path, tables = Path(where), []
+    for message in messages:
+        # ROS 1 writes these names in capitals.
+        matrices = {name: getattr(message, name, None) for name in "KDRPkdrp"}
+        K, D, R, P = (next(m for m in (matrices[n], matrices[n.lower()]) if m is not None) for n in "KDRP")
+        tables.append(
+            {
+                "image_width": int(message.width),
+                "image_height": int(message.height),
+                "camera_matrix": list(K),
+                "distortion_model": str(message.distortion_model),
+                "distortion_coefficients": list(D),
+                "rectification_matrix": list(R),
+                "projection_matrix": list(P),
+            }
+        )
+    if rectified:
+        P_left, P_right = (_numbers(path, table, "projection_matrix", 12).reshape(3, 4) for table in tables)
+        return rectified_rig(where, P_left, P_right, _size(path, tables[0], (), None))
+    return _camera_info((path, path), (tables[0], tables[1]), None)
+
+
+def _opencv(path: Path, table: dict[str, Any], size: Size | None) -> Calibration:
+    """Of OpenCV's stereo calibration (M1, D1, M2, D2, R, T), and ORB-SLAM's settings, raw or rectified."""
+    of_image = ("image_size", "imageSize", "size", "resolution")
+    for width, height in (("Camera.width", "Camera.height"), ("LEFT.width", "LEFT.height")):
+        if size is None and width in table and height in table:
+            size = int(_numbers(path, table, width, 1)[0]), int(_numbers(path, table, height, 1)[0])
+    known = _size(path, table, of_image, size)
+    matrices = {"LEFT": ("M1", "K1", "cameraMatrix1", "LEFT.K"), "RIGHT": ("M2", "K2", "cameraMatrix2", "RIGHT.K")}
+    lenses_of = {"LEFT": ("D1", "distCoeffs1", "LEFT.D"), "RIGHT": ("D2", "distCoeffs2", "RIGHT.D")}
+    if _first(table, *matrices["LEFT"]) is None:
+        return _orb_slam(path, table, known)
+    lenses = []
+    for side, names in matrices.items():
+        of_lens = _numbers(path, table, lenses_of[side])
+        lenses.append(
+            _lens(path, _numbers(path, table, names, 9), known, of_lens if of_lens.any() else np.empty(0), "")
+        )
+    if "LEFT.P" in table:
+        turns = [_numbers(path, table, name, 9).reshape(3, 3) for name in ("LEFT.R", "RIGHT.R")]
+        P = [_numbers(path, table, name, 12).reshape(3, 4) for name in ("LEFT.P", "RIGHT.P")]
+        return stated_rectification((lenses[0], lenses[1]), (turns[0], turns[1]), (P[0], P[1]), str(path))
+    T_rl = np.eye(4)
+    T_rl[:3, :3] = _numbers(path, table, "R", 9).reshape(3, 3)
+    T_rl[:3, 3] = _numbers(path, table, "T", 3)
+    return rectification(lenses[0], lenses[1], tuple(T_rl.ravel()), str(path))
+
+
+def _orb_slam(path: Path, table: dict[str, Any], size: Size) -> StereoCamera:
+    """Settings of rectified images: Camera.fx ... and Camera.bf (px m), or Camera1.fx ... and Stereo.b (m)."""
+    prefix = "Camera1" if "Camera1.fx" in table else "Camera"
+    fx, fy, cx, cy = (float(_numbers(path, table, f"{prefix}.{name}", 1)[0]) for name in ("fx", "fy", "cx", "cy"))
+    bf = table.get("Camera.bf")
+    baseline = _numbers(path, table, "Stereo.b", 1)[0] if bf is None else _numbers(path, table, "Camera.bf", 1)[0] / fx
+    kind = str(table.get("Camera.type", "Rectified"))
+    bent = [f"{prefix}.{name}" for name in ("k1", "k2", "p1", "p2") if table.get(f"{prefix}.{name}")]
+    if bent and kind != "Rectified":
+        raise ValueError(
+            f"{path}: {bent[0]} is a distortion of raw images: give Kalibr's or OpenCV's file of both cameras"
+        )
+    return StereoCamera(fx, fy, cx, cy, float(baseline), *size)
+
+
+def _transform(path: Path, table: Mapping[str, Any], name: str) -> FloatArray:
+    T = _numbers(path, table, name, 16).reshape(4, 4)
+    R = T[:3, :3]
+    if np.abs(R @ R.T - np.eye(3)).max() > 1e-3 or np.linalg.det(R) < 0:
+        raise ValueError(f"{path}: {name} holds no rotation: take the calibration of this recording")
+    return T

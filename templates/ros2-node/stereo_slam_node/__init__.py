@@ -1,0 +1,1 @@
+"""Stereo SLAM as a ROS 2 node."""

@@ -1,0 +1,344 @@
+"""What people bring: ROS bags, TartanAir, VSLAM-LAB, a plain folder, a truth or a layout of their own (20 s)."""
+
+import sys
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from stereo_slam_env.cli import app as cli
+from stereo_slam_env.datasets import available_recordings, load, open_image_sequence
+from stereo_slam_env.datasets.bag_writer import write_mcap
+from stereo_slam_env.datasets.ros_bag import grey_of
+from stereo_slam_env.datasets.tartanair import R_BODY_CAMERA
+from stereo_slam_env.recording.trajectory import Trajectory
+from stereo_slam_env.recording.trajectory_files import save_trajectory
+
+from ..real_data import real_data
+from .small_image_folders import CAMERA, DT, FRAMES, drive, kitti_odometry, projection, true_poses, write_png
+from .test_image_layouts import assert_same_poses
+
+pytest.importorskip("rosbags", reason="the extra bags is not installed")
+EPOCH = 1_700_000_000.25
+"""Of a robot's clock, s."""
+
+
+def calibration(folder):
+    P = [" ".join(f"{x:.12g}" for x in projection(x).ravel()) for x in (0.0, -CAMERA.baseline)]
+    text = "".join(f"P_rect_0{eye}: {P[eye]}\n" for eye in (0, 1))
+    (folder / "calib.txt").write_text(f"S_rect_00: {CAMERA.width} {CAMERA.height}\n{text}")
+
+
+def truth_file(path, epoch, T_bc=None):
+    """True poses of a body as a TUM file, between the images and beyond them: constant steps are interpolated."""
+    T_bc, poses = np.eye(4) if T_bc is None else T_bc, true_poses()
+    R = Rotation.from_quat([pose.orientation for pose in poses]) * Rotation.from_matrix(T_bc[:3, :3]).inv()
+    positions = np.array([pose.position for pose in poses]) - R.apply(T_bc[:3, 3])
+    save_trajectory(path, Trajectory(positions, R.as_quat(), epoch + DT * np.arange(FRAMES)))
+    return path
+
+
+def plain_folder(folder, about="", names="{:04d}"):
+    for k, pair in enumerate(drive().pairs()):
+        write_png(folder / "left" / f"{names.format(k)}.png", pair.left)
+        write_png(folder / "right" / f"{names.format(k)}.png", pair.right)
+    calibration(folder)
+    (folder / "recording.toml").write_text(about or 'rig = "calib.txt"\nrate_hz = 10\n')
+    return folder
+
+
+def vslam_lab(folder):
+    R, t = Rotation.from_rotvec([0.2, -0.5, 0.9]), np.array([0.3, -0.1, 0.2])  # camera in the body
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = R.as_matrix(), t
+    lines, truth = ["ts_rgb_0 (ns),path_rgb_0,ts_rgb_1 (ns),path_rgb_1"], ["ts (ns),tx (m),ty (m),tz (m),qx,qy,qz,qw"]
+    for k, (pair, pose) in enumerate(zip(drive().pairs(), true_poses(), strict=True)):
+        stamp = round(1e9 * EPOCH) + round(1e9 * DT) * k
+        for eye, image in enumerate((pair.left, pair.right)):
+            write_png(folder / f"rgb_{eye}" / f"{stamp}.png", image)
+        lines.append(f"{stamp},rgb_0/{stamp}.png,{stamp + 1000},rgb_1/{stamp}.png")
+        R_wb = Rotation.from_quat(pose.orientation) * R.inv()
+        truth.append(",".join(map(str, [stamp, *(pose.position - R_wb.apply(t)), *R_wb.as_quat()])))
+    text = "cameras:\n"
+    for eye in (0, 1):
+        T_BS = T.copy()
+        T_BS[:3, 3] = t + R.apply([eye * CAMERA.baseline, 0.0, 0.0])
+        text += f"  - cam_name: rgb_{eye}\n    cam_model: pinhole\n    focal_length: [{CAMERA.fx}, {CAMERA.fy}]\n"
+        text += (
+            f"    principal_point: [{CAMERA.cx}, {CAMERA.cy}]\n    image_dimension: [{CAMERA.width}, {CAMERA.height}]\n"
+        )
+        text += f"    T_BS: [{', '.join(f'{x:.15g}' for x in T_BS.ravel())}]\n"
+    (folder / "rgb.csv").write_text("\n".join(lines) + "\n")
+    (folder / "groundtruth.csv").write_text("\n".join(truth) + "\n")
+    (folder / "calibration.yaml").write_text(text)
+    return folder
+
+
+def mcap(folder):
+    return write_mcap(drive(), folder / "drive.mcap")
+
+
+def assert_the_drive(sequence, truth=True, atol=1e-6):
+    pairs = list(sequence.pairs())
+    assert len(pairs) == FRAMES
+    for name in ("fx", "fy", "cx", "cy", "baseline", "width", "height"):
+        assert getattr(sequence.camera, name) == pytest.approx(getattr(CAMERA, name), rel=1e-9)
+    for pair, original in zip(pairs, drive().pairs(), strict=True):
+        np.testing.assert_array_equal(pair.left, original.left)
+        np.testing.assert_array_equal(pair.right, original.right)
+    np.testing.assert_allclose(
+        [pair.timestamp - pairs[0].timestamp for pair in pairs], DT * np.arange(FRAMES), atol=1e-6
+    )
+    if truth:
+        assert_same_poses([pair.truth for pair in pairs], true_poses(), atol=atol)
+
+
+# --- bags ------------------------------------------------------------------------------------------------------------
+
+
+def test_a_recording_goes_to_mcap_and_back_with_its_bits(tmp_path, capsys):
+    """The source's poses are no part of the images: they stand on a topic of their own."""
+    kitti = kitti_odometry(tmp_path)
+    assert cli.main(["convert", str(kitti), str(tmp_path / "out.mcap")]) == 0
+    assert capsys.readouterr().out == f"{tmp_path / 'out.mcap'}\n"
+    sequence = open_image_sequence(tmp_path / "out.mcap", truth=f"{tmp_path / 'out.mcap'}:/truth")
+    assert sequence.source["topics"] == ["/stereo/left/image_rect", "/stereo/right/image_rect"]
+    assert_the_drive(sequence)
+    assert_the_drive(open_image_sequence(tmp_path / "out.mcap"), truth=False)
+    assert cli.main(["convert", str(tmp_path / "out.mcap"), str(tmp_path / "out.mcap")]) == 2
+    assert "is there already" in capsys.readouterr().err
+
+
+def test_a_bag_becomes_a_kitti_sequence_and_an_archive_of_tracks(tmp_path, capsys):
+    bag = mcap(tmp_path)
+    assert cli.main(["convert", str(bag), str(tmp_path / "k"), "--truth", f"{bag}:/truth", "--name", "03"]) == 0
+    assert_the_drive(open_image_sequence(tmp_path / "k"))
+    assert cli.main(["convert", str(bag), str(tmp_path / "tracks.npz")]) == 0
+    assert len(load(tmp_path / "tracks.npz").frames) == FRAMES
+
+
+def ros1_bag(path, encoding):
+    """Raw images of turned cameras with distortion, and their CameraInfo, in ROS 1; topics as of a RealSense."""
+    from rosbags.rosbag1 import Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS1_NOETIC)
+    kinds = store.types
+    with Writer(path) as writer:
+        made = {}
+        for eye in (0, 1):
+            for name, kind in (
+                ("image_rect_raw", "sensor_msgs/msg/Image"),
+                ("camera_info", "sensor_msgs/msg/CameraInfo"),
+            ):
+                topic = f"/camera/infra{eye + 1}/{name}"
+                made[eye, name] = (kind, writer.add_connection(topic, kind, typestore=store))
+        for k, pair in enumerate(drive().pairs()):
+            stamp = round(1e9 * EPOCH) + round(1e9 * DT) * k
+            time = kinds["builtin_interfaces/msg/Time"](sec=stamp // 10**9, nanosec=stamp % 10**9)
+            header = kinds["std_msgs/msg/Header"](seq=k, stamp=time, frame_id="c")
+            for eye, grey in enumerate((pair.left, pair.right)):
+                image = np.repeat(grey[..., None], 3, axis=2) if encoding == "rgb8" else grey
+                width = image.shape[1] * (3 if encoding == "rgb8" else 1)
+                data = image.reshape(image.shape[0], -1).ravel()
+                message = kinds["sensor_msgs/msg/Image"](header, *grey.shape, encoding, 0, width, data)
+                kind, connection = made[eye, "image_rect_raw"]
+                writer.write(connection, stamp, store.serialize_ros1(message, kind))
+                P = projection(-eye * CAMERA.baseline)
+                roi = kinds["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
+                info = kinds["sensor_msgs/msg/CameraInfo"](
+                    header,
+                    *grey.shape,
+                    "plumb_bob",
+                    np.zeros(5),
+                    P[:, :3].ravel(),
+                    np.eye(3).ravel(),
+                    P.ravel(),
+                    0,
+                    0,
+                    roi,
+                )
+                kind, connection = made[eye, "camera_info"]
+                writer.write(connection, stamp, store.serialize_ros1(info, kind))
+    return path
+
+
+@pytest.mark.parametrize("encoding", ["mono8", "rgb8"])
+def test_a_ros_1_bag_is_read_with_a_truth_of_the_robots_clock(tmp_path, encoding):
+    bag = ros1_bag(tmp_path / "robot.bag", encoding)
+    assert_the_drive(open_image_sequence(bag), truth=False)
+    tum = truth_file(tmp_path / "truth.tum", EPOCH)
+    assert_the_drive(open_image_sequence(bag, truth=tum))
+    assert len(list(open_image_sequence(bag, first=1, last=3).pairs())) == 3
+    with pytest.raises(ValueError, match=r"truth\.tum covers none of the images: .* give times of one clock"):
+        list(open_image_sequence(bag, truth=truth_file(tmp_path / "truth.tum", 0.0)).pairs())
+
+
+def test_topics_can_be_named_and_what_is_no_stereo_bag_is_refused_in_one_line(tmp_path, capsys):
+    bag = mcap(tmp_path)
+    with pytest.raises(ValueError, match=r"has no images on '/front'; topics with images: /stereo/left/image_rect, "):
+        open_image_sequence(bag, left="/front")
+    turned = open_image_sequence(bag, left="/stereo/left/image_rect", right="/stereo/right/image_rect", rig="qvga")
+    with pytest.raises(ValueError, match="is 160x120 where CameraInfo says 320x240"):
+        next(turned.pairs())
+    (tmp_path / "cut.mcap").write_bytes(bag.read_bytes()[:5000])
+    (tmp_path / "text.bag").write_text("no bag\n")
+    for name in ("cut.mcap", "text.bag"):
+        assert cli.main(["replay", str(tmp_path / name), "--out", str(tmp_path / "run")]) == 2
+        said = capsys.readouterr().err
+        assert said.startswith(f"error: {tmp_path / name} ")
+        assert said.count("\n") == 1
+
+
+def test_an_image_that_is_not_what_it_says_is_named():
+    class Message:
+        encoding, width, height, step, is_bigendian, data = "mono8", 4, 3, 4, 0, np.zeros(11, np.uint8)
+
+    with pytest.raises(ValueError, match="has 11 bytes, too few for its size"):
+        grey_of(Message, (4, 3), "bag: an image")
+    Message.encoding = "yuv422"
+    with pytest.raises(ValueError, match="has the encoding 'yuv422': known are mono8"):
+        grey_of(Message, (4, 3), "bag: an image")
+    Message.encoding, Message.step, Message.data = "16UC1", 8, np.arange(24, dtype=np.uint8)
+    np.testing.assert_array_equal(grey_of(Message, (4, 3), "")[0], [1, 3, 5, 7])
+
+
+# --- folders ---------------------------------------------------------------------------------------------------------
+
+
+def test_vslam_lab_gives_the_drive_and_poses_of_the_camera(tmp_path):
+    sequence = open_image_sequence(vslam_lab(tmp_path))
+    assert sequence.source["reader"] == "vslam_lab"
+    assert_the_drive(sequence)
+    listing = tmp_path / "rgb.csv"
+    good = listing.read_text()
+    listing.write_text(good.replace("rgb_1/", "../rgb_1/", 1))
+    with pytest.raises(ValueError, match=r"rgb\.csv: line 2 is not 'time in ns, image"):
+        open_image_sequence(tmp_path)
+    listing.write_text(good.replace("path_rgb_1", "path_depth_0"))
+    with pytest.raises(ValueError, match="lacks the columns path_rgb_1: it must list the images of both cameras"):
+        open_image_sequence(tmp_path)
+
+
+def test_a_plain_folder_needs_a_few_lines(tmp_path):
+    assert_the_drive(open_image_sequence(plain_folder(tmp_path)), truth=False)
+    T_bc = np.eye(4)
+    T_bc[:3, :3], T_bc[:3, 3] = Rotation.from_rotvec([0.1, 0.7, -1.2]).as_matrix(), [0.2, 0.0, -0.4]
+    truth_file(tmp_path / "truth.tum", EPOCH, T_bc)
+    (tmp_path / "T.json").write_text(f'{{"R": {T_bc[:3, :3].tolist()}, "t": {T_bc[:3, 3].tolist()}}}')
+    (tmp_path / "times.txt").write_text("".join(f"{EPOCH + DT * k:.9f}\n" for k in range(FRAMES)))
+    about = 'rig = "calib.txt"\ntimes = "times.txt"\ntruth = "truth.tum"\nbody = "T.json"\nreference = "surveyed"\n'
+    (tmp_path / "recording.toml").write_text(about)
+    sequence = open_image_sequence(tmp_path)
+    assert sequence.truth_from.kind == "surveyed"
+    assert_the_drive(sequence)
+
+
+def test_names_of_files_may_be_the_times(tmp_path):
+    names = "17000000{:02d}00000000"  # ns: a tenth of a second apart
+    folder = plain_folder(tmp_path, 'rig = "calib.txt"\ntimes = "names"\n', names)
+    sequence = open_image_sequence(folder)
+    np.testing.assert_allclose([pair.timestamp for pair in sequence.pairs()], DT * np.arange(FRAMES), atol=1e-9)
+    assert sequence.source["epoch_s"] == pytest.approx(170000000.0)
+
+
+@pytest.mark.parametrize(
+    ("about", "complaint"),
+    [
+        ("rate_hz = 10", "lacks 'rig'"),
+        ('rig = "calib.txt"', "must say either rate_hz or times"),
+        ('rig = "calib.txt"\nrate_hz = 0', "rate_hz must be"),
+        ('rig = "calib.txt"\nrate_hz = 10\ncolour = 1', "has no entry 'colour'"),
+        ('rig = "../calib.txt"\nrate_hz = 10', "is a link out of its folder|does not exist"),
+        ('rig = "calib.txt"\ntimes = "names"', "are? no time in ns or s|is no time in ns or s"),
+        ("rig = [", "is no TOML"),
+        ('rig = "calib.txt"\nrate_hz = 10\ntruth = "none.tum"', "does not exist"),
+    ],
+)
+def test_a_wrong_line_of_the_toml_is_named(tmp_path, about, complaint, capsys):
+    folder = plain_folder(tmp_path, about, names="pair{}")
+    with pytest.raises(ValueError, match=complaint) as error:
+        open_image_sequence(folder)
+    assert "\n" not in str(error.value)
+    assert cli.main(["replay", str(folder), "--out", str(tmp_path / "run")]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_tartanair_is_known_by_its_folders_and_its_poses_are_those_of_a_body_in_ned(tmp_path):
+    rows = []
+    for k, (pair, pose) in enumerate(zip(drive().pairs(), true_poses(), strict=True)):
+        write_png(tmp_path / "image_left" / f"{k:06d}_left.png", pair.left)
+        write_png(tmp_path / "image_right" / f"{k:06d}_right.png", pair.right)
+        R = Rotation.from_matrix(R_BODY_CAMERA)  # the world of the file: north, east, down
+        rows.append([*R.apply(pose.position), *(R * Rotation.from_quat(pose.orientation) * R.inv()).as_quat()])
+    np.savetxt(tmp_path / "pose_left.txt", rows)
+    sequence = open_image_sequence(tmp_path)
+    assert_same_poses([pair.truth for pair in sequence.pairs()], true_poses(), atol=1e-9)
+    assert (sequence.camera.fx, sequence.camera.baseline) == (320.0, 0.25)
+
+
+def test_tracks_of_the_real_clip_of_tartanair_move_by_its_exact_poses():
+    recording = load(real_data("field") / "tartanair_v2_clip")
+    assert recording.reference.kind == "simulation"
+    errors = []
+    for before, now in zip(recording.frames[:-1], recording.frames[1:], strict=True):
+        _, i, j = np.intersect1d(before.observation.ids, now.observation.ids, return_indices=True)
+        points = (now.truth.inverse() @ before.truth) @ recording.camera.backproject(before.observation.uvd[i])
+        errors.append(recording.camera.project(points) - now.observation.uvd[j])
+    assert len(np.concatenate(errors)) > 100
+    assert np.median(np.abs(np.concatenate(errors)), axis=0).max() < 0.2  # px
+
+
+# --- calibrations, plug-ins ------------------------------------------------------------------------------------------
+
+
+def test_another_calibration_may_be_given_for_any_images(tmp_path, capsys):
+    folder = kitti_odometry(tmp_path)
+    rig = {"fx": 121.0, "fy": 121.0, "cx": 80.0, "cy": 60.0, "baseline": 0.6, "width": 160, "height": 120}
+    sequence = open_image_sequence(folder, rig=rig)
+    assert sequence.camera.baseline == 0.6
+    assert next(sequence.pairs()).truth is not None
+    with pytest.raises(ValueError, match="rig qvga is of images 320x240, those of kitti_odometry_07 are 160x120"):
+        open_image_sequence(folder, rig="qvga")
+    out = ["--out", str(tmp_path / "run")]
+    assert cli.main(["replay", str(folder), "--rig", "none.yaml", *out]) == 2
+    assert capsys.readouterr().err.startswith("error: none.yaml does not exist")
+
+
+PLUG_IN = '''
+"""Recordings of our robot."""
+from stereo_slam_env.datasets.kitti_odometry import open_sequence as read_kitti
+
+NAME, FILES = "our-robot", (("our_robot.txt",),)
+
+def open_sequence(path, choice, *, cameras=None):
+    return read_kitti(path, choice, cameras=cameras)
+'''
+
+
+@pytest.fixture
+def installed(tmp_path, monkeypatch):
+    """Two layouts of strangers, one of which cannot be loaded."""
+    place = tmp_path / "site"
+    about = place / "our_robot-1.dist-info"
+    about.mkdir(parents=True)
+    (place / "our_robot_reader.py").write_text(PLUG_IN)
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: our-robot\nVersion: 1\n")
+    points = "[stereo_slam.recordings]\nour-robot = our_robot_reader\nbroken = nobody_has_this\n"
+    (about / "entry_points.txt").write_text(points)
+    monkeypatch.syspath_prepend(str(place))
+    yield
+    sys.modules.pop("our_robot_reader", None)
+
+
+def test_a_layout_of_a_third_party_is_read_and_a_broken_one_takes_nothing_down(tmp_path, installed):
+    folder = kitti_odometry(tmp_path)
+    (folder / "our_robot.txt").write_text("")
+    (folder / "calib.txt").rename(folder / "our_calib.txt")
+    with pytest.raises(ValueError, match=r"calib\.txt is missing"):  # by the plug-in: the folder is its own
+        open_image_sequence(folder)
+    (folder / "our_calib.txt").rename(folder / "calib.txt")
+    listed = available_recordings()
+    assert listed["our-robot"] == "Recordings of our robot."
+    assert listed["broken"].startswith("not available: ModuleNotFoundError")
+    assert {"ros_bag", "euroc", "starry_night"} <= listed.keys()

@@ -1,0 +1,214 @@
+"""One stereo rig, raw, written in every calibration format: all give the same rectified rig (3 s)."""
+
+import json
+from dataclasses import asdict
+
+import cv2
+import gymnasium as gym
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from stereo_slam_env.cli import app as cli
+from stereo_slam_env.cli.parts import rig_from
+from stereo_slam_env.sensing.lenses import Rectification
+from stereo_slam_env.sensing.rig_files import read_calibration
+from stereo_slam_env.sensing.rigs import RIGS, calibration_of, camera_of
+
+SIZE = (640, 400)
+K = [
+    np.array([[400.0, 0, 315.0], [0, 401.0, 205.0], [0, 0, 1.0]]),
+    np.array([[403.0, 0, 322.0], [0, 402.0, 198.0], [0, 0, 1.0]]),
+]
+D = [np.array([-0.2, 0.05, 3e-4, -2e-4]), np.array([-0.21, 0.06, -1e-4, 1e-4])]
+T_RL = np.eye(4)
+"""Takes points of the left camera to the right one: 12 cm, and a degree askew."""
+T_RL[:3, :3] = Rotation.from_rotvec([0.01, -0.015, 0.008]).as_matrix()
+T_RL[:3, 3] = [-0.12, 0.001, -0.002]
+T_BL = np.eye(4)
+T_BL[:3, :3], T_BL[:3, 3] = Rotation.from_rotvec([0.3, 1.2, -0.4]).as_matrix(), [0.1, -0.2, 0.3]
+T_BR = T_BL @ np.linalg.inv(T_RL)
+R0, R1, P0, P1 = cv2.stereoRectify(
+    K[0], D[0], K[1], D[1], SIZE, T_RL[:3, :3], T_RL[:3, 3:], flags=cv2.CALIB_ZERO_DISPARITY, alpha=0
+)[:4]
+
+
+def row(numbers):
+    return "[" + ", ".join(f"{float(x):.15g}" for x in np.ravel(numbers)) + "]"
+
+
+def four(k):
+    return row([k[0, 0], k[1, 1], k[0, 2], k[1, 2]])
+
+
+def matrix(name, numbers, tag=""):
+    rows, columns = np.atleast_2d(numbers).shape
+    return f"{name}:{tag}\n   rows: {rows}\n   cols: {columns}\n   dt: d\n   data: {row(numbers)}\n"
+
+
+def euroc(folder):
+    for name, T, k, d in (("cam0", T_BL, K[0], D[0]), ("cam1", T_BR, K[1], D[1])):
+        (folder / name).mkdir()
+        (folder / name / "sensor.yaml").write_text(
+            f"#{name}\nsensor_type: camera\nT_BS:\n  cols: 4\n  rows: 4\n  data: {row(T)}\nresolution: {list(SIZE)}\n"
+            f"camera_model: pinhole\nintrinsics: {four(k)} #fu, fv, cu, cv\ndistortion_model: radial-tangential\n"
+            f"distortion_coefficients: {row(d)}\n"
+        )
+    return folder / "cam0" / "sensor.yaml"
+
+
+def kalibr(folder):
+    T = "".join(f"  - {row(numbers)}\n" for numbers in T_RL)
+    text = ""
+    for name, k, d in (("cam0", K[0], D[0]), ("cam1", K[1], D[1])):
+        text += f"{name}:\n" + (f"  T_cn_cnm1:\n{T}" if name == "cam1" else "")
+        text += f"  camera_model: pinhole\n  distortion_coeffs: {row(d)}\n  distortion_model: radtan\n"
+        text += f"  intrinsics: {four(k)}\n  resolution: {list(SIZE)}\n"
+    (folder / "camchain-mine.yaml").write_text(text)
+    return folder / "camchain-mine.yaml"
+
+
+def camera_info(folder):
+    for name, k, d, R, P in (("left", K[0], D[0], R0, P0), ("right", K[1], D[1], R1, P1)):
+        text = f"image_width: {SIZE[0]}\nimage_height: {SIZE[1]}\ncamera_name: {name}\n" + matrix("camera_matrix", k)
+        text += "distortion_model: plumb_bob\n" + matrix("distortion_coefficients", d)
+        (folder / f"{name}.yaml").write_text(text + matrix("rectification_matrix", R) + matrix("projection_matrix", P))
+    return folder / "left.yaml"
+
+
+def opencv(folder):
+    """As OpenCV's own sample of stereo calibration leaves them: two files, no size of the images."""
+    tag = " !!opencv-matrix"
+    both = zip(("M1", "D1", "M2", "D2"), (K[0], D[0], K[1], D[1]), strict=True)
+    text = "%YAML:1.0\n---\n" + "".join(matrix(name, numbers, tag) for name, numbers in both)
+    (folder / "intrinsics.yml").write_text(text)
+    text = "%YAML:1.0\n---\n" + matrix("R", T_RL[:3, :3], tag) + matrix("T", T_RL[:3, 3:], tag)
+    (folder / "extrinsics.yml").write_text(text)
+    return {"name": str(folder / "intrinsics.yml"), "width": SIZE[0], "height": SIZE[1]}
+
+
+def vslam_lab(folder):
+    text = "cameras:\n"
+    for name, T, k, d in (("rgb_0", T_BL, K[0], D[0]), ("rgb_1", T_BR, K[1], D[1])):
+        text += f"  - cam_name: {name}\n    cam_model: radtan4\n    focal_length: {row([k[0, 0], k[1, 1]])}\n"
+        text += f"    principal_point: {row([k[0, 2], k[1, 2]])}\n    distortion_coefficients: {row(d)}\n"
+        text += f"    image_dimension: {list(SIZE)}\n    fps: 20.0\n    T_BS: {row(T)}\n"
+    (folder / "calibration.yaml").write_text(text)
+    return folder
+
+
+FORMATS = {maker.__name__: maker for maker in (euroc, kalibr, camera_info, opencv, vslam_lab)}
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_every_format_gives_the_rig_that_opencv_rectifies_it_to(tmp_path, name):
+    rig = FORMATS[name](tmp_path)
+    rig = rig if isinstance(rig, dict) else str(rig)
+    camera = camera_of(rig)
+    assert (camera.width, camera.height) == SIZE
+    found = [camera.fx, camera.fy, camera.cx, camera.cy, camera.baseline]
+    wanted = [P0[0, 0], P0[1, 1], P0[0, 2], P0[1, 2], np.linalg.norm(T_RL[:3, 3])]
+    np.testing.assert_allclose(found, wanted, rtol=1e-9)
+    rectify = calibration_of(rig)
+    assert isinstance(rectify, Rectification)
+    np.testing.assert_allclose(rectify.R_left, R0, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_every_format_rectifies_images_alike(tmp_path, name):
+    rig = FORMATS[name](tmp_path)
+    rectify = calibration_of(rig if isinstance(rig, dict) else str(rig))
+    images = np.random.default_rng(0).integers(0, 255, (2, *SIZE[::-1]), dtype=np.uint8)
+    for image, k, d, R, P, mine in zip(images, K, D, (R0, R1), (P0, P1), rectify(*images), strict=True):
+        maps = cv2.initUndistortRectifyMap(k, d, R, P, SIZE, cv2.CV_16SC2)
+        theirs = cv2.remap(image, *maps, cv2.INTER_LINEAR)
+        assert (np.abs(mine.astype(int) - theirs) <= 1).mean() > 0.999  # 15 digits in a file
+
+
+def test_the_maps_are_made_once(tmp_path):
+    path = kalibr(tmp_path)
+    assert read_calibration(path) is read_calibration(path)
+
+
+def test_rectified_calibrations_are_the_rig_at_once(tmp_path):
+    kitti = RIGS["kitti"]
+    P = [f"{kitti.fx} 0 {kitti.cx} {x} 0 {kitti.fy} {kitti.cy} 0 0 0 1 0" for x in (0, -kitti.disparity_constant)]
+    (tmp_path / "calib.txt").write_text("".join(f"P{n}: {P[n % 2]}\n" for n in range(4)))
+    given = {"name": str(tmp_path / "calib.txt"), "width": kitti.width, "height": kitti.height}
+    assert asdict(camera_of(given)) == pytest.approx(asdict(kitti))
+    with pytest.raises(ValueError, match=r"calib\.txt does not say the size of the images: give width and height"):
+        camera_of(str(tmp_path / "calib.txt"))
+    orb = {
+        "Camera.type": "Rectified",
+        "Camera.bf": kitti.disparity_constant,
+        "Camera.width": 1241,
+        "Camera.height": 376,
+    }
+    orb |= {f"Camera.{key}": getattr(kitti, key) for key in ("fx", "fy", "cx", "cy")}
+    (tmp_path / "KITTI.yaml").write_text("%YAML:1.0\n" + "".join(f"{key}: {value}\n" for key, value in orb.items()))
+    assert asdict(camera_of(str(tmp_path / "KITTI.yaml"))) == pytest.approx(asdict(kitti))
+
+
+def test_numbers_beside_a_file_take_the_place_of_its_own_and_both_files_can_be_named(tmp_path):
+    path = kalibr(tmp_path)
+    assert camera_of({"name": str(path), "baseline": 0.3}).baseline == 0.3
+    left = camera_info(tmp_path)
+    right = (tmp_path / "right.yaml").rename(tmp_path / "other.yaml")
+    with pytest.raises(ValueError, match=r"left\.yaml is of one camera, and none beside it is of the other"):
+        camera_of(str(left))
+    both = rig_from(f"left={left},right={right}")
+    assert camera_of(both).baseline == pytest.approx(np.linalg.norm(T_RL[:3, 3]), rel=1e-9)
+
+
+HOSTILE = {
+    "empty.yaml": ("", "holds no entries"),
+    "list.yaml": ("- 1\n- 2\n", "holds no entries"),
+    "deep.yaml": ("[" * 5000, "is no YAML"),
+    "code.yaml": ("!!python/object/apply:os.system ['true']\n", "is no YAML"),
+    "words.yaml": (
+        "cam0: {intrinsics: [a, b, c, d], resolution: [640, 400]}\ncam1: {}\n",
+        "'intrinsics' holds no numbers|lacks",
+    ),
+    "nan.yaml": ("cam0: {intrinsics: [.nan, 1, 2, 3], resolution: [640, 400]}\ncam1: {}\n", "finite|lacks"),
+    "flat.yaml": ("cam0: 7\ncam1: 8\n", "lacks 'cam0': a camchain of two cameras"),
+    "huge.yaml": ("a: " + "1" * 400_000, "more than 300000"),
+    "other.yaml": ("colour: blue\n", "holds no calibration that is known"),
+    "numbers.txt": ("P0: 1 2 3\n", "has 3 numbers where 12"),
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_a_file_that_is_none_is_refused_in_one_line_with_exit_code_2(tmp_path, name, capsys):
+    content, complaint = HOSTILE[name]
+    (tmp_path / name).write_text(content)
+    with pytest.raises(ValueError, match=complaint) as error:
+        camera_of(str(tmp_path / name))
+    assert "\n" not in str(error.value)
+    assert cli.main(["scenes", "noise", "right-turn", "--rig", str(tmp_path / name)]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_an_environment_and_the_bench_take_a_file_and_store_its_numbers(tmp_path, monkeypatch):
+    path = kalibr(tmp_path)
+    with gym.make("StereoSlam/Drive-v0", rig=str(path)) as env:
+        assert env.unwrapped.camera == camera_of(str(path))
+        assert env.unwrapped.options.as_dict()["rig"] == asdict(camera_of(str(path)))
+    monkeypatch.setattr(
+        "stereo_slam_env.report.benchmark_report.write_report", lambda out, *_, **__: out / "report.html"
+    )
+    bench = ("bench", "--preset", "reference-turn", "--seeds", "1", "--frames", "4", "--filters", "inverse-depth")
+    assert cli.main([*bench, "--jobs", "1", "--out", str(tmp_path / "run"), "--rig", str(path)]) == 0
+    settings = json.loads((tmp_path / "run" / "settings.json").read_text())
+    assert settings["scenario"]["options"]["rig"] == pytest.approx(asdict(camera_of(str(path))))
+
+
+@pytest.mark.parametrize("name", RIGS)
+def test_every_rig_by_name_can_be_driven(name):
+    with gym.make("StereoSlam/Drive-v0", rig=name, route="right-turn") as env:
+        observation, _ = env.reset(seed=0)
+        assert observation["mask"].sum() > 20
+
+
+def test_a_table_is_json_on_the_command_line():
+    assert rig_from('{"name": "vga", "baseline": 0.2}') == {"name": "vga", "baseline": 0.2}
+    assert rig_from("mine/calib.txt,baseline=0.2") == {"name": "mine/calib.txt", "baseline": 0.2}
