@@ -136,8 +136,9 @@ class Recipe:
     def is_that_of(self, other: Recipe) -> bool:
         """Whether it says the same as another one."""
         mine, others = vars(self), vars(other)
+        plans: Any = self.plan, other.plan
         same = all(mine[name] == others[name] for name in mine if name != "plan")
-        return same and all(map(np.array_equal, self.plan, other.plan))
+        return same and all(map(np.array_equal, *plans))
 
 
 def stage_tables(variants: tuple[tuple[StageRows, ...], ...], sensor_size: int, gate: float | None) -> dict[str, Any]:
