@@ -4,7 +4,7 @@
     python benchmarks/changed_recordings.py DATA --recordings kitti07_tracks --changes "as it is" "every 2nd frame"
     python benchmarks/changed_recordings.py DATA --look 0                         # no future: what is assumed
     python benchmarks/changed_recordings.py --rendered 6 --renderer gl            # right turns, all changes
-    python benchmarks/changed_recordings.py --wrong-rigs 20                       # rendered, each with a wrong rig
+    python benchmarks/changed_recordings.py --wrong-rigs 5 --rigs 4               # rendered drives, wrong rigs of each
 
 DATA is the folder that holds the recordings of `benchmarks/real_covariances.py`. The tracks are changed, their noise is
 measured again as a stranger's would be, and "coloured-noise" runs on them with vision only. NEES/6 of the pose and of
@@ -113,6 +113,18 @@ def turned(degrees: float) -> Change:
         return _moved(drive, error)
 
     return change
+
+
+def rolled(radians: float) -> Change:
+    """The right camera is turned about its optical axis."""
+    return lambda drive, rng: _moved(
+        drive, lambda uvd: np.outer(radians * (uvd[:, 1] - drive.camera.cy), [0.0, 0.0, 1.0])
+    )
+
+
+def shifted(pixels: float) -> Change:
+    """All disparities are off."""
+    return lambda drive, rng: _moved(drive, lambda uvd: np.tile([0.0, 0.0, pixels], (len(uvd), 1)))
 
 
 CHANGES: Mapping[str, Change] = {
@@ -229,14 +241,16 @@ def rendered(seeds: Iterable[int], renderer: str, route: str, **options: Any) ->
 
 
 def with_wrong_rig(drive: Recording, seed: int) -> Recording:
-    """The drive as a stranger's whose rig is wrong by errors of its calibration as large as those of `CHANGES`."""
+    """The drive as a stranger's whose rig is wrong.
+
+    Standard deviations: 0.5 % of the focal length, 1 % of the baseline, 0.1 degrees of yaw and of roll of the right
+    camera, 0.3 px of disparity.
+    """
     rng = np.random.default_rng(seed)
-    for change in (
-        focal_length(0.005 * rng.normal()),
-        baseline(0.01 * rng.normal()),
-        turned(0.1 * rng.normal()),
-    ):
-        drive = change(drive, rng)
+    draws = rng.normal(size=5)
+    errors = {focal_length: 0.005, baseline: 0.01, turned: 0.1, rolled: 0.00175, shifted: 0.3}
+    for (change, sigma), drawn in zip(errors.items(), draws, strict=True):
+        drive = change(sigma * drawn)(drive, rng)
     return measured_again(replace(drive, truth_from=GIVEN_TRUTH))
 
 
@@ -251,6 +265,7 @@ def main() -> None:
         look=int,
         rendered=0,
         wrong_rigs=0,
+        rigs=1,
         first_seed=0,
         renderer="gl",
         route="right-turn",
@@ -266,14 +281,18 @@ def main() -> None:
         show_changes(f"{given.route} by {given.renderer}", drives, given.changes, given.look)
     if given.wrong_rigs:
         seeds = range(given.first_seed, given.first_seed + given.wrong_rigs)
-        show_wrong_rigs(list(rendered(seeds, given.renderer, given.route, rig=WRONG_RIG)), seeds)
+        show_wrong_rigs(rendered(seeds, given.renderer, given.route, rig=WRONG_RIG), seeds, given.rigs)
 
 
-def show_wrong_rigs(drives: Sequence[Recording], seeds: Sequence[int]) -> None:
-    """A row for each seed, and the means."""
-    scores = [scored(with_wrong_rig(drive, seed)) for seed, drive in zip(seeds, drives, strict=True)]
-    rows = [(str(seed), *row.cells) for seed, row in zip(seeds, scores, strict=True)]
-    show(f"rendered with a wrong rig, {len(drives)} seeds", HEADS, [*rows, ("mean", *_mean(scores).cells)])
+def show_wrong_rigs(drives: Iterable[Recording], seeds: Sequence[int], rigs: int) -> None:
+    """A row for each rig, some of each drive, and the means."""
+    scores = {
+        f"{seed}, {rig}": scored(with_wrong_rig(drive, rigs * seed + rig))
+        for seed, drive in zip(seeds, drives, strict=True)
+        for rig in range(rigs)
+    }
+    rows = [(name, *row.cells) for name, row in scores.items()]
+    show(f"rendered, {len(rows)} wrong rigs", HEADS, [*rows, ("mean", *_mean(list(scores.values())).cells)])
 
 
 if __name__ == "__main__":

@@ -7,14 +7,16 @@ from typing import Any
 
 import numpy as np
 
+from filters.catalogue.msckf import MultiStateConstraintEKF
 from filters.contract.beliefs import PoseBelief
 from filters.contract.noise import ColouredNoise, StereoNoise
 from filters.contract.start import Start
 from filters.contract.stereo_filter import AT_ORIGIN, StereoFilter
 from filters.engine.stereo_ekf import StereoEKF
+from filters.geometry import rotations
 from filters.geometry.camera import StereoCamera
+from filters.geometry.poses import Pose
 from filters.submaps.submap_ekf import SubmapEKF
-from filters.validation import FloatArray
 
 
 def _named(class_name: str, description: str, **chosen: Any) -> type[StereoEKF]:
@@ -105,50 +107,62 @@ MonocularEKF = _named(
 class ColouredNoiseEKF(StereoEKF):
     """Stereo EKF for errors that last from frame to frame, as those of tracks in real images do.
 
-    What a `ColouredNoise` states becomes process noise of landmarks, a gauge walk, and variables for the misalignment
-    of camera and reference and for the offset of the disparities; a scale that is not known is added to the covariance
-    of `pose` and `relative_pose`. Where the noise states nothing, it is taken for white. Shared anchors,
-    right-invariant errors, and the joint test over the frame where there is a gate.
+    What a `ColouredNoise` states becomes process noise of landmarks, a gauge walk, and variables for the offset of the
+    disparities and the rotation of the right camera. What images do not show is added to the covariance of `pose` and
+    `relative_pose`: the scale, and how the camera is turned in the body whose pose is wanted. Where the noise states
+    nothing, it is taken for white. Shared anchors, right-invariant errors, and the joint test over the frame where
+    there is a gate.
     """
 
     open_options = StereoEKF.open_options - {"landmark", "measurement", "error", "consensus", "drift", "gauge_walk"}
 
     def __init__(self, camera: StereoCamera, noise: StereoNoise, *, gate: float | None = 0.99, **options: Any) -> None:
         stated: dict[str, Any] = {}
-        scale = 0.0
+        scale = misalignment = 0.0
         if isinstance(noise, ColouredNoise):
             stated |= {"drift": noise.drift, "gauge_walk": noise.gauge_walk}
-            priors = {"misalignment_sigma": noise.misalignment, "offset_sigma": noise.disparity_offset}
+            priors = {
+                "offset_sigma": noise.disparity_offset,
+                "yaw_sigma": noise.right_yaw,
+                "roll_sigma": noise.right_roll,
+            }
             if any(priors.values()):
                 given = {name: sigma for name, sigma in priors.items() if sigma}
                 stated["measurement"] = {"name": "calibrated", **given}
-            scale = noise.scale
+            scale, misalignment = noise.scale, noise.misalignment
             noise = StereoNoise(noise.R if noise.white is None else noise.white)
         usual = {"landmark": "shared-anchor", "error": "right-invariant", "consensus": gate is not None}
         super().__init__(camera, noise, gate=gate, **{**usual, **stated, **options})
-        self._scale = scale
+        self._unseen = np.square([scale, *[misalignment] * 3])
 
     @property
     def pose(self) -> PoseBelief:
-        """Pose of the left camera, with the doubt about the scale of the way from the start."""
-        return self._in_doubt_of_scale(super().pose, self._start)
+        """Pose of the left camera, with the doubt about the way from the start."""
+        return self._in_doubt(super().pose, self._start)
 
     def relative_pose(self, name: str) -> PoseBelief:
-        """As of `StereoEKF`, with the doubt about the scale of the way from the clone."""
-        return self._in_doubt_of_scale(super().relative_pose(name), np.zeros(3))
+        """As of `StereoEKF`, with the doubt about the way from the clone."""
+        return self._in_doubt(super().relative_pose(name), Pose())
 
     def reset(self, start: Start = AT_ORIGIN) -> None:
         """As of `StereoEKF`."""
         super().reset(start)
-        self._start = np.array(start.position, dtype=np.float64)
+        self._start = Pose(start.position, start.orientation)
 
-    def _in_doubt_of_scale(self, pose: PoseBelief, origin: FloatArray) -> PoseBelief:
-        """What a scale that is constant, and that no measurement shows, adds to a covariance: P + s^2 t t^T."""
-        if not self._scale:
+    def _in_doubt(self, pose: PoseBelief, start: Pose) -> PoseBelief:
+        """What constants that no image shows add to the covariance of a pose T that was T_0 once.
+
+        A scale of 1 + s makes an error s (t - t_0), and a camera that is turned in its body by x, which makes of the
+        motion M = T_0^-1 T = (p, R) the motion Exp(x)^-1 M Exp(x), one of R_0 [p]x x and (I - R^T) x.
+        """
+        if not self._unseen.any():
             return pose
-        way, covariance = self._scale * (pose.position - origin), pose.covariance.copy()
-        covariance[:3, :3] += np.outer(way, way)
-        return PoseBelief(pose.position, pose.orientation, covariance)
+        moved = start.inverse() @ Pose(pose.position, pose.orientation)
+        by_unseen = np.zeros((6, 4))
+        by_unseen[:3, 0] = pose.position - start.position
+        by_unseen[:3, 1:] = start.R_wc @ rotations.skew(moved.position)
+        by_unseen[3:, 1:] = np.eye(3) - moved.R_wc.T
+        return PoseBelief(pose.position, pose.orientation, pose.covariance + (by_unseen * self._unseen) @ by_unseen.T)
 
 
 PRESETS: Mapping[str, type[StereoFilter]] = {
@@ -159,6 +173,7 @@ PRESETS: Mapping[str, type[StereoFilter]] = {
     "hybrid": HybridEKF,
     "right-invariant": RightInvariantEKF,
     "inertial": InertialEKF,
+    "msckf": MultiStateConstraintEKF,
     "unscented": UnscentedStereoFilter,
     "monocular": MonocularEKF,
     "coloured-noise": ColouredNoiseEKF,

@@ -62,7 +62,7 @@ class StereoNoise:
         return hash(self.R.tobytes())
 
 
-_ERRORS_IN_COMMON = ("gauge_walk", "misalignment", "disparity_offset", "scale")
+_ERRORS_IN_COMMON = ("gauge_walk", "misalignment", "disparity_offset", "right_yaw", "right_roll", "scale")
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,6 +86,9 @@ class ColouredNoise(StereoNoise):
         Standard deviation of the rotation between the camera and the frame of odometry and reference, rad per axis.
     disparity_offset : float
         Standard deviation of what the rectification has left in all disparities, px.
+    right_yaw, right_roll : float
+        Standard deviations of what it has left of the rotation of the right camera, about its vertical and its optical
+        axis, rad.
     scale : float
         Standard deviation of the share by which the rig makes the world larger than it is, as a baseline does that is
         stated too long. No measurement of the rig shows it.
@@ -101,6 +104,8 @@ class ColouredNoise(StereoNoise):
     gauge_walk: float = 0.0
     misalignment: float = 0.0
     disparity_offset: float = 0.0
+    right_yaw: float = 0.0
+    right_roll: float = 0.0
     scale: float = 0.0
 
     def __post_init__(self) -> None:

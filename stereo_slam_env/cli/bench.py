@@ -39,6 +39,15 @@ class RunOptions:
     """Options of the commands that run filters."""
 
     filters: FiltersOption = None
+    trajectories: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--trajectory",
+            help="What another program estimated, beside the filters: a file as `evaluate` takes; {seed} in its name "
+            "stands for that of the recording. May be given several times.",
+            metavar="LABEL=FILE",
+        ),
+    ] = None
     frames: Annotated[int | None, typer.Option("--frames", help="Cut after so many frames.", min=2)] = None
     jobs: JobsOption = 2
     out: OutOption = None
@@ -83,6 +92,8 @@ class RunOptions:
         changes: dict[str, Any] = {}
         if self.filters is not None:
             changes["filters"] = _chosen("--filters", self.filters, scenario.filters, filter_choice)
+        if self.trajectories:
+            changes["filters"] = (*changes.get("filters", scenario.filters), *map(_outside, self.trajectories))
         if self.frames is not None:
             changes["frames"] = self.frames
         if self.sigma_px is not None:
@@ -341,6 +352,17 @@ def _chosen(
     labelled = {choice.label: choice for choice in own}
     entries = listed(option, text)
     return tuple((isinstance(entry, str) and labelled.get(entry)) or usual(entry) for entry in entries)
+
+
+def _outside(text: str) -> FilterChoice:
+    """The competitor that `--trajectory` names."""
+    from stereo_slam_env.benchmark.scenarios.outside import OUTSIDE
+    from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice
+
+    label, equals, name = text.partition("=")
+    if not (label and equals and name):
+        raise ValueError(f"--trajectory must be LABEL=FILE, as orbslam3=est.tum, got {text!r}")
+    return FilterChoice(label, OUTSIDE, {"file": str(Path(name).absolute())})
 
 
 def _gate(text: str) -> float | None:

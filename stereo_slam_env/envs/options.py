@@ -147,11 +147,19 @@ class StereoOptions:
 class DriveOptions(StereoOptions):
     """Arguments of `StereoDriveEnv`."""
 
+    route: str | None = None  # type: ignore[assignment]
     policy: DrivenBy = "agent"
+    lane: float = 2.0
     progress_weight: float = 0.1
     collision_weight: float = 10.0
     goal_weight: float = 10.0
-    time_weight: float = 0.05
+    time_weight: float = 0.4
+
+    def __post_init__(self) -> None:
+        if self.route is None:
+            object.__setattr__(self, "route", "random-town" if self.policy == "agent" else "town")
+        super().__post_init__()
+        positive("lane", self.lane)
 
 
 @dataclass(frozen=True)
@@ -191,7 +199,7 @@ class GazeOptions(HeadOptions):
 class DriveGazeOptions(HeadOptions, DriveOptions):
     """Arguments of `StereoDriveGazeEnv`."""
 
-    route: str = "town"
+    route: str | None = None  # type: ignore[assignment]
 
 
 def _number(name: str, value: Any, low: float, high: float) -> None:

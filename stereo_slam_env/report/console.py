@@ -139,6 +139,9 @@ def _lasting(noise: ColouredNoise) -> str:
         said.append(f"camera and reference are aligned to {1e3 * noise.misalignment:.0f} mrad")
     if noise.disparity_offset:
         said.append(f"disparities have an offset of about {noise.disparity_offset:.2f} px")
+    if noise.right_yaw or noise.right_roll:
+        turns = f"{1e3 * noise.right_yaw:.1f} and {1e3 * noise.right_roll:.1f} mrad (yaw, roll)"
+        said.append(f"the right camera is rectified to {turns}")
     if noise.scale:
         said.append(f"the scale is known to {100 * noise.scale:.1f} %")
     return "; ".join(said) or "nothing"

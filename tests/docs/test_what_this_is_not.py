@@ -110,16 +110,18 @@ def each_sentence_is_a_test():
     assert f"tests/docs/{Path(__file__).name}" in PAGE.read_text(encoding="utf-8")
 
 
-@says("No inertial sensor.")
+@says("No inertial sensor in the environments.")
 @says(
-    "A filter takes inertial samples, and a recording keeps them, but no environment simulates them and no reader of a "
-    "data set reads them: you bring them."
+    "A filter takes inertial samples, a recording keeps them, and the readers of EuRoC, KITTI raw and KITTI 00 read "
+    "them, but no environment simulates them."
 )
-def nobody_makes_inertial_samples():
+def readers_make_inertial_samples_and_no_environment_does():
     assert "inertial" in inspect.signature(StereoFilter.predict).parameters
     assert "inertial" in fields(Frame) & fields(StereoPair)
     makes = {path.name for path in SOURCES if re.search(r"InertialSamples\(", path.read_text(encoding="utf-8"))}
     assert makes == {"inertial.py", "drives.py", "motions.py", "archive.py"}  # its own module, checks, archives
+    reads = {path.name for path in SOURCES if re.search(r"samples_of_steps\(", path.read_text(encoding="utf-8"))}
+    assert reads == {"inertial.py", "euroc.py", "kitti_raw.py", "kitti00_stereo_tracks.py"}
 
 
 @says("Samples and odometry are not fused in one filter.")
@@ -177,20 +179,20 @@ def the_front_end_measures_an_offset():
 
 
 @says(
-    "Filters can estimate more: coloured-noise that offset and the misalignment of camera and vehicle, the measurement "
-    "calibrated also the focal length and the baseline."
+    "Filters can estimate more: coloured-noise that offset and the rotation of the right camera, the measurement "
+    "calibrated also the focal length, the baseline and the misalignment of camera and vehicle."
 )
 def filters_estimate_calibration():
-    noise = ColouredNoise(np.eye(3), misalignment=0.005, disparity_offset=0.05)
+    noise = ColouredNoise(np.eye(3), disparity_offset=0.05, right_yaw=0.002, right_roll=0.002)
     slam = driven(make_filter("coloured-noise", camera=CAMERA, noise=noise), drive(0, 8))
     believed = slam.belief("calibration")
-    assert len(believed.value) == 4  # the offset, and three angles
+    assert len(believed.value) == 3  # the offset, yaw and roll
     assert np.diag(believed.covariance)[0] < 0.05**2
-    priors = {f"{name}_sigma": 0.01 for name in ("offset", "focal", "baseline", "misalignment")}
+    priors = {f"{name}_sigma": 0.01 for name in ("offset", "focal", "baseline", "misalignment", "yaw", "roll")}
     calibrated = {"name": "calibrated", **priors}
     slam = driven(StereoEKF(CAMERA, StereoNoise.diagonal(1.0, 1.0, 1.0), measurement=calibrated), drive(0, 8))
     assert np.abs(slam.belief("calibration").value).min() > 0.0
-    assert len(slam.belief("calibration").value) == 6
+    assert len(slam.belief("calibration").value) == 8
 
 
 @says("A wrong baseline cannot be seen from images at all.")

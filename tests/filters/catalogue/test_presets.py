@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import stereo_slam_env as sse
-from filters import ColouredNoise, LandmarkDrift, StereoEKF, StereoNoise, make_filter
+from filters import ColouredNoise, LandmarkDrift, Pose, StereoEKF, StereoNoise, jacobian, make_filter
+from filters.geometry import rotations
 from stereo_slam_env.recording.recording import Recording
 
 DRIFT = LandmarkDrift(pixels=(1.1, 1.0, 0.3), gate_pixels=(0.4, 0.4, 0.2))
@@ -34,9 +35,9 @@ def test_without_errors_that_last_it_is_the_right_invariant_filter_with_the_join
 
 def test_what_the_noise_states_is_what_the_engine_is_told(drive: Recording) -> None:
     white = 0.1 * drive.noise.R
-    own = estimates(drive, "coloured-noise", ColouredNoise(drive.noise.R, white, DRIFT, 0.004, 0.005, 0.05))
+    own = estimates(drive, "coloured-noise", ColouredNoise(drive.noise.R, white, DRIFT, 0.004, 0.0, 0.05, 0.002, 0.001))
     told = {"drift": DRIFT, "gauge_walk": 0.004, "consensus": True}
-    told["measurement"] = {"name": "calibrated", "misalignment_sigma": 0.005, "offset_sigma": 0.05}
+    told["measurement"] = {"name": "calibrated", "offset_sigma": 0.05, "yaw_sigma": 0.002, "roll_sigma": 0.001}
     for mine, theirs in zip(own, estimates(drive, "right-invariant", StereoNoise(white), **told), strict=True):
         np.testing.assert_array_equal(mine, theirs)
 
@@ -51,3 +52,25 @@ def test_an_option_goes_before_what_the_noise_states(drive: Recording) -> None:
 
 def test_without_a_gate_there_is_no_joint_test(drive: Recording) -> None:
     assert not make_filter("coloured-noise", camera=drive.camera, noise=drive.noise, gate=None).options.consensus
+
+
+def test_what_no_image_shows_of_the_rig_is_added_to_the_covariance_of_the_way(drive: Recording) -> None:
+    """A scale and a turn of the camera in its body, against the way that differences say they make of it."""
+    scale, turn = 0.01, 0.005
+    slams = [
+        list(sse.run("coloured-noise", drive, noise=noise))[-1].slam
+        for noise in (drive.noise, ColouredNoise(drive.noise.R, misalignment=turn, scale=scale))
+    ]
+    plain, doubting = (slam.pose for slam in slams)
+    start = Pose(drive.start.position, drive.start.orientation)
+    moved = start.inverse() @ Pose(plain.position, plain.orientation)
+
+    def changed(numbers: np.ndarray) -> np.ndarray:
+        body = Pose(np.zeros(3), rotations.exp_quaternion(numbers[1:]))
+        way = body.inverse() @ Pose((1.0 + numbers[0]) * moved.position, moved.orientation) @ body
+        there = start @ way
+        turned = rotations.log(rotations.matrix(plain.orientation).T @ there.R_wc)
+        return np.concatenate([there.position - plain.position, turned])
+
+    J = jacobian(changed, 4) * [scale, turn, turn, turn]
+    np.testing.assert_allclose(doubting.covariance, plain.covariance + J @ J.T, atol=1e-9)

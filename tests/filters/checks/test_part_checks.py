@@ -38,7 +38,7 @@ from filters.parts import SLOTS
 CHECKED = ("landmark", "measurement", "motion", "error")
 NAMED = [make_part(slot, name) for slot in CHECKED for name in SLOTS[slot].named]
 SET = [
-    CalibratedPair(0.25, 3e-3, 2e-3, 5e-3),
+    CalibratedPair(0.25, 3e-3, 2e-3, 5e-3, 2e-3, 1e-3),
     Hybrid(near_distance=10.0),
     RightInvariant(reset=True),
     make_part("measurement", {"name": "unrectified", "right_pose": (0.5, 0.02, -0.1, 0.05, 0.1, -0.2)}),

@@ -12,9 +12,10 @@ from filters import CalibratedPair, RangeBearing, StereoEKF, jacobian
 from ..drives import CAMERA
 from ..matched_drives import HIGH, LOW, RUNS, Frame, Setup, finished, mean_nees, nees
 
-ALL = CalibratedPair(0.25, 3e-3, 2e-3, 5e-3)
+ALL = CalibratedPair(0.25, 3e-3, 2e-3, 5e-3, 2e-3, 1e-3)
 OFFSET = CalibratedPair(offset_sigma=1.0)
-SIGMAS = np.array([0.25, 3e-3, 2e-3, 5e-3, 5e-3, 5e-3])
+SIGMAS = np.array([0.25, 3e-3, 2e-3, 5e-3, 5e-3, 5e-3, 2e-3, 1e-3])
+ERRORS = SIGMAS * np.array([1.0, -2.0, 1.5, 3.0, -2.0, 1.0, 2.0, -1.5])
 POINTS = np.array([[0.5, -0.3, 4.0, 1.0], [-0.2, 0.1, 1.0, 0.05], [0.1, 0.2, 1.0, 0.0], [0.1, 0.2, 1.0, -0.01]])
 
 
@@ -33,37 +34,39 @@ def with_offset(seed: int) -> tuple[StereoEKF, Frame]:
 
 
 def test_jacobians_are_those_of_differences() -> None:
-    e = values(SIGMAS * np.array([1.0, -2.0, 1.5, 3.0, -2.0, 1.0]))
+    e = values(ERRORS)
     claimed = ALL.jacobians(CAMERA, POINTS, e)
     by_point = jacobian(lambda d: ALL.predict(CAMERA, POINTS + d, e), 4)
-    by_error = jacobian(lambda d: ALL.predict(CAMERA, POINTS, values(e["calibration"] + d)), 6)
+    by_error = jacobian(lambda d: ALL.predict(CAMERA, POINTS, values(e["calibration"] + d)), len(SIGMAS))
     assert claimed.by_point == pytest.approx(by_point, rel=1e-7, abs=1e-6)
     assert claimed.by_variable["calibration"] == pytest.approx(by_error, rel=1e-7, abs=1e-6)
 
 
 def test_jacobians_of_backprojection_are_those_of_differences() -> None:
-    e = values(SIGMAS * np.array([1.0, -2.0, 1.5, 3.0, -2.0, 1.0]))
+    e = values(ERRORS)
     uvd = ALL.predict(CAMERA, POINTS, e)
     claimed = ALL.backprojection_jacobians(CAMERA, uvd, e)
     by_measurement = jacobian(lambda d: ALL.backproject(CAMERA, uvd + d, e), 3)
-    by_error = jacobian(lambda d: ALL.backproject(CAMERA, uvd, values(e["calibration"] + d)), 6)
+    by_error = jacobian(lambda d: ALL.backproject(CAMERA, uvd, values(e["calibration"] + d)), len(SIGMAS))
     assert claimed.by_point == pytest.approx(by_measurement, rel=1e-7, abs=1e-10)
     assert claimed.by_variable["calibration"] == pytest.approx(by_error, rel=1e-7, abs=1e-10)
 
 
 def test_of_small_errors_the_columns_are_those_of_the_field() -> None:
-    """Around a perfect calibration: (0, 0, 1), (u - cx, v - cy, d), (0, 0, d), and the flow of a rotation."""
+    """(0, 0, 1), (u - cx, v - cy, d), (0, 0, d), the flow of a rotation, and of the right camera alone, in d."""
     u, v, d = CAMERA.project(POINTS[0, :3])
     f, x, y = CAMERA.fx, (u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy
     columns = [[0, 0, 1], [u - CAMERA.cx, v - CAMERA.cy, d], [0, 0, d]]
     rotation = [[-f * x * y, f * (1 + x**2), -f * y], [-f * (1 + y**2), f * x * y, f * x], [-d * y, d * x, 0]]
-    claimed = ALL.jacobians(CAMERA, POINTS[:1], values(np.zeros(6))).by_variable["calibration"][0]
+    claimed = ALL.jacobians(CAMERA, POINTS[:1], values(0.0 * SIGMAS)).by_variable["calibration"][0]
     assert claimed[:, :3] == pytest.approx(np.transpose(columns), abs=1e-9)
-    assert claimed[:, 3:] == pytest.approx(np.array(rotation), abs=1e-9)
+    assert claimed[:, 3:6] == pytest.approx(np.array(rotation), abs=1e-9)
+    of_the_right = [[0, 0], [0, 0], [f * (1 + (x - d / f) ** 2), v - CAMERA.cy]]
+    assert claimed[:, 6:] == pytest.approx(np.array(of_the_right), abs=1e-9)
 
 
 def test_backprojection_is_the_exact_inverse_at_and_beyond_infinity_too() -> None:
-    e = values(SIGMAS * np.array([1.0, -2.0, 1.5, 3.0, -2.0, 1.0]))
+    e = values(ERRORS)
     back = ALL.backproject(CAMERA, ALL.predict(CAMERA, POINTS, e), e)
     assert back / np.linalg.norm(back[:, :3], axis=1)[:, None] == pytest.approx(
         POINTS / np.linalg.norm(POINTS[:, :3], axis=1)[:, None], abs=1e-12
@@ -111,7 +114,7 @@ def test_a_considered_calibration_keeps_its_prior_and_the_pose_is_consistent() -
 
 def test_with_all_errors_at_once_the_pose_is_consistent() -> None:
     def setup(seed: int) -> Setup:
-        return Setup(ALL, values=values(SIGMAS * np.random.default_rng([seed, 2]).standard_normal(6)))
+        return Setup(ALL, values=values(SIGMAS * np.random.default_rng([seed, 2]).standard_normal(len(SIGMAS))))
 
     assert LOW < mean_nees(setup) < HIGH
 

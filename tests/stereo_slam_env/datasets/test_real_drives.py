@@ -45,7 +45,10 @@ def test_no_filter_diverges_and_all_are_better_than_the_odometry_alone(name: str
 @pytest.mark.parametrize(
     ("name", "options", "limit"),
     [
-        ("shared-anchor", {}, 5.0),  # 4.5 m, and 7.1 without the test: repeated frames are gaps that odometry bridges
+        # 4.5 m, and 7.1 without the test. The model allows .6 rad/s^2 where the car has .2, so that over the 91 gaps of
+        # the tracks the odometry (.05 rad/s) counts too much; with what the car has it is 2.5 m.
+        ("shared-anchor", {}, 5.0),
+        ("shared-anchor", {"motion": {"sigma_acceleration": 3.0, "sigma_angular_acceleration": 0.3}}, 3.0),
         ("right-invariant", {}, 4.0),
         ("dual-bearing", {"landmark": "shared-anchor"}, 6.0),  # the estimates of the 6-D form, in half the time
     ],

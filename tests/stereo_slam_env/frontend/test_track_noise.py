@@ -10,13 +10,15 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from filters import ColouredNoise, StereoCamera, StereoNoise, StereoObservation
+import stereo_slam_env as sse
+from filters import ColouredNoise, Pose, StereoCamera, StereoNoise, StereoObservation
 from stereo_slam_env.datasets import load
 from stereo_slam_env.frontend.track_noise import (
     COMMON_FLOOR,
     DISPARITY_OFFSET,
     LAGS,
     MISALIGNMENT,
+    RIGHT_TURN,
     SCALE,
     USUAL_SLIDE,
     flow_residuals,
@@ -50,7 +52,8 @@ def drive(white: float = 0.0, walk: float = 0.0, slide: float = 0.0, seed: int =
         uvd = CAMERA.project(heading.inv().apply(points - position))
         uvd[:, :2] += error + white * rng.normal(size=(TRACKS, 2))
         order = np.argsort(ids)
-        frames.append(Frame(0.1 * k, StereoObservation(ids[order], uvd[order])))
+        truth = Pose(position, heading.as_quat())
+        frames.append(Frame(0.1 * k, StereoObservation(ids[order], uvd[order]), truth=truth))
         rate = keep * rate + np.sqrt(1.0 - keep**2) * rng.normal(size=rate.shape)
         error += walk * rng.normal(size=error.shape) + slide * rate
         position = position + heading.apply([0.0, 0.0, 0.8])
@@ -93,6 +96,11 @@ def noise_of(recording: Recording) -> ColouredNoise:
     return noise
 
 
+def rig_errors(noise: ColouredNoise) -> tuple[float, ...]:
+    """What is stated of the rig."""
+    return noise.misalignment, noise.disparity_offset, noise.right_yaw, noise.right_roll, noise.scale
+
+
 def as_seen_with(recording: Recording, R: np.ndarray) -> Recording:
     """The drive with a covariance for each measurement."""
     seen = [frame.observation for frame in recording.frames]
@@ -108,7 +116,7 @@ def test_the_recording_is_told_what_was_found() -> None:
     assert noise.drift.gate_pixels is not None
     assert noise.drift.pixels[0] > 2.0 * noise.drift.gate_pixels[0]
     assert noise.gauge_walk > 1.05 * COMMON_FLOOR
-    assert (noise.misalignment, noise.disparity_offset, noise.scale) == (MISALIGNMENT, DISPARITY_OFFSET, SCALE)
+    assert rig_errors(noise) == (MISALIGNMENT, DISPARITY_OFFSET, RIGHT_TURN, RIGHT_TURN, SCALE)
 
 
 @pytest.mark.parametrize("errors", [{"white": 0.3}, {"walk": 0.3}, {"white": 0.1, "walk": 0.3}, {"slide": 0.3}])
@@ -116,12 +124,39 @@ def test_whatever_the_errors_are_a_strangers_rig_may_be_wrong(errors: dict[str, 
     """No kind of errors that points have of their own says that the rig is perfect."""
     noise = noise_of(drive(**errors))
     assert COMMON_FLOOR <= noise.gauge_walk < 3.0 * COMMON_FLOOR
-    assert min(noise.misalignment, noise.disparity_offset, noise.scale) > 0.0
+    assert min(rig_errors(noise)) > 0.0
+
+
+def test_a_right_camera_that_is_turned_is_found() -> None:
+    """Turned by 0.2 degrees (two sigma) about its vertical axis and by 0.1 about its optical one."""
+    errors, nees = [], []
+    for seed in range(4):
+        drawn = as_seen_with(drive(white=0.1, seed=seed), 0.02 * np.eye(3))
+        told = with_measured_noise(turned(drawn, -2.0 * RIGHT_TURN, RIGHT_TURN))
+        straight = dataclasses.replace(told.noise, right_yaw=0.0, right_roll=0.0)  # type: ignore[call-arg]
+        *_, last = sse.run("coloured-noise", told)
+        *_, taken_as_stated = sse.run("coloured-noise", dataclasses.replace(told, noise=straight))
+        errors.append([last.position_error, taken_as_stated.position_error])
+        nees.append(last.nees / 6)
+    found, not_looked_for = np.mean(errors, axis=0)
+    assert found < 0.5 * not_looked_for
+    assert np.mean(nees) < 1.5
+
+
+def turned(recording: Recording, yaw: float, roll: float) -> Recording:
+    """The drive by a rig whose right camera is turned."""
+
+    def seen_by_it(uvd: np.ndarray) -> np.ndarray:
+        x_right, y = (uvd[:, 0] - uvd[:, 2] - CAMERA.cx) / CAMERA.fx, (uvd[:, 1] - CAMERA.cy) / CAMERA.fy
+        return uvd + np.outer(CAMERA.fx * (yaw * (1.0 + x_right**2) + roll * y), [0.0, 0.0, 1.0])
+
+    seen = [frame.observation for frame in recording.frames]
+    return recording.with_observations(dataclasses.replace(one, uvd=seen_by_it(one.uvd)) for one in seen)
 
 
 def test_the_rig_of_a_simulation_is_as_it_is_stated() -> None:
     noise = noise_of(dataclasses.replace(drive(slide=0.3), truth_from=SIMULATION))
-    assert (noise.gauge_walk, noise.misalignment, noise.disparity_offset, noise.scale) == (0.0, 0.0, 0.0, 0.0)
+    assert (noise.gauge_walk, *rig_errors(noise)) == (0.0,) * 6
 
 
 def test_white_noise_hides_no_slide() -> None:
@@ -156,7 +191,7 @@ def test_what_is_not_known_is_bounded(frames: int) -> None:
     assert noise.white[0, 0] > 0.5 * recording.noise.R[0, 0]
     assert max(noise.drift.share, *noise.drift.pixels) > 0.1
     assert noise.gauge_walk >= COMMON_FLOOR
-    assert min(noise.misalignment, noise.disparity_offset, noise.scale) > 0.0
+    assert min(rig_errors(noise)) > 0.0
 
 
 def test_without_tracks_the_prior_stands() -> None:
