@@ -101,9 +101,8 @@ def _load_machine_code(tell: Callable[[], None]) -> None:
     """
     from numba import config
 
-    from stereo_slam_env.benchmark.running.tasks import rehearsals
-
-    for rehearse in () if config.DISABLE_JIT else rehearsals():
+    tasks = importlib.import_module("stereo_slam_env.benchmark.running.tasks")  # by name: it knows this module
+    for rehearse in () if config.DISABLE_JIT else tasks.rehearsals():
         with suppress(Exception):
             rehearse()
         tell()
