@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from stable_baselines3 import PPO
     from stable_baselines3.common.vec_env import VecNormalize
 
-Progress = Callable[[int, int, str], None]
+Progress = Callable[..., None]
 """Called with decisions made, decisions wanted, and the latest result in words."""
 
 VALIDATION_SEEDS = tuple(range(100_000, 100_256))
