@@ -107,7 +107,7 @@ def _recorded(
             raise ValueError(f"{what} must be an integer >= 2, got {value!r}")
     camera, pixels = camera_of(rig), NOISE_MODELS[noise](sigma)
     path_rng, point_rng, imu_rng, sensor_rng, start_rng = np.random.default_rng(seed).spawn(5)
-    level, times = along(path_rng), PERIOD * np.arange(frames)
+    level, times = along(path_rng), PERIOD * np.arange(frames, dtype=np.float64)
     (origin,), R_0 = level(np.zeros(1))
 
     def path(t: FloatArray) -> tuple[FloatArray, Rotation]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -42,7 +44,7 @@ def test_points_and_odometry_are_of_that_path(problem) -> None:
         assert np.abs(frame.odometry.linear - turn).max() < 1.0
     assert len(seen) == 30
     seen = [frame.observation.ids for frame in recording.frames]
-    ended = [len(np.setdiff1d(*two)) for two in zip(seen, seen[1:], strict=False)]
+    ended = [len(np.setdiff1d(*two)) for two in itertools.pairwise(seen)]
     assert 1.0 < np.mean(ended) < 10.0  # of 30: a tenth, and those that leave the view
 
 
