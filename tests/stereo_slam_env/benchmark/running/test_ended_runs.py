@@ -11,7 +11,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[4]
 MARK = "STEREO_SLAM_TEST_OF"
-LIMIT = 90.0
+LIMIT = 240.0  # the first run on a machine compiles
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/environ").exists(), reason="processes are found in /proc")
 
