@@ -29,6 +29,7 @@ from stereo_slam_env.cli.parts import (
 
 if TYPE_CHECKING:
     from stereo_slam_env.benchmark import FilterChoice, PolicyChoice, Scenario, Study
+    from stereo_slam_env.benchmark.recordings.source import Source
     from stereo_slam_env.benchmark.storage.store import StudyDirectory
 
 Choice = TypeVar("Choice", "FilterChoice", "PolicyChoice")
@@ -77,6 +78,14 @@ class RunOptions:
         Path | None,
         typer.Option("--record", help="Write the search in the images to a film, OUT.mp4.", metavar="OUT.mp4"),
     ] = None
+    front_end: Annotated[
+        str | None,
+        typer.Option(
+            "--front-end",
+            help="In images: who measures: 'active-search', 'klt', 'sift', or an installed one.",
+            show_default="active-search",
+        ),
+    ] = None
     backend: Annotated[
         str, typer.Option("--backend", help="Where trials run: 'processes' here, or on a cluster with 'ray' or 'dask'.")
     ] = "processes"
@@ -103,6 +112,8 @@ class RunOptions:
             changes["consensus"] = scenario.consensus and changes["gate"] is not None
         if self.search is not None:
             changes["search"] = self.search
+        if self.front_end is not None:
+            changes["source"] = _with_front_end(scenario.source, self.front_end)
         return replace(scenario, **changes)
 
     def require_place(self) -> None:
@@ -343,6 +354,18 @@ def replay(
         directory = options.directory(Study.of(scenario))
         show(scenario)
     options.run(directory)
+
+
+def _with_front_end(source: Source, name: str) -> Source:
+    """The source measured by another front end."""
+    from stereo_slam_env.frontend.front_ends import front_end_factory
+
+    front_end_factory(name)
+    if not source.takes_images:
+        raise ValueError("--front-end needs images: give a recording of images, or --sensor images")
+    if source.kind == "dataset":
+        return source.replaced(front_end={**source.options.get("front_end", {}), "method": name})
+    return source.replaced(front_end_name=name)
 
 
 def _chosen(

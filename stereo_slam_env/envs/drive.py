@@ -119,6 +119,7 @@ class StereoDriveEnv(StereoEnv):
     | `odometry_sigma_angular` | `0.01` | rad/s, each axis |
     | `perturbation` | `1.0` | scale of the random sway of a scripted drive; 0: none |
     | `supersample` | `1` | draw images this many times finer and average |
+    | `front_end_name` | `"active-search"` | who measures in images: one of `available_front_ends()` |
     | `progress_weight` | `0.1` | of the reward, for each metre |
     | `physics` | `"exact"` | rays and contacts: `"exact"`, in closed form; `"bullet"`, by PyBullet |
     | `observe_ids` | `True` | whether `ids` are in the observation: filters need them |
