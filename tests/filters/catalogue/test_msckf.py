@@ -9,9 +9,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from filters import StereoEKF, StereoObservation, check_filter, make_filter
+from filters.state import symmetric
 
 from ..drives import CAMERA, INDEPENDENT_PIXELS, drive, finish, run, start
-from ..inertial_drives import DT, Journey, Path, driven, flown
+from ..inertial_drives import DT, START_SIGMAS, Journey, Path, driven, flown
 
 INERTIAL = {"motion": {"name": "strapdown", "sigma_gravity": 1e-4}, "gate": None}
 WINDOW = 5
@@ -125,6 +126,25 @@ def test_it_is_consistent_and_about_as_exact_as_slam(path: Path, runs: int) -> N
     _, of_slam = scores(path, runs, "inertial", **INERTIAL)
     assert (0.8 < nees.mean() < 1.2) if runs == 30 else (0.4 < nees.mean() < 2.0)
     assert error < (1.15 if runs == 30 else 1.5) * of_slam
+
+
+@pytest.mark.parametrize("map_landmarks", [30, 0])
+def test_no_heading_is_learnt(map_landmarks: int) -> None:
+    """The information on a yaw about the start is that of its prior, .3 rad, after 10 s of flight."""
+    sigmas = START_SIGMAS.copy()
+    sigmas[:6] = 0.0, 0.0, 0.0, 1e-3, 0.3, 1e-3
+    journey = Journey.along(flown, 0, 10.0, sigmas)
+    prior = np.diag(np.repeat([1e-6, 0.3, 100.0, 0.05], 3) ** 2)
+    slam = make_filter("msckf", camera=CAMERA, noise=INDEPENDENT_PIXELS, map_landmarks=map_landmarks, **INERTIAL)
+    assert isinstance(slam, StereoEKF)
+    nees = replace(journey, start=replace(journey.start, covariance=prior)).run(slam)
+    slam.forget_clone(slam.clones[-1])  # the pose itself, so that P would be singular
+    state = slam.state
+    yaw, P = state.world_rotation() @ np.array([0.0, 1.0, 0.0]), symmetric.full(state.P)
+    there = np.diag(P) > 0.0
+    information = yaw[there] @ np.linalg.solve(P[np.ix_(there, there)], yaw[there])
+    assert 0.3**2 * information == pytest.approx(1.0, abs=1e-3)
+    assert nees[-20:].mean() / 6.0 < 2.0
 
 
 def test_the_plain_filter_is_consistent_and_needs_no_map() -> None:
