@@ -79,7 +79,7 @@ class Doors:
         self._rig, self._options, self._room = parts.camera, parts.options, room
         self._values = ValuePlaces(parts.options.layout)
         rows = parts.options.layout.rows_of(parts.options.motion.moves)
-        self._moves = rows, np.ix_(rows, rows)
+        self._moved = None if np.array_equal(rows, parts.options.layout.rows) else rows
         self._stages: dict[tuple[int, int], Stage] = {}
         self._after: dict[int, tuple[JointState, Transport]] = {}
         self._answers = (
@@ -112,10 +112,10 @@ class Doors:
         before = self._values.camera(self._room.storage.x[b].copy())
         predicted = predict_camera(motion, before, dt, odometry)
         measured = None if odometry is None else measure_odometry(motion, predicted.state, dt, odometry)
-        rows, square = self._moves
-        F, Q = np.eye(layout.size), np.zeros((layout.size, layout.size))
-        F[square] = predicted.F
-        Q[square] = predicted.G @ predicted.Q @ predicted.G.T
+        F, Q, rows = predicted.F, predicted.G @ predicted.Q @ predicted.G.T, self._moved
+        if rows is not None:
+            F, Q = np.eye(layout.size), np.zeros((layout.size, layout.size))
+            F[np.ix_(rows, rows)], Q[np.ix_(rows, rows)] = predicted.F, predicted.G @ predicted.Q @ predicted.G.T
         if layout.walk_rates is not None:
             Q[layout.rows, layout.rows] += layout.walk_rates * dt
         if error.constrains:
@@ -123,8 +123,10 @@ class Doors:
         step = (self._values.of(predicted.state), F, Q)
         if measured is None:
             return step
-        H = np.zeros((len(measured.innovation), layout.size))
-        H[:, rows] = measured.H
+        H = measured.H
+        if rows is not None:
+            H = np.zeros((len(H), layout.size))
+            H[:, rows] = measured.H
         return (*step, measured.innovation, H, measured.R)
 
     def put_stages(self, frame: Frame, which: IntArray, variant: int, with_right: bool, M: int) -> None:
