@@ -22,7 +22,7 @@ help: ## Show this help
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | awk -F ':.*## ' '{printf "  make %-9s %s\n", $$1, $$2}'
 	@echo "  variables: PYTHON=$(PYTHON)  BENCH=\"$(BENCH)\" (arguments of stereo-slam bench)  PYTEST=\"...\" (of pytest)  WORKERS=$(WORKERS) (processes of pytest)"
 
-bench: $(VENV)/.installed ## Compare the filters in the simulated world and write the report (two minutes after set-up)
+bench: $(VENV)/.installed ## Compare the filters in the simulated world and write the report (under a minute after set-up)
 	@$(BIN)/stereo-slam bench $(BENCH)
 
 test: lint ## Lint, types and the tests that show that the installation can be trusted

@@ -1,5 +1,6 @@
 """Public names of `filters`; each is imported when it is first used."""
 
+from .catalogue.msckf import MultiStateConstraintEKF as MultiStateConstraintEKF
 from .catalogue.presets import ColouredNoiseEKF as ColouredNoiseEKF
 from .catalogue.presets import DualBearingEKF as DualBearingEKF
 from .catalogue.presets import EuclideanEKF as EuclideanEKF

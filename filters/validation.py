@@ -130,7 +130,11 @@ def covariance_matrix(
     asymmetry = np.abs(matrix - np.swapaxes(matrix, -1, -2)).max(axis=(-2, -1), initial=0.0)
     if (asymmetry > 1e-9 * scale).any():
         raise ValueError(f"{name} must be symmetric: average it with its transpose first")
-    smallest = np.linalg.eigvalsh(matrix)[..., 0]
+    try:
+        np.linalg.cholesky(matrix)  # far cheaper than eigenvalues
+        return matrix
+    except np.linalg.LinAlgError:
+        smallest = np.linalg.eigvalsh(matrix)[..., 0]
     if (smallest < -1e-12 * scale).any() or (definite and (smallest <= 0).any()):
         wanted = "definite" if definite else "semi-definite"
         raise ValueError(f"{name} must be positive {wanted}, smallest eigenvalue is {smallest.min():.3g}")

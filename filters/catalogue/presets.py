@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from filters.catalogue.msckf import MultiStateConstraintEKF
 from filters.contract.beliefs import PoseBelief
 from filters.contract.noise import ColouredNoise, StereoNoise
 from filters.contract.start import Start
@@ -172,6 +173,7 @@ PRESETS: Mapping[str, type[StereoFilter]] = {
     "hybrid": HybridEKF,
     "right-invariant": RightInvariantEKF,
     "inertial": InertialEKF,
+    "msckf": MultiStateConstraintEKF,
     "unscented": UnscentedStereoFilter,
     "monocular": MonocularEKF,
     "coloured-noise": ColouredNoiseEKF,

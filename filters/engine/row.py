@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -23,7 +23,6 @@ from filters.engine.options import Options
 from filters.engine.values import ValuePlaces
 from filters.geometry.camera import StereoCamera
 from filters.geometry.machine_code import settings_of
-from filters.geometry.poses import Pose
 from filters.geometry.retractions import ADDITIVE
 from filters.measurements.model import MeasurementModel
 from filters.motions.model import CameraState, StepInput
@@ -161,44 +160,42 @@ class Row:
         return report(self.engine.step(0.0, packed), observation.ids, slice(0, count), self.number)
 
     def correct(
-        self, innovation: FloatArray, H: Mapping[str | int, FloatArray], R: FloatArray, limit: float
+        self, innovation: FloatArray, rows: IntArray, H: FloatArray, R: FloatArray, limit: float
     ) -> tuple[float, bool]:
-        """Correct with a measurement that is linear in named variables, clones and landmarks."""
-        rows = np.concatenate([self._rows(name) for name in H])
-        return self.engine.correct(self.number, rows, np.hstack(list(H.values())), innovation, R, limit)
+        """Correct with a measurement that is linear in the errors at `rows` of P."""
+        return self.engine.correct(self.number, rows, H, innovation, R, limit)
 
-    def size_of(self, name: str | int) -> int:
-        """Error numbers of a variable, a clone, or a landmark by its id.
+    def rows_of(self, names: Iterable[str | int]) -> list[IntArray]:
+        """Rows of variables, clones, and landmarks by their ids: of the anchor, if it has one, and of its own.
 
         Raises
         ------
         ValueError
-            There is none.
+            There is none of a name.
         """
-        return len(self._rows(name))
-
-    def _rows(self, name: str | int) -> IntArray:
-        """Rows of a variable, of a clone, or of a landmark: its anchor, if it has one, and its own."""
         layout, S, b, size = self.options.layout, self.engine.storage, self.number, self.options.landmark.size
-        if isinstance(name, str):
-            require_known("there is no variable", [name], [*layout.places, *self.clones])
-            if name in layout.places:
-                return layout.rows[layout.places[name]]
-            blocks = self._clone_blocks(name)
-        else:
+        clones, found = dict(zip(self.clones, self._clone_blocks(), strict=True)), []
+        for name in names:
+            if isinstance(name, str):
+                if name in clones:
+                    found.append((layout.size + size * clones[name][:, None] + np.arange(3)).ravel())
+                    continue
+                require_known("there is no variable", [name], [*layout.places, *clones])
+                found.append(layout.rows[layout.places[name]])
+                continue
             (index,) = np.nonzero(self.ids == name)
             if len(index) == 0:
                 raise ValueError(f"ids must be in the map, not there: {name}: see landmarks.ids")
             anchor, own = S.anchor[b, index[0]], layout.size + size * S.own[b, index[0]] + np.arange(size)
             there = layout.size + size * anchor[anchor >= 0, None] + np.arange(3)
-            return np.concatenate([there.ravel(), own])
-        return (layout.size + size * blocks[:, None] + np.arange(3)).ravel()
+            found.append(np.concatenate([there.ravel(), own]))
+        return found
 
-    def _clone_blocks(self, name: str) -> IntArray:
+    def _clone_blocks(self) -> IntArray:
+        """Blocks of position and rotation of each clone, (C, 2)."""
         S, b = self.engine.storage, self.number
         held = S.held[b][S.held[b] >= 0]
-        first = np.flatnonzero(S.kind[b, held] == CLONE_POSITION)[self.clones.index(name)]
-        blocks: IntArray = held[first : first + 2]
+        blocks: IntArray = held[np.flatnonzero(S.kind[b, held] == CLONE_POSITION)[:, None] + np.arange(2)]
         return blocks
 
     def clone_pose(self, name: str) -> None:
@@ -208,17 +205,18 @@ class Row:
 
     def forget_clone(self, name: str) -> None:
         """Marginalise a clone out."""
-        self.engine.release(self.number, self._clone_blocks(name))
+        self.engine.release(self.number, self._clone_blocks()[self.clones.index(name)])
         self.clones.remove(name)
 
-    def clone(self, name: str) -> Pose:
-        """Value of a clone."""
-        blocks, values = self._clone_blocks(name), self.engine.storage.blocks[self.number]
-        return Pose(values[blocks[0], :3].copy(), values[blocks[1], :4].copy())
+    def clone_values(self) -> dict[str, FloatArray]:
+        """Position and orientation of each clone, (7,)."""
+        position, rotation = self._clone_blocks().T
+        values = self.engine.storage.blocks[self.number]
+        return dict(zip(self.clones, np.hstack([values[position, :3], values[rotation, :4]]), strict=True))
 
     def joint(self, *names: str) -> FloatArray:
         """Covariance of the errors of some variables and clones together."""
-        rows = np.concatenate([self._rows(name) for name in names])
+        rows = np.concatenate(self.rows_of(names))
         P = self.engine.storage.P[self.number]
         covariance: FloatArray = P[np.minimum(rows[:, None], rows), np.maximum(rows[:, None], rows)]
         return covariance

@@ -213,9 +213,10 @@ class StereoEKF(StereoFilter):
         gate = gate_probability(gate)
         if gate is not None:
             limit = gate_limit(gate, len(nu))
-        sizes = {name: self._row.size_of(name) for name in H}
-        parts = {name: finite_array(f"H of {name!r}", H[name], (len(nu), size)) for name, size in sizes.items()}
-        nis, used = self._row.correct(nu, parts, covariance_matrix("R", R, len(nu)), limit)
+        rows = self._row.rows_of(H)
+        parts = [finite_array(f"H of {n!r}", H[n], (len(nu), len(at))) for n, at in zip(H, rows, strict=True)]
+        R = covariance_matrix("R", R, len(nu))
+        nis, used = self._row.correct(nu, np.concatenate(rows), np.hstack(parts), R, limit)
         return Correction(used, nis, len(nu))
 
     def forecast(self, ids: Sequence[int] | IntArray | None = None) -> Forecast:
@@ -286,26 +287,25 @@ class StereoEKF(StereoFilter):
         camera = self._row.camera
         return VelocityBelief(camera.linear_velocity, camera.angular_velocity, self._row.joint(VELOCITY))
 
-    def belief(self, name: str) -> VariableBelief:
-        """Belief of a named variable: "pose", "velocity", one that a part has asked for, or a clone of the pose.
+    def belief(self, *names: str) -> VariableBelief:
+        """Belief of named variables: "pose", "velocity", one that a part has asked for, or a clone of the pose.
+
+        Of several, their values one after the other, and their joint covariance.
 
         Raises
         ------
         ValueError
-            There is no variable of that name.
+            There is no variable of such a name.
         """
         camera = self._row.camera
-        require_known("there is no variable", [name], [POSE, VELOCITY, *camera.variables, *self._row.clones])
-        if name in self._row.clones:
-            clone = self._row.clone(name)
-            value = np.concatenate([clone.position, clone.orientation])
-        elif name == POSE:
-            value = np.concatenate([camera.position, camera.orientation])
-        elif name == VELOCITY:
-            value = np.concatenate([camera.linear_velocity, camera.angular_velocity])
-        else:
-            value = camera.variables[name]
-        return VariableBelief(value, self._row.joint(name))
+        there = {
+            POSE: np.concatenate([camera.position, camera.orientation]),
+            VELOCITY: np.concatenate([camera.linear_velocity, camera.angular_velocity]),
+            **camera.variables,
+            **self._row.clone_values(),
+        }
+        require_known("there is no variable", names, there)
+        return VariableBelief(np.concatenate([there[name] for name in names]), self._row.joint(*names))
 
     @property
     def clones(self) -> tuple[str, ...]:
@@ -349,8 +349,8 @@ class StereoEKF(StereoFilter):
             There is no clone of that name.
         """
         require_known("there is no clone", [name], self._row.clones)
-        camera, first = self._row.camera, self._row.clone(name)
-        last = Pose(camera.position, camera.orientation)
+        camera, clone = self._row.camera, self._row.clone_values()[name]
+        first, last = Pose(clone[:3], clone[3:]), Pose(camera.position, camera.orientation)
         J, moved = relative_jacobian(first, last), first.inverse() @ last
         return PoseBelief(moved.position, moved.orientation, J @ self._row.joint(name, POSE) @ J.T)
 

@@ -38,9 +38,11 @@ from stereo_slam_env.benchmark.storage.store import (
     root_of,
 )
 from stereo_slam_env.benchmark.storage.tables import CellResult, write_results
+from stereo_slam_env.evaluation.body_frames import read_body
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
 from stereo_slam_env.evaluation.run_figures import Figures
 from stereo_slam_env.files.folders import claimed_folder
+from stereo_slam_env.recording.trajectory_files import load_trajectory
 
 Progress = Callable[[float, int], None]
 ReportWriter = Callable[[StudyDirectory, Sequence[CellResult]], Path]
@@ -203,10 +205,10 @@ def as_study(what: Study | Scenario | str | Path, *, data: str | Path | None = N
 
 def check_study(study: Study) -> None:
     """Raise a `ValueError` for a study that cannot be run, before any work is done."""
-    checked: list[tuple[object, object]] = []
+    checked: list[tuple[object, ...]] = []
     for cell in study.cells:
         scenario = cell.scenario
-        what_filters_get = scenario.filters, scenario.common_options
+        what_filters_get = scenario.filters, scenario.common_options, scenario.recording_seeds
         if what_filters_get not in checked:  # making every filter takes its time, and most cells share theirs
             check_filters(scenario)
             checked.append(what_filters_get)
@@ -221,6 +223,12 @@ def check_filters(scenario: Scenario) -> None:
     """
     camera, noise = StereoCamera(700.0, 700.0, 600.0, 180.0, 0.5, 1200, 360), StereoNoise.independent_pixels(1.0)
     for choice in scenario.filters:
+        if choice.is_outside:
+            for seed in scenario.recording_seeds:
+                load_trajectory(choice.outside_file(seed))
+            if "body" in choice.options:
+                read_body(Path(choice.options["body"]))
+            continue
         try:
             filter_factory(choice.name)
         except ValueError as error:

@@ -19,6 +19,7 @@ from stereo_slam_env.cli import bench as cli_bench
 from stereo_slam_env.cli import claim as cli_claim
 from stereo_slam_env.cli import convert as cli_convert
 from stereo_slam_env.cli import evaluate as cli_evaluate
+from stereo_slam_env.cli import packets as cli_packets
 from stereo_slam_env.cli import scenes as cli_scenes
 from stereo_slam_env.cli import studies as cli_studies
 from stereo_slam_env.cli import train as cli_train
@@ -55,6 +56,9 @@ app.command()(cli_bench.replay)
 app.command(cls=TakesTruths)(cli_evaluate.evaluate)
 app.command(cls=TakesTruths)(cli_claim.calibrate)
 app.command()(cli_claim.claim)
+app.command()(cli_packets.submit)
+app.command()(cli_packets.verify)
+app.command()(cli_packets.gate)
 app.command()(cli_convert.convert)
 app.command()(cli_studies.faults)
 app.command()(cli_studies.paper)

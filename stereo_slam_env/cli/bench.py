@@ -29,6 +29,7 @@ from stereo_slam_env.cli.parts import (
 
 if TYPE_CHECKING:
     from stereo_slam_env.benchmark import FilterChoice, PolicyChoice, Scenario, Study
+    from stereo_slam_env.benchmark.recordings.source import Source
     from stereo_slam_env.benchmark.storage.store import StudyDirectory
 
 Choice = TypeVar("Choice", "FilterChoice", "PolicyChoice")
@@ -39,6 +40,15 @@ class RunOptions:
     """Options of the commands that run filters."""
 
     filters: FiltersOption = None
+    trajectories: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--trajectory",
+            help="What another program estimated, beside the filters: a file as `evaluate` takes; {seed} in its name "
+            "stands for that of the recording. May be given several times.",
+            metavar="LABEL=FILE",
+        ),
+    ] = None
     frames: Annotated[int | None, typer.Option("--frames", help="Cut after so many frames.", min=2)] = None
     jobs: JobsOption = 2
     out: OutOption = None
@@ -68,6 +78,14 @@ class RunOptions:
         Path | None,
         typer.Option("--record", help="Write the search in the images to a film, OUT.mp4.", metavar="OUT.mp4"),
     ] = None
+    front_end: Annotated[
+        str | None,
+        typer.Option(
+            "--front-end",
+            help="In images: who measures: 'active-search', 'klt', 'sift', or an installed one.",
+            show_default="active-search",
+        ),
+    ] = None
     backend: Annotated[
         str, typer.Option("--backend", help="Where trials run: 'processes' here, or on a cluster with 'ray' or 'dask'.")
     ] = "processes"
@@ -83,6 +101,8 @@ class RunOptions:
         changes: dict[str, Any] = {}
         if self.filters is not None:
             changes["filters"] = _chosen("--filters", self.filters, scenario.filters, filter_choice)
+        if self.trajectories:
+            changes["filters"] = (*changes.get("filters", scenario.filters), *map(_outside, self.trajectories))
         if self.frames is not None:
             changes["frames"] = self.frames
         if self.sigma_px is not None:
@@ -92,6 +112,8 @@ class RunOptions:
             changes["consensus"] = scenario.consensus and changes["gate"] is not None
         if self.search is not None:
             changes["search"] = self.search
+        if self.front_end is not None:
+            changes["source"] = _with_front_end(scenario.source, self.front_end)
         return replace(scenario, **changes)
 
     def require_place(self) -> None:
@@ -334,6 +356,18 @@ def replay(
     options.run(directory)
 
 
+def _with_front_end(source: Source, name: str) -> Source:
+    """The source measured by another front end."""
+    from stereo_slam_env.frontend.front_ends import front_end_factory
+
+    front_end_factory(name)
+    if not source.takes_images:
+        raise ValueError("--front-end needs images: give a recording of images, or --sensor images")
+    if source.kind == "dataset":
+        return source.replaced(front_end={**source.options.get("front_end", {}), "method": name})
+    return source.replaced(front_end_name=name)
+
+
 def _chosen(
     option: str, text: str, own: Sequence[Choice], usual: Callable[[str | dict[str, Any]], Choice]
 ) -> tuple[Choice, ...]:
@@ -341,6 +375,17 @@ def _chosen(
     labelled = {choice.label: choice for choice in own}
     entries = listed(option, text)
     return tuple((isinstance(entry, str) and labelled.get(entry)) or usual(entry) for entry in entries)
+
+
+def _outside(text: str) -> FilterChoice:
+    """The competitor that `--trajectory` names."""
+    from stereo_slam_env.benchmark.scenarios.outside import OUTSIDE
+    from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice
+
+    label, equals, name = text.partition("=")
+    if not (label and equals and name):
+        raise ValueError(f"--trajectory must be LABEL=FILE, as orbslam3=est.tum, got {text!r}")
+    return FilterChoice(label, OUTSIDE, {"file": str(Path(name).absolute())})
 
 
 def _gate(text: str) -> float | None:

@@ -134,6 +134,9 @@ def record_scene(
 def scene_noise(
     seed: SeedOption = 0,
     frames: FramesOption = None,
+    front_end: Annotated[
+        str, typer.Option("--front-end", help="Who measures: 'active-search', 'klt', 'sift', or an installed one.")
+    ] = "active-search",
     *,
     scene: dict[str, Any],
 ) -> None:
@@ -147,5 +150,5 @@ def scene_noise(
         def on_frame(done: int, wanted: int | None) -> None:
             progress(done, wanted or done)
 
-        recording = record({**scene, "sensor": "images"}, seed, frames, progress=on_frame)
+        recording = record({**scene, "sensor": "images", "front_end_name": front_end}, seed, frames, progress=on_frame)
     show_noise(console(), recording.name, measurement_errors(recording))

@@ -14,6 +14,7 @@ from typing import Any
 from filters.contract.known_names import require_known
 from filters.contract.noise import ColouredNoise
 from stereo_slam_env.datasets import kitti00_stereo_tracks
+from stereo_slam_env.datasets.bag_writer import write_mcap
 from stereo_slam_env.datasets.image_files import BrokenPair
 from stereo_slam_env.datasets.kitti_odometry import write_kitti_sequence
 from stereo_slam_env.datasets.registry import Layout, available_recordings, file_layout, image_layouts, track_layouts
@@ -45,6 +46,7 @@ __all__ = [
     "open_image_sequence",
     "track_layouts",
     "write_kitti_sequence",
+    "write_mcap",
 ]
 
 

@@ -4,7 +4,9 @@
 and `sensor.yaml`: T_BS, which takes points of the camera to the body, the resolution, pinhole intrinsics (fu, fv, cu,
 cv) and a distortion, radial-tangential or equidistant. TUM-VI has Kalibr's `dso/camchain.yaml` instead. Truth is
 `mav0/state_groundtruth_estimate0/data.csv`, of TUM-VI `mav0/mocap0/data.csv`: timestamp in ns, position and quaternion
-(w first) of the body in its own world, and more columns that are not used.
+(w first) of the body in its own world, and more columns that are not used. Inertial samples are `mav0/imu0/data.csv`:
+timestamp in ns, angular rates, specific forces; the unit is that of `sensor.yaml` there (T_BS, densities of the noise),
+of TUM-VI that of `dso/imu_config.yaml`, which is the body itself.
 
 Frame k is row k of `cam0/data.csv`. The images are rectified on reading, so the camera of the sequence is not the one
 in the file. The truth is that of the turned left camera; frames outside the time that it covers are left out.
@@ -19,15 +21,16 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
-from filters import Pose
+from filters import InertialSamples, InertialUnit, Pose
 from filters.validation import FloatArray, IntArray
 from stereo_slam_env.datasets.known_recordings import reference_for
 from stereo_slam_env.datasets.sequence import Choice, ImageFiles, RecordedSequence, known_poses
 from stereo_slam_env.files.paths import is_plain_name
 from stereo_slam_env.files.readers import finite_rows, read_text
+from stereo_slam_env.recording.inertial import samples_of_steps
 from stereo_slam_env.recording.recording import NO_REFERENCE
 from stereo_slam_env.sensing.lenses import Rectification
-from stereo_slam_env.sensing.rig_files import body_of_camera, read_calibration
+from stereo_slam_env.sensing.rig_files import body_of_camera, noise_of_unit, read_calibration
 
 NAME = "euroc"
 _IN_MAV0 = tuple(f"mav0/{camera}/{name}" for camera in ("cam0", "cam1") for name in ("data.csv", "sensor.yaml"))
@@ -37,6 +40,7 @@ FILES = (
     tuple(name.removeprefix("mav0/") for name in _IN_MAV0),
     ("mav0/cam0/data.csv", "mav0/cam1/data.csv", _CAMCHAIN),
 )
+_INERTIAL, _UNIT = "imu0", "dso/imu_config.yaml"
 TRUTHS = ("state_groundtruth_estimate0", "mocap0")
 STATED = "The poses of {}, interpolated and carried over to the rectified left camera."
 LARGEST_TRUTH_GAP_NS = 100_000_000
@@ -71,17 +75,19 @@ def open_sequence(path: Path, choice: Choice, *, use_truth: bool = True) -> Reco
             f"{calibration} is of rectified images, this layout has raw ones: put the file of the maker there"
         )
     ns = np.array(stamps, dtype=np.int64)
+    T_bc, inertial = body_of_camera(calibration), []
+    if (root / _INERTIAL / "data.csv").exists():
+        inertial = _samples(root / _INERTIAL, ns, T_bc, rectify.R_left)
     tables = [root / name / "data.csv" for name in TRUTHS]
     truth, truth_from, table = None, NO_REFERENCE, next((path for path in tables if path.exists()), tables[0])
     if use_truth and table.exists():
         rows_ns, rows = _read_truth(table)
-        T_bc = body_of_camera(calibration)
         truth, (first, last) = _camera_poses(table, rows_ns, rows, ns, T_bc, rectify.R_left)
         truth_from = reference_for(rows[:, :3], STATED.format(table.parent.name))
         last = last if choice.last is None else min(last, choice.last)
         choice = Choice(max(choice.first or 0, first), last, choice.on_broken)
     folders = cameras[0] / "data", cameras[1] / "data"
-    files = ImageFiles(folders, (left, right), 1e-9 * (ns - ns[0]), cameras[0] / "data.csv", truth, table)
+    files = ImageFiles(folders, (left, right), 1e-9 * (ns - ns[0]), cameras[0] / "data.csv", truth, table, (), inertial)
     name = root.parent.name if root.name == "mav0" else root.name
     source = {
         "reader": NAME,
@@ -149,17 +155,41 @@ def _camera_poses(
     return poses, (int(covered[0]), int(covered[-1]))
 
 
+def _samples(folder: Path, stamps: IntArray, T_bc: FloatArray, turned: FloatArray) -> list[InertialSamples | None]:
+    """Inertial samples of the step to each frame; the unit is told in the frame of the turned left camera."""
+    table, sheet, T_bi = folder / "data.csv", folder / "sensor.yaml", np.eye(4)
+    if sheet.exists():
+        T_bi = body_of_camera(sheet)
+    else:
+        sheet = folder.parents[1] / _UNIT
+    T_ci = np.linalg.solve(T_bc, T_bi)
+    orientation = Rotation.from_matrix(turned @ T_ci[:3, :3]).as_quat()
+    unit = InertialUnit(turned @ T_ci[:3, 3], orientation, *noise_of_unit(sheet))
+    rows_ns, rows = _read_stamped(table, 6)
+    return samples_of_steps(table, 1e-9 * (rows_ns - stamps[0]), rows, 1e-9 * (stamps - stamps[0]), unit)
+
+
 def _read_truth(path: Path) -> tuple[IntArray, FloatArray]:
     """Timestamps (K,) ns, increasing, and rows (K, 7): position and quaternion xyzw."""
+    stamps, rows = _read_stamped(path, 7)
+    return stamps, rows[:, [0, 1, 2, 4, 5, 6, 3]]
+
+
+def _read_stamped(path: Path, count: int) -> tuple[IntArray, FloatArray]:
+    """Timestamps (K,) ns, increasing, and the `count` numbers behind them."""
     stamps, rows = [], []
     for number, line in _rows(path):
         words = line.split(",")
         try:
-            x, y, z, qw, qx, qy, qz = (float(word) for word in words[1:8])
-            stamps.append(np.int64(words[0]))
+            stamp, row = np.int64(words[0]), [float(word) for word in words[1 : count + 1]]
+            if len(row) < count:
+                raise ValueError
         except (ValueError, OverflowError) as error:
-            raise ValueError(f"{path}: line {number} is not a timestamp in ns and 7 numbers: correct it") from error
-        rows.append([x, y, z, qx, qy, qz, qw])
+            raise ValueError(
+                f"{path}: line {number} is not a timestamp in ns and {count} numbers: correct it"
+            ) from error
+        stamps.append(stamp)
+        rows.append(row)
     if len(rows) < 2 or not (np.diff(stamps) > 0).all():
         raise ValueError(f"{path} must have two rows or more with increasing timestamps: copy it again")
     return np.array(stamps, dtype=np.int64), np.array(rows)

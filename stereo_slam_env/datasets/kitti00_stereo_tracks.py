@@ -3,7 +3,8 @@
 `read_example` reads those inside the gtsam wheel (135 frames, 110 m, one 90 degree turn), `read` a folder with true
 poses. Layout: `stereo_factors.txt` (frame_id landmark_id uL uR v X Y Z), `calibration.txt` (fx fy skew cx cy baseline),
 `vo_poses.txt` (frame_id, 4x4 T_world_cam by stereo odometry), and, for scoring, `poses.txt` (T_world_cam of
-the left camera) and `times.txt`.
+the left camera) and `times.txt`. Beside them may lie `imu_100hz.csv` (t on the clock of the frames, specific forces,
+rates; x forward, y left, z up), of the GPS/IMU unit of the car.
 """
 
 from __future__ import annotations
@@ -16,12 +17,13 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from filters import Pose, StereoCamera, StereoNoise
+from filters import InertialUnit, Pose, Start, StereoCamera, StereoNoise
 from filters.extras import install_command
 from filters.validation import FloatArray, IntArray
 from stereo_slam_env.datasets.known_recordings import known_by, reference_for
 from stereo_slam_env.datasets.tracks import ASSUMED_SIGMA_PX, Tracks, frames_of, stated_or_assumed
 from stereo_slam_env.files.readers import read_poses, read_table, require_rotations, split_poses
+from stereo_slam_env.recording.inertial import samples_of_steps
 from stereo_slam_env.recording.recording import Recording, Reference
 
 NAME = "kitti00_stereo_tracks"
@@ -38,12 +40,26 @@ FACTS = {"image_size": (1241, 376), "sigma_px": ASSUMED_SIGMA_PX}
 """Of the public recording: rectified images of the drives of 2011_10_03."""
 
 
+INERTIAL = "imu_100hz.csv"
+UNIT = InertialUnit(
+    position=np.array([-0.32, 0.72, -1.08]),
+    orientation=np.array([0.5, -0.5, 0.5, 0.5]),
+    gyro_density=1.75e-4,
+    accelerometer_density=1e-2,
+    gyro_walk=2.9e-6,
+    accelerometer_walk=1.7e-4,
+)
+"""The OXTS RT3003 of the car: its place by the calibration of the drives of 2011_10_03, with its axes along those of
+the camera, which they are to some 12 mrad; densities as GTSAM states them for its samples of this drive."""
+
+
 def read(
     path: Path,
     *,
     sigma_px: float | None = None,
     max_per_frame: int | None = 100,
     image_size: tuple[int, int] | None = None,
+    inertial: bool = False,
 ) -> Recording:
     """Read the folder.
 
@@ -59,14 +75,16 @@ def read(
     image_size : (int, int), optional
         Width and height of the images, px. None: of the public recording; of a stranger's the smallest that hold all
         measurements, with a line in the log.
+    inertial : bool
+        Give the samples of `INERTIAL` too, and begin with the first frame after which every step has some (frame 14).
 
     Returns
     -------
     Recording
-        W is the left camera at frame 0. The ground truth of KITTI 00 is wrong before frame 16, so that those frames
-        have none there. The rest is moved rigidly so that the first scored pose is the one of the stereo odometry,
-        because the true pose of frame 0 need not be known. Frame ids may be absent: a longer step, no empty frame. No
-        odometry. One common row v was stored, so there is no `v_right`.
+        W is the left camera at frame 0, also where a later frame is the first. The ground truth of KITTI 00 is wrong
+        before frame 16, so that those frames have none there. The rest is moved rigidly so that the first scored pose
+        is the one of the stereo odometry, because the true pose of frame 0 need not be known. Frame ids may be absent:
+        a longer step, no empty frame. No odometry. One common row v was stored, so there is no `v_right`.
 
     Raises
     ------
@@ -92,8 +110,27 @@ def read(
     source = {"reader": NAME, "path": str(path)}
     name = path.resolve().name if recording is None else NAME
     facts, given = None if recording is None else FACTS, {"sigma_px": sigma_px, "image_size": image_size}
-    return _recording(
+    made = _recording(
         name, path, files, frame_ids, times[frame_ids], truth, facts, given, max_per_frame, source, truth_from
+    )
+    return _with_samples(made, path / INERTIAL, odometry) if inertial else made
+
+
+def _with_samples(recording: Recording, path: Path, poses: FloatArray) -> Recording:
+    """The frames from the first on after which every step has inertial samples, with these; it starts at its pose."""
+    table = read_table(path, 7, delimiter=",", header_lines=1)
+    times = np.array([frame.timestamp for frame in recording.frames])
+    steps = samples_of_steps(path, table[:, 0], table[:, [4, 5, 6, 1, 2, 3]], times, UNIT)
+    begin = max(k for k, step in enumerate(steps) if step is None)
+    if begin == len(steps) - 1:
+        raise ValueError(f"{path} does not reach to the last frame: it is of another recording")
+    steps[begin] = None
+    pairs = zip(recording.frames[begin:], steps[begin:], strict=True)
+    return replace(
+        recording,
+        frames=tuple(replace(frame, inertial=samples) for frame, samples in pairs),
+        start=Start(poses[begin, :3, 3], Rotation.from_matrix(poses[begin, :3, :3]).as_quat()),
+        source={**recording.source, "inertial": INERTIAL},
     )
 
 

@@ -8,7 +8,8 @@
 Truth is the pose of that unit, carried over to the left camera by the calibration (that of the odometry benchmark was
 made in the same way); x east, y north, z up, by the formulas of the development kit (`readme.txt` and
 `convertOxtsToPose.m`). Its velocities are given along forward, left and up of the level surface and are turned into the
-unit's frame by roll and pitch. Row k is taken for the step from frame k - 1 to k, which suits the ground truth best.
+unit's frame by roll and pitch; its accelerations and rates are inertial samples, one a frame. Row k is taken for the
+step from frame k - 1 to k, which suits the ground truth best.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from filters import BodyVelocity, Pose
+from filters import BodyVelocity, InertialSamples, InertialUnit, Pose
 from filters.validation import FloatArray
 from stereo_slam_env.datasets.calibration import of_left_camera, rig_of
 from stereo_slam_env.datasets.image_files import numbered_images
@@ -28,6 +29,7 @@ from stereo_slam_env.datasets.sequence import Choice, ImageFiles, RecordedSequen
 from stereo_slam_env.datasets.tracks import camera_velocities
 from stereo_slam_env.files.paths import require_inside
 from stereo_slam_env.files.readers import finite_rows, read_text
+from stereo_slam_env.recording.inertial import samples_of_steps
 from stereo_slam_env.recording.recording import Reference
 from stereo_slam_env.sensing.projections import camera_position, entry, projections, read_entries
 
@@ -47,8 +49,10 @@ EARTH_RADIUS = 6378137.0
 """m, as in the development kit."""
 OXTS_NUMBERS = 30
 LAT, LON, ALT, ROLL, PITCH, YAW = range(6)
-LEVEL_VELOCITY, BODY_RATES = slice(8, 11), slice(17, 20)
-"""Columns vf, vl, vu (m/s) and wx, wy, wz (rad/s)."""
+LEVEL_VELOCITY, BODY_FORCES, BODY_RATES = slice(8, 11), slice(11, 14), slice(17, 20)
+"""Columns vf, vl, vu (m/s), ax, ay, az (m/s^2, gravity included) and wx, wy, wz (rad/s)."""
+DENSITIES = 1.75e-4, 1e-2, 2.9e-6, 1.7e-4
+"""Of the OXTS RT3003, as of `InertialUnit`."""
 
 
 def open_sequence(
@@ -84,13 +88,14 @@ def open_sequence(
     P = projections(calibration, [f"P_rect_{n:02d}" for n in CAMERAS[cameras]])
     times, oxts = folders[0].parent / "timestamps.txt", path / "oxts" / "data"
     seconds = _read_timestamps(times)
-    truth, odometry = None, []
+    truth, odometry, inertial = None, [], []
     if known := use_oxts and oxts.is_dir() and all((path.parent / name).exists() for name in EXTRINSICS):
         packets, T_ci = _read_packets(oxts, len(seconds)), _imu_to_reference_camera(path.parent, calibration)
         truth = of_left_camera(_reference_camera_poses(packets, T_ci), P[0])
         odometry = _odometry(packets, T_ci, camera_position(P[0]), sigma_linear, sigma_angular, odometry_seed)
+        inertial = _samples(oxts, packets, seconds[: len(packets)], T_ci, camera_position(P[0]))
     images = numbered_images(folders[0]), numbered_images(folders[1])
-    files = ImageFiles(folders, images, seconds, times, truth, oxts, odometry)
+    files = ImageFiles(folders, images, seconds, times, truth, oxts, odometry, inertial)
     source: dict[str, Any] = {
         "reader": NAME,
         "path": str(path),
@@ -185,6 +190,18 @@ def _odometry(
         seed=seed,
     )
     return [step if ok else None for step, ok in zip(steps, good, strict=True)]
+
+
+def _samples(
+    path: Path, packets: FloatArray, seconds: FloatArray, T_ci: FloatArray, left_in_reference: FloatArray
+) -> list[InertialSamples | None]:
+    """Inertial samples of the step to each frame: the mean of the packets at its ends; None where one is no use."""
+    unit = InertialUnit(T_ci[:3, 3] - left_in_reference, Rotation.from_matrix(T_ci[:3, :3]).as_quat(), *DENSITIES)
+    numbers = np.hstack([packets[:, BODY_RATES], packets[:, BODY_FORCES]])
+    good = np.flatnonzero(finite_rows(numbers) & np.isfinite(seconds))
+    if len(good) < 2 or not (np.diff(seconds[good]) > 0.0).all():
+        return []
+    return samples_of_steps(path, seconds[good], numbers[good], seconds, unit)
 
 
 def _mercator_positions(latitude: FloatArray, longitude: FloatArray, altitude: FloatArray) -> FloatArray:

@@ -13,10 +13,11 @@ from typing import Any, Literal
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from filters import BodyVelocity, Pose, Start, StereoCamera
+from filters import BodyVelocity, InertialSamples, Pose, Start, StereoCamera
 from filters.geometry import rotations
 from filters.validation import BoolArray, FloatArray
 from stereo_slam_env.datasets.image_files import BrokenPair, read_grey
+from stereo_slam_env.recording.inertial import joined
 from stereo_slam_env.recording.recording import Reference, StereoPair
 from stereo_slam_env.sensing.lenses import Rectification, Rectify
 
@@ -71,6 +72,7 @@ class ImageFiles:
     truth_file: Path = Path()  # for messages
     # Of the step to frame k from the one before; frames beyond its end have none.
     odometry: Sequence[BodyVelocity | None] = ()
+    inertial: Sequence[InertialSamples | None] = ()
 
     def frame(self, number: int) -> FramePair:
         """Data of a pair; a `BrokenPair` where an image, its time or its pose is missing or no use."""
@@ -101,7 +103,8 @@ class ImageFiles:
             if row:
                 raise BrokenPair("no true pose", f"{row}, or skip broken pairs")
         step = self.odometry[number] if number < len(self.odometry) else None
-        return FramePair(number, float(self.seconds[number]), left[number], right[number], pose, step)
+        samples = self.inertial[number] if number < len(self.inertial) else None
+        return FramePair(number, float(self.seconds[number]), left[number], right[number], pose, step, samples)
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,6 +117,7 @@ class FramePair:
     right: Path
     truth: Pose | None
     odometry: BodyVelocity | None
+    inertial: InertialSamples | None
 
 
 def usable_pairs(files: ImageFiles, choice: Choice, faults: Faults) -> list[FramePair]:
@@ -248,8 +252,11 @@ class RecordedSequence:
             if before is None:
                 origin = frame.truth
             truth = _seen_from(origin, frame.truth)
-            odometry = None if before is None else _mean_velocity(before, [*left_out, frame])
-            yield StereoPair(frame.timestamp, left, right, truth, odometry)
+            odometry = inertial = None
+            if before is not None:
+                odometry = _mean_velocity(before, [*left_out, frame])
+                inertial = _samples_since(before, [*left_out, frame])
+            yield StereoPair(frame.timestamp, left, right, truth, odometry, inertial)
             before, left_out = frame, []
         self._skipped = dict(faults.counts)
 
@@ -274,3 +281,11 @@ def _mean_velocity(before: FramePair, frames: Sequence[FramePair]) -> BodyVeloci
         sum(share * step.angular for share, step in zip(shares, steps, strict=True)),
         sum(share**2 * step.covariance for share, step in zip(shares, steps, strict=True)),
     )
+
+
+def _samples_since(before: FramePair, frames: Sequence[FramePair]) -> InertialSamples | None:
+    """Inertial samples from `before` to the last of `frames`; None where a step between is unknown."""
+    every = [before, *frames]
+    if (np.diff([frame.number for frame in every]) != 1).any():
+        return None
+    return joined([frame.inertial for frame in frames], np.diff([frame.timestamp for frame in every]))

@@ -9,7 +9,8 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.utils.seeding import np_random
 
-from filters.contract.noise import StereoNoise
+from filters.contract.drift import LandmarkDrift
+from filters.contract.noise import ColouredNoise, StereoNoise
 from filters.contract.observation import StereoObservation
 from filters.contract.start import Start
 from filters.geometry.camera import StereoCamera
@@ -29,7 +30,7 @@ from stereo_slam_env.simulator.scenes import SceneArrays, scene_arrays
 from stereo_slam_env.simulator.show import MAX_VELOCITY
 from stereo_slam_env.simulator.simulator import Simulator
 from stereo_slam_env.simulator.state import ARENA, WEIGHTS, make_rules
-from stereo_slam_env.world.routes import FRAME_PERIOD, Route, named_route
+from stereo_slam_env.world.routes import FRAME_PERIOD, RANDOM_ROUTES, Route, named_route
 from stereo_slam_env.world.surroundings import build_scene
 from stereo_slam_env.world.vehicle import Car, Head
 
@@ -63,13 +64,12 @@ class CoreRows(Rows):
     ) -> None:
         self.options, self.count, self.world, self.threads = options, count, self, min(threads, count)
         self.camera: StereoCamera = options.camera
-        self.route: Route = named_route(options.route)
+        self._route: Route = named_route(options.route)
         self.head: Head | None = options.head(self.camera.baseline) if isinstance(options, HeadOptions) else None
         self.generators: list[np.random.Generator | None] = [None] * count
         self._pixel_noise = NOISE_MODELS[options.noise](options.sigma)
         self._weights = {name: k for k, name in enumerate(WEIGHTS) if hasattr(options, f"{name}_weight")}
         rules = make_rules(
-            self.route,
             self.camera,
             options.tracking,
             noise=options.noise,
@@ -79,6 +79,7 @@ class CoreRows(Rows):
             odometry_sigmas=(options.odometry_sigma_linear, options.odometry_sigma_angular),
             perturbation=options.perturbation,
             steered=isinstance(options, DriveOptions) and options.policy == "agent",
+            lane=options.lane if isinstance(options, DriveOptions) else np.inf,
             head=self.head,
             weights={name: getattr(options, f"{name}_weight") for name in self._weights},
             exact=options.physics == "exact",
@@ -95,12 +96,24 @@ class CoreRows(Rows):
         self._pool_size = pool
 
     @property
+    def route(self) -> Route:
+        """The nominal drive: that of the first row; before its first episode, of a random route, a typical one."""
+        scene = self.simulator.scenes[0]
+        return self._route if scene is None else scene.route
+
+    @property
     def noise(self) -> StereoNoise:
         """Covariance to assume of a measurement that does not come with its own."""
         if self._sees_images:
             return TYPICAL_NOISE
-        white, lasting = self._pixel_noise.stereo_noise, self.options.lasting
-        return StereoNoise(white.R + StereoNoise.independent_pixels(lasting).R) if lasting else white
+        white, lasting, time = self._pixel_noise.stereo_noise, self.options.lasting, self.options.lasting_time
+        if not lasting:
+            return white
+        R = white.R + StereoNoise.independent_pixels(lasting).R
+        if time is None:
+            return StereoNoise(R)
+        step = lasting * np.sqrt(2.0 * (1.0 - np.exp(-FRAME_PERIOD / time)))
+        return ColouredNoise(R, white.R, LandmarkDrift(pixels=(step, step, np.sqrt(2.0) * step)))
 
     # --- episodes ---------------------------------------------------------------------------------------------------
 
@@ -157,16 +170,18 @@ class CoreRows(Rows):
         return self._pool[int(rng.integers(len(self._pool)))]
 
     def _built(self, rng: np.random.Generator) -> SceneArrays:
-        options = self.options
+        options, route = self.options, self._route
+        if options.route in RANDOM_ROUTES:
+            route = RANDOM_ROUTES[options.route](rng.spawn(1)[0])
         scene = build_scene(
             options.surroundings,
-            self.route,
+            route,
             rng,
             moving_cars=options.moving_cars,
             pedestrians=options.pedestrians,
             randomise=options.randomise,
         )
-        return scene_arrays(scene)
+        return scene_arrays(scene, route)
 
     def _image_sensor(self, b: int) -> ImageSensor:
         pictures = self._pictures[b]
@@ -208,6 +223,8 @@ class CoreRows(Rows):
             "is_success": sensed.success.copy(),
         }
         terms = sensed.terms.copy()
+        if self.simulator.rules.steered:
+            info["cross_track"] = sensed.beside.copy()
         for name, k in self._weights.items():
             info[f"reward_{name}"] = terms[k]
         return observation, info | self._extras(shown.v_right)
@@ -229,6 +246,10 @@ class CoreRows(Rows):
     def inner(self, name: str) -> Any:
         """See `Rows`."""
         return getattr(self, name)
+
+    def route_of(self, b: int) -> Route:
+        """See `World`."""
+        return self.simulator.route(b)
 
     def body(self, b: int) -> Pose:
         """See `World`."""

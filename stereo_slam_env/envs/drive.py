@@ -58,22 +58,25 @@ class StereoDriveEnv(StereoEnv):
     Scalars and arrays of fixed shape, the same keys from `reset` and `step`: `truth_position` (3,) and
     `truth_orientation` (4,) xyzw of the left camera in W; `truth_linear_velocity` (3,) in W and
     `truth_angular_velocity` (3,) in the camera frame, over the last step; `time` s; `distance` driven, m; `collision`;
-    `is_success`, whether the end of the route has been reached; `v_right` (N,), the row in the right image, and
+    `is_success`, whether the end of the route has been reached; where the agent drives `cross_track`, the distance from
+    the route to the side, m; `v_right` (N,), the row in the right image, and
     `v_right_measured`; `R` (N, 3, 3), covariances of (u, v, d) in px^2, and `R_measured`; and the terms of the reward.
 
     ## Rewards
 
     *reward = reward_progress + reward_tracking + reward_collision + reward_goal + reward_time*, each in `info`:
 
-    - *reward_progress*: `progress_weight` for each metre of the route that is driven for the first time;
+    - *reward_progress*: `progress_weight` for each metre of the route that is driven for the first time, times
+      1 - (`cross_track` / `lane`)^2 where the agent drives;
     - *reward_tracking*: `tracking_weight` for each such metre, x tracked landmarks / `max_landmarks`: to drive where
       nothing can be seen is bad for SLAM;
-    - *reward_collision*: -`collision_weight` when the car hits something or leaves the arena;
+    - *reward_collision*: -`collision_weight` when the car hits something or leaves its lane;
     - *reward_goal*: `goal_weight` when it reaches the end of the route without that;
-    - *reward_time*: -`time_weight` for each second, less over a whole episode than a collision costs.
+    - *reward_time*: -`time_weight` for each second.
 
-    So nothing is earned by standing still or by driving back and forth. `stereo_slam_env.policies.normalised_score`
-    puts a return on a scale from 0, actions at random, to 100, a driver that is shown the route.
+    So nothing is earned by standing still, by driving back and forth, slower than 3 m/s or in the oncoming lane.
+    `stereo_slam_env.policies.normalised_score` puts a return on a scale from 0, actions at random, to 100, a driver
+    that is shown the route.
 
     ## Starting State
 
@@ -82,16 +85,17 @@ class StereoDriveEnv(StereoEnv):
 
     ## Episode End
 
-    - Termination: the car hits something, is more than 60 m off the route, or reaches the end of the route. The end of
+    - Termination: the car hits something, is more than `lane` beside the route where the agent drives (60 m in a
+      script), or reaches the end of the route. The end of
       the route ends the task itself, for a scripted drive as for an agent; it is not a limit from outside.
-    - Truncation: after 1200 steps, by `TimeLimit`, half as much again as the route `"town"` takes at its own speed. For
+    - Truncation: after 1200 steps, by `TimeLimit`, more than any random route takes at its own speed. For
       other routes `gymnasium.make` takes `max_episode_steps`; -1 is no limit.
 
     ## Arguments
 
     | Argument | Default | Meaning |
     |----------|---------|---------|
-    | `route` | `"town"` | `"town"` (350 m, two turns), `"right-turn"`, `"straight"`, `"loop"`, or a KITTI pose file |
+    | `route` | `"random-town"` | a name (`stereo-slam scenes list`) or a KITTI pose file, see below |
     | `surroundings` | `"street"` | `"street"`; `"groves"`, `"field"`, `"corridor"`: see `stereo-slam scenes list` |
     | `moving_cars` | `0` | most cars that drive |
     | `pedestrians` | `0` | most people that walk |
@@ -99,6 +103,7 @@ class StereoDriveEnv(StereoEnv):
     | `visibility` | `150.0` | fog: landmarks farther than this are not measured, m (8 to 150) |
     | `blank_from` | `None` | from then on nothing that is drawn has a texture, s; None: never |
     | `policy` | `"agent"` | `"agent"`: the action drives; `"route"`: a script does |
+    | `lane` | `2.0` | how far beside the route an agent may drive, m |
     | `rig` | `"reference"` | `"reference"` 1344x391, f = 721.5 px; `"vga"` 640x480; `"qvga"` 320x240 |
     | `sensor` | `"landmarks"` | `"landmarks"`: projection, occlusion and noise; `"images"`: rendered, front end |
     | `renderer` | `"tiny"` | `"tiny"`, everywhere; `"gl"`, fast, needs the extra gl and EGL |
@@ -114,14 +119,19 @@ class StereoDriveEnv(StereoEnv):
     | `odometry_sigma_angular` | `0.01` | rad/s, each axis |
     | `perturbation` | `1.0` | scale of the random sway of a scripted drive; 0: none |
     | `supersample` | `1` | draw images this many times finer and average |
+    | `front_end_name` | `"active-search"` | who measures in images: one of `available_front_ends()` |
     | `progress_weight` | `0.1` | of the reward, for each metre |
     | `physics` | `"exact"` | rays and contacts: `"exact"`, in closed form; `"bullet"`, by PyBullet |
     | `observe_ids` | `True` | whether `ids` are in the observation: filters need them |
     | `tracking_weight` | `0.05` | of the reward, for each metre with all `max_landmarks` tracked |
     | `collision_weight` | `10.0` | of the reward |
     | `goal_weight` | `10.0` | of the reward |
-    | `time_weight` | `0.05` | of the reward, for each second |
+    | `time_weight` | `0.4` | of the reward, for each second |
     | `render_mode` | `None` | `"rgb_array"`: both views with the observed landmarks; `"human"`: in a window |
+
+    `route`: `"random-town"` is drawn anew for each episode (one to four turns, 60 to 370 m); where a script drives, the
+    default is `"town"` (350 m, two turns). Others are `"random-loop"`, `"loop"`, `"right-turn"` and
+    `"straight"`.
 
     `rig` is a name, a `StereoCamera` or some of its numbers (`fx`, `fy`, `cx`, `cy`, `baseline`, `width`, `height`):
     `{"baseline": 0.2}` differs from the default in one, `{"name": "qvga", "baseline": 0.2}` from the rig of that name.
@@ -130,7 +140,7 @@ class StereoDriveEnv(StereoEnv):
     rare gross errors, as in rendered images; `"quantised"`: rounded to whole pixels; `"uvd"`: u, v, d are independent.
     To these come, with `lasting`, errors that last: each landmark has one in each coordinate of both images, which
     changes as a Gauss-Markov process of first order. A filter is told the R of both parts together, and takes it for
-    white noise.
+    white noise; with `lasting_time` it is a `ColouredNoise`, and the filter `coloured-noise` knows better.
 
     `reset(options={"scene": "keep"})` drives through the same scene once more.
 

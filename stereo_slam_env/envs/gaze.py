@@ -69,7 +69,7 @@ class StereoGazeEnv(StereoEnv):
 
     ## Arguments
 
-    Those of `StereoSlam/Drive-v0` without `policy`, `progress_weight`, `collision_weight`, `goal_weight` and
+    Those of `StereoSlam/Drive-v0` without `policy`, `lane`, `progress_weight`, `collision_weight`, `goal_weight` and
     `time_weight`, but for:
 
     | Argument | Default | Meaning |

@@ -62,6 +62,7 @@ class StereoOptions:
     odometry_sigma_angular: float = ODOMETRY_SIGMAS[1]
     perturbation: float = 1.0
     supersample: int = 1
+    front_end_name: str = "active-search"
     physics: Physics = "exact"
     observe_ids: bool = True
     tracking_weight: float = 0.05
@@ -80,6 +81,10 @@ class StereoOptions:
             isinstance(self.rig, str) and self.rig in RIGS
         ):  # numbers that are not given are those of the usual rig
             object.__setattr__(self, "rig", camera_of(self.rig, str(type(self).rig)))
+        if self.front_end_name != type(self).front_end_name:
+            from stereo_slam_env.frontend.front_ends import front_end_factory  # OpenCV, only where it is needed
+
+            front_end_factory(self.front_end_name)
         positive("sigma", self.sigma)
         positive("lasting", self.lasting, allow_zero=True)
         if self.lasting_time is not None:
@@ -121,6 +126,7 @@ class StereoOptions:
         """Tracking of the sensor "images"."""
         quality = image_quality(self.renderer, self.supersample)
         return TrackerSettings(
+            method=self.front_end_name,
             max_landmarks=self.max_landmarks,
             refill_below=self._refill(TrackerSettings),
             sigma_floor=max(quality.texture_sigma, TrackerSettings.sigma_floor),
@@ -147,11 +153,19 @@ class StereoOptions:
 class DriveOptions(StereoOptions):
     """Arguments of `StereoDriveEnv`."""
 
+    route: str | None = None  # type: ignore[assignment]
     policy: DrivenBy = "agent"
+    lane: float = 2.0
     progress_weight: float = 0.1
     collision_weight: float = 10.0
     goal_weight: float = 10.0
-    time_weight: float = 0.05
+    time_weight: float = 0.4
+
+    def __post_init__(self) -> None:
+        if self.route is None:
+            object.__setattr__(self, "route", "random-town" if self.policy == "agent" else "town")
+        super().__post_init__()
+        positive("lane", self.lane)
 
 
 @dataclass(frozen=True)
@@ -191,7 +205,7 @@ class GazeOptions(HeadOptions):
 class DriveGazeOptions(HeadOptions, DriveOptions):
     """Arguments of `StereoDriveGazeEnv`."""
 
-    route: str = "town"
+    route: str | None = None  # type: ignore[assignment]
 
 
 def _number(name: str, value: Any, low: float, high: float) -> None:

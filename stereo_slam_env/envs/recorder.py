@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
-from itertools import islice
+from itertools import count, islice
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.recording.recording import SIMULATION, Frame, LandmarkTruth, Recording, Reference, StereoPair
 from stereo_slam_env.rendering.backends import renderer_identity
 from stereo_slam_env.rendering.images import grey
+from stereo_slam_env.world.routes import RANDOM_ROUTES
 
 DRIVE = "StereoSlam/Drive-v0"
 
@@ -50,9 +51,9 @@ def records(
         raise ValueError(f"frames must be at least 1, got {frames!r}")
     options = DriveOptions.checked(kwargs)
     with closing(CoreRows(options, len(seeds))) as rows:
-        wanted = rows.route.frames if frames is None else frames
-        # Whether they are too many is known before the drive, which may take minutes.
-        collected = _drives(rows, seeds, wanted, frames, progress) if wanted <= rows.route.frames else [[]]
+        # Whether they are too many is known before the drive, which may take minutes, unless the route is random.
+        short = frames is None or frames <= rows.route.frames or options.route in RANDOM_ROUTES
+        collected = _drives(rows, seeds, frames, progress) if short else [[]]
         shortest = min(map(len, collected))
         if frames is not None and shortest < frames:
             most = shortest or rows.route.frames
@@ -68,7 +69,6 @@ def records(
 def _drives(
     rows: CoreRows,
     seeds: Sequence[int],
-    wanted: int,
     frames: int | None,
     progress: Callable[[int, int | None], None] | None,
 ) -> list[list[Frame]]:
@@ -76,7 +76,7 @@ def _drives(
     going, nothing = np.ones(rows.count, dtype=np.bool_), np.zeros((rows.count, 2))
     rows.begin(going, seeds, {})
     collected = [[rows.frame(b)] for b in range(rows.count)]
-    for number in range(2, wanted + 1):
+    for number in count(2) if frames is None else range(2, frames + 1):
         _, over, _ = rows.advance(nothing, going)
         for b in np.flatnonzero(going).tolist():
             collected[b].append(rows.frame(b))

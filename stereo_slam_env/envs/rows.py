@@ -21,6 +21,7 @@ from filters.geometry.poses import Pose
 from filters.validation import BoolArray, FloatArray, IntArray
 from stereo_slam_env.recording.recording import Frame, LandmarkTruth
 from stereo_slam_env.simulator.kept import Kept, State
+from stereo_slam_env.world.routes import Route
 
 Arrays = dict[str, Any]
 Step = tuple[FloatArray, BoolArray, BoolArray]
@@ -75,6 +76,9 @@ class World(Protocol):
 
     def start(self, b: int) -> Start:
         """What a filter is told of the start of the episode."""
+
+    def route_of(self, b: int) -> Route:
+        """The nominal drive."""
 
     def body(self, b: int) -> Pose:
         """Pose of the left camera if the head looked straight ahead."""
@@ -257,6 +261,11 @@ class OneRow(Rows):
         """See `World`."""
         start: Start = self.inner("start")
         return start
+
+    def route_of(self, b: int) -> Route:
+        """See `World`."""
+        route: Route = self.inner("route")
+        return route
 
     def body(self, b: int) -> Pose:
         """See `World`."""

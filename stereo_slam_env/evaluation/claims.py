@@ -10,14 +10,17 @@ from scipy.stats import chi2, norm, qmc
 
 from filters import nees
 from filters.consistency import are_definite
+from filters.geometry import rotations
 from filters.motions.model import POSE_SIZE, POSITION, ROTATION
 from filters.validation import FloatArray
-from stereo_slam_env.evaluation.consistency import DOF, mean_band
+from stereo_slam_env.evaluation.consistency import mean_band
 from stereo_slam_env.evaluation.intervals import MeanInterval, mean_interval
-from stereo_slam_env.recording.trajectory import Trajectory
+from stereo_slam_env.recording.trajectory import Trajectory, transformed
 
 PARTS = {"pose": slice(0, POSE_SIZE), "position": POSITION, "rotation": ROTATION}
 """What of an error each claim is of."""
+_PLANE = {"pose": slice(0, 3), "position": slice(0, 2), "rotation": slice(2, 3)}
+"""Likewise, where an error is one in a plane: x, y and the angle about up."""
 COVERED = (0.5, 0.9, 0.95)
 """Probabilities of the ellipsoids whose coverage is counted."""
 _DRAWS = 256
@@ -28,7 +31,10 @@ _PIECE = 2000
 
 @dataclass(frozen=True)
 class ClaimScore:
-    """A claimed covariance against the errors: of the pose (6 numbers), the position or the rotation (3 each)."""
+    """A claimed covariance against the errors: of the pose (6 numbers), the position or the rotation (3 each).
+
+    Of a robot in a plane they are 3, 2 and 1.
+    """
 
     dof: int
     """Numbers of an error."""
@@ -154,6 +160,21 @@ def energy_scores(errors: FloatArray, covariances: FloatArray) -> FloatArray:
     return scores
 
 
+def claimed_numbers(trajectory: Trajectory) -> dict[str, FloatArray]:
+    """What each claim is of, as matrices (n, 6), or (K, n, 6), that take the error of a pose to its numbers."""
+    if trajectory.plane is None:
+        return {name: np.eye(POSE_SIZE)[part] for name, part in PARTS.items()}
+    in_plane = np.zeros((len(trajectory), 3, POSE_SIZE))
+    in_plane[:, :2, POSITION] = trajectory.plane[:2]
+    in_plane[:, 2, ROTATION] = trajectory.plane[2] @ rotations.matrix(trajectory.orientations)
+    return {name: in_plane[:, part] for name, part in _PLANE.items()}
+
+
+def nees_of(numbers: FloatArray, errors: FloatArray, covariances: FloatArray) -> FloatArray:
+    """NEES (K,) of the numbers that a claim is of."""
+    return nees(rotations.turned(numbers, errors), transformed(numbers, covariances))
+
+
 @dataclass(frozen=True, eq=False)
 class ScoredClaims:
     """What a trajectory claims of its pose, position and rotation, scored."""
@@ -196,20 +217,21 @@ def score_claims(
     claims: dict[str, ClaimScore] = {}
     series: dict[str, FloatArray] = {}
     scores: dict[str, FloatArray] = {}
-    for name, part in PARTS.items():
-        own = covariances[:, part, part]
-        values = np.where(usable, nees(errors[:, part], own), np.nan)
-        before = nees(errors[usable, part], as_claimed[usable][:, part, part])
-        sharpness = np.full(len(values), np.nan)
-        sharpness[usable] = 0.5 * (np.linalg.slogdet(own[usable])[1] + DOF[name] * np.log(2.0 * np.pi))
+    for name, numbers in claimed_numbers(estimate.rows(usable)).items():
+        dof = numbers.shape[-2]
+        own_errors, own = rotations.turned(numbers, errors[usable]), transformed(numbers, covariances[usable])
+        values, sharpness = np.full((2, len(usable)), np.nan)
+        values[usable] = nees(own_errors, own)
+        before = nees_of(numbers, errors[usable], as_claimed[usable])
+        sharpness[usable] = 0.5 * (np.linalg.slogdet(own)[1] + dof * np.log(2.0 * np.pi))
         series[name], scores[name] = values, 0.5 * values + sharpness
         none = int(np.count_nonzero(~usable))
-        claim = claim_score(values[usable], before, sharpness[usable], DOF[name], none, obstacles[name], of_a_pair)
+        claim = claim_score(values[usable], before, sharpness[usable], dof, none, obstacles[name], of_a_pair)
         if name == "position":
             claim = replace(
                 claim,
-                crps=float(crps(errors[usable, part], own[usable]).mean()),
-                energy_score=float(energy_scores(errors[usable, part], own[usable]).mean()),
+                crps=float(crps(own_errors, own).mean()),
+                energy_score=float(energy_scores(own_errors, own).mean()),
             )
         claims[name] = claim
     return ScoredClaims(claims, series, scores)

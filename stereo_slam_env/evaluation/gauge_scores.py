@@ -6,12 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from filters import nees
 from filters.consistency import are_definite
 from filters.validation import BoolArray, FloatArray
 from stereo_slam_env.evaluation import trajectory_metrics as metrics
-from stereo_slam_env.evaluation.claims import verdict_of
-from stereo_slam_env.evaluation.consistency import DOF, mean_band
+from stereo_slam_env.evaluation.claims import claimed_numbers, nees_of, verdict_of
+from stereo_slam_env.evaluation.consistency import mean_band
 from stereo_slam_env.evaluation.gauges import (
     Alignment,
     AlignmentKind,
@@ -34,7 +33,9 @@ class GaugeScore:
     alignment: AlignmentKind
     """How the world would be aligned, by all poses but for "start"."""
     nees: float
-    """Mean NEES of the pose, 6 is ideal."""
+    """Mean NEES of the pose, `dof` is ideal."""
+    dof: int
+    """Numbers of an error of the pose: 6, or 3 in a plane."""
     position_rmse_m: float
     """m."""
     verdict: str
@@ -91,14 +92,16 @@ def score_gauges(
         assert covariances is not None
         scored = scored_rows(aligned, alignment, as_claimed, covariances)
         errors = aligned.errors(reference.positions, reference.orientations)
-        values = nees(errors[scored], covariances[scored])
+        numbers = claimed_numbers(aligned.rows(scored))["pose"]
+        values, dof = nees_of(numbers, errors[scored], covariances[scored]), numbers.shape[-2]
         mean = float(np.nanmean(values)) if np.isfinite(values).any() else float("nan")
         found.append(
             GaugeScore(
                 alignment=kind,
                 nees=mean,
+                dof=dof,
                 position_rmse_m=metrics.ate_unaligned(aligned.positions[scored], reference.positions[scored]),
-                verdict=verdict_of(mean, DOF["pose"], mean_band(DOF["pose"], 1)),
+                verdict=verdict_of(mean, dof, mean_band(dof, 1)),
             )
         )
     return tuple(found)

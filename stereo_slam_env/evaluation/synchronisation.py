@@ -96,7 +96,8 @@ def find_time_offset(estimate: Trajectory, reference: Trajectory) -> float:
     if np.median(errors[np.isfinite(errors)]) < 1.1 * errors[best] + 1e-9 * np.ptp(p):
         raise ValueError("time_offset is not determined: the path fits at any offset, give it in seconds")
     ends = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
-    found = minimize_scalar(misfit, bounds=ends, method="bounded", options={"xatol": 1e-5})
+    with np.errstate(invalid="ignore"):  # an end of the search may have too few poses in common
+        found = minimize_scalar(misfit, bounds=ends, method="bounded", options={"xatol": 1e-5})
     return float(found.x)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from filters.validation import FloatArray
 from stereo_slam_env.evaluation.claims import verdict_of
-from stereo_slam_env.evaluation.consistency import DOF, mean_band, mean_bands
+from stereo_slam_env.evaluation.consistency import mean_band, mean_bands
 from stereo_slam_env.evaluation.trajectory_score import TrajectoryScore
 
 
@@ -64,7 +64,7 @@ class RunsScore:
         pose = self.claims["pose"]
         low, high = (end / pose.dof for end in pose.band)
         text = (
-            f"{len(self.runs)} runs together: pose ANEES / 6 is {pose.mean / pose.dof:.3g}, band {low:.2f} to "
+            f"{len(self.runs)} runs together: pose ANEES / {pose.dof} is {pose.mean / pose.dof:.3g}, band {low:.2f} to "
             f"{high:.2f}: {pose.verdict}. One by one they have {min(pose.each) / pose.dof:.3g} to "
             f"{max(pose.each) / pose.dof:.3g}, and {pose.alone} of {len(self.runs)} would pass for consistent."
         )
@@ -103,14 +103,15 @@ def score_runs(scores: Sequence[TrajectoryScore]) -> RunsScore:
     """
     left_out = {score.estimate: why for score in scores if (why := _unfit(score))}
     judged = [score for score in scores if not _unfit(score)]
+    if len({score.claims["pose"].dof for score in judged}) > 1:
+        raise ValueError("runs must be of one estimator: some claim the whole pose, some motion in a plane")
     if len(judged) < 2:
         why = "; ".join(f"{name}: {reason}" for name, reason in left_out.items())
         raise ValueError(f"runs are judged together from two on, {len(judged)} of {len(scores)} can be ({why})")
     times = np.unique(np.concatenate([score.times for score in judged]))
     claims = {}
-    for name, dof in DOF.items():
-        if name not in judged[0].claims:
-            continue
+    for name, one in judged[0].claims.items():
+        dof = one.dof
         values = np.full((len(judged), len(times)), np.nan)
         for row, score in zip(values, judged, strict=True):
             row[np.searchsorted(times, score.times)] = score.nees[name]

@@ -34,7 +34,7 @@ from stereo_slam_env.evaluation.trajectory_windows import LENGTHS, WindowScore, 
 from stereo_slam_env.recording.trajectory import Trajectory
 from stereo_slam_env.recording.trajectory_files import load_trajectory
 
-SCHEMA = 3
+SCHEMA = 4
 """Version of what `TrajectoryScore.as_dict` gives."""
 
 
@@ -113,8 +113,8 @@ class TrajectoryScore:
         verdict = self.claims["pose"].verdict
         if not self.depends_on_the_gauge or self.claims["pose"].obstacle:
             return verdict
-        others = (f"{one.nees / 6.0:.3g} ({one.alignment})" for one in self.gauges)
-        return f"{verdict}; but it depends on the alignment, which no header says: NEES / 6 is {', '.join(others)}"
+        dof, others = self.gauges[0].dof, (f"{one.nees / one.dof:.3g} ({one.alignment})" for one in self.gauges)
+        return f"{verdict}; but it depends on the alignment, which no header says: NEES / {dof} is {', '.join(others)}"
 
     def as_dict(self) -> dict[str, Any]:
         """All figures as plain data for JSON, without the series; `docs/evaluate.md` has what they are."""
@@ -150,7 +150,7 @@ class TrajectoryScore:
             low, high = np.quantile(np.sqrt(a[rows].mean(axis=1) / b[rows].mean(axis=1)), [0.025, 0.975])
         scores = None
         judged = [one.claims and not one.unusable and not one.claims["pose"].obstacle for one in (self, other)]
-        if all(judged):
+        if all(judged) and self.claims["pose"].dof == other.claims["pose"].dof:
             difference = self.log_scores["pose"][mine] - other.log_scores["pose"][others]
             scores = mean_interval(difference)
         return PairedVerdict(self.estimate, other.estimate, len(mine), (ratio, float(low), float(high)), scores)
@@ -251,6 +251,10 @@ def evaluate_trajectory(
             f"the pose of {reference.body} in {estimate.body} as body"
         )
     notes = [f"{one.name}: {note}" for one in (estimate, reference) for note in one.notes]
+    if reference.plane is not None and estimate.plane is None:
+        reference = replace(reference, covariances=None, plane=None)
+        if estimate.covariances is not None:
+            notes.append(f"what {reference.name} claims in a plane is not added to a claim of the whole pose")
     offset = (
         find_time_offset(estimate, reference) if time_offset == "auto" else finite_number("time_offset", time_offset)
     )

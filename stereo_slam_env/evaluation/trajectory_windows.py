@@ -36,7 +36,7 @@ class WindowScore:
     rotation_rmse_deg: float
     """Degrees."""
     nees: float | None
-    """Mean NEES, 6 is ideal. None without covariances, or where one is none."""
+    """Mean NEES, 6 is ideal. None without covariances, where one is none, and of claims in a plane."""
     nees_is_exact: bool
     """Whether the file says how the errors of two poses are correlated. If not, they are taken as independent, which
     makes a difference too uncertain, so the NEES is a lower bound."""
@@ -53,7 +53,8 @@ def score_windows(seconds: float, estimate: Trajectory, reference: Trajectory, t
     moved, truly = (motions(one, first, last) for one in (estimate, reference))
     errors = pose_errors("right", *moved, *truly)
     value = covered = None
-    if (covariances := motion_covariances(estimate, first, last)) is not None:
+    covariances = motion_covariances(estimate, first, last) if estimate.plane is None else None
+    if covariances is not None:
         if (doubt := motion_covariances(reference, first, last)) is not None:
             covariances = covariances + doubt
         claimed = estimate.covariances

@@ -89,9 +89,9 @@ class Trial:
 
     @cached_property
     def final_covariance(self) -> FloatArray | None:
-        """Pose covariance in the last scored frame; without truth, in the last frame that has one."""
+        """Pose covariance in the last scored frame that has one; without truth, in the last frame that has one."""
         claims = np.isfinite(self.run.pose_covariances).all(axis=(1, 2))
-        last = np.flatnonzero(self.scored if self.scored.any() else claims)[-1:]
+        last = np.flatnonzero(claims & self.scored if self.scored.any() else claims)[-1:]
         return self.run.pose_covariances[last[0]] if len(last) else None
 
     def bound_rmse(self, part: slice) -> float:
@@ -104,9 +104,11 @@ class Trial:
     def alarm(self) -> Alarm | None:
         """First alarm of the divergence monitor, by innovations and events alone; its time is from the first frame on.
 
-        What the filter did after it failed is not looked at.
+        What the filter did after it failed is not looked at. A trajectory from outside has nothing to be watched.
         """
         run, monitor = self.run, DivergenceMonitor()
+        if not np.isfinite(run.milliseconds).any():
+            return None
         for k, dt in enumerate(np.diff(run.timestamps, prepend=run.timestamps[:1])):
             if not np.isfinite(run.positions[k]).all():
                 break

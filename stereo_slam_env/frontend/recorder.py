@@ -8,12 +8,12 @@ from itertools import islice
 
 import numpy as np
 
-from filters import ColouredNoise, LandmarkDrift, Start, StereoFilter, StereoObservation
+from filters import ColouredNoise, LandmarkDrift, Start, StereoCamera, StereoFilter, StereoObservation
 from filters.geometry import rotations
-from stereo_slam_env.frontend.ego_motion import Step
+from stereo_slam_env.frontend.ego_motion import Pairs, Step, robust_step
+from stereo_slam_env.frontend.front_ends import make_front_end
 from stereo_slam_env.frontend.settings import DRIFT_SHARE, TrackerSettings, settings_for
 from stereo_slam_env.frontend.track_noise import with_measured_noise
-from stereo_slam_env.frontend.tracker import StereoTracker
 from stereo_slam_env.frontend.tracks import TrackedPair
 from stereo_slam_env.recording.recording import Frame, ImageSequence, Recording, StereoPair
 
@@ -55,7 +55,7 @@ def record_tracks(
         With the truth and odometry of the sequence, and with what the tracks say of their noise.
     """
     settings = settings_for(sequence) if settings is None else settings
-    tracker = StereoTracker(sequence.camera, settings)
+    tracker = make_front_end(sequence.camera, settings)
     taken: list[Frame] = []
     wanted = len(sequence) if frames is None else min(frames, len(sequence))
     start = sequence.start
@@ -64,8 +64,9 @@ def record_tracks(
         tracked = tracker.track(pair.left, pair.right, dt)
         if watch is not None:
             watch(pair, tracked)
-        if number == 1 and start.covariance is None and tracker.last_step is not None:
-            start = _moving_start(start, *tracker.last_step)
+        if number == 1 and start.covariance is None:
+            moved = getattr(tracker, "last_step", None) or _step_between(sequence.camera, taken[0], tracked, dt)
+            start = start if moved is None else _moving_start(start, *moved)
         taken.append(Frame(pair.timestamp, tracked.observation, pair.odometry, pair.truth, inertial=pair.inertial))
         if progress is not None:
             progress(number + 1, wanted)
@@ -83,6 +84,18 @@ def record_tracks(
         truth_from=sequence.truth_from,
     )
     return with_measured_noise(recording)
+
+
+def _step_between(
+    camera: StereoCamera, before: Frame, tracked: TrackedPair, dt: float | None
+) -> tuple[Step, float] | None:
+    """Motion of the camera from a frame to a pair by the landmarks of both, and the time between them, s."""
+    seen = before.observation
+    _, i, j = np.intersect1d(seen.ids, tracked.ids, assume_unique=True, return_indices=True)
+    if dt is None or seen.R is None:
+        return None
+    found = robust_step(camera, Pairs(seen.uvd[i], tracked.uvd[j], seen.R[i], tracked.R[j]), None)
+    return None if found is None else (found.step, dt)
 
 
 def _moving_start(start: Start, step: Step, dt: float) -> Start:
@@ -117,7 +130,7 @@ class ActiveSearch:
     ) -> None:
         self._sequence = sequence
         self._settings = settings_for(sequence) if settings is None else settings
-        self._tracker = StereoTracker(sequence.camera, self._settings)
+        self._tracker = make_front_end(sequence.camera, self._settings)
         self._pairs: Iterator[StereoPair] = iter(())
         self._ahead: StereoPair | None = None  # taken from the sequence, but not yet searched
         self._number = -1

@@ -26,8 +26,14 @@ pairs (docs/front_end.md)."""
 
 @dataclass(frozen=True)
 class TrackerSettings:
-    """Settings of detection, tracking and termination of landmarks."""
+    """Settings of detection, tracking and termination of landmarks; a method that has no use for one leaves it."""
 
+    method: str = "active-search"
+    """Name of the front end, one of `available_front_ends()`."""
+    model: str | None = None
+    """File of the network of a learned method, which OpenCV loads."""
+    matcher_model: str | None = None
+    """File of a network that matches its features (LightGlue); None: mutual nearest neighbours."""
     max_landmarks: int = 100
     """Most landmarks given to the filter in one pair."""
     refill_below: int = 85

@@ -34,12 +34,15 @@ from stereo_slam_env.frontend.tracks import (
     by_motion,
     constant_velocity_covariance,
     new_tracks,
+    nothing_searched,
     require_legal,
+    require_pair,
     step_of_forecast,
     sure_rows,
 )
 from stereo_slam_env.recording.recording import GreyImage
 
+Measured = tuple[IntArray, FloatArray, FloatArray]
 _REST = Step(np.eye(3), np.zeros(3))
 _SCOUTS = 24
 """So many landmarks are searched for first; what they tell about the motion makes the other ellipses small."""
@@ -60,7 +63,7 @@ _SPARE = 1.4
 
 
 class StereoTracker:
-    """Turns stereo pairs into (u, v, d) with ids and covariances.
+    """Active search for patches, each measurement with a covariance of its own (section 4.2 of the paper).
 
     New landmarks are corners, matched along the row. In later pairs each is searched for where the filter (or, without
     one, the motion so far) expects it: its patch is warped to the expected view and correlated inside the innovation
@@ -129,29 +132,22 @@ class StereoTracker:
             An image has the wrong size or type, `dt` is missing or not positive, or `forecast` is none that a filter
             may give; nothing has changed then.
         """
-        self._check(left, right)
+        require_pair(self.camera, left, right)
         if forecast is not None:
             require_legal(forecast)
         first = self._left is None
         finder = PairFinder(self.camera, self.settings, left, right)
         if first:
-            followed, searched, dropped = self._tracks, _nothing_searched(), np.zeros(0, dtype=np.int64)
+            followed, searched, dropped = self._tracks, nothing_searched(), np.zeros(0, dtype=np.int64)
         elif dt is None:
             raise ValueError("dt must be given from the second pair on, got None")
         else:
             followed, searched, dropped = self._follow(finder, positive("dt", dt), forecast)
         fresh = self._new_corners(finder, followed)
         corners = StereoObservation(fresh.ids, fresh.uvd, R=fresh.R)
-        observation, tracks, initialised = self._release(followed.joined(fresh), first=first)
+        measured, tracks, initialised = self._release(followed.joined(fresh), first=first)
         self._tracks, self._left = tracks, left.copy()  # a camera may write its next image over this one
-        return TrackedPair(observation, searched, corners, initialised, dropped)
-
-    def _check(self, left: GreyImage, right: GreyImage) -> None:
-        shape = (self.camera.height, self.camera.width)
-        for name, image in (("left", left), ("right", right)):
-            if not isinstance(image, np.ndarray) or image.shape != shape or image.dtype != np.uint8:
-                what = f"{image.dtype} {image.shape}" if isinstance(image, np.ndarray) else type(image).__name__
-                raise ValueError(f"{name} must be a grey uint8 image of shape {shape}, got {what}")
+        return TrackedPair(*measured, searched, corners, initialised, dropped)
 
     def _follow(self, finder: PairFinder, dt: float, forecast: Forecast | None) -> tuple[Tracks, Search, IntArray]:
         tracks = self._tracks.next_pair()
@@ -276,8 +272,8 @@ class StereoTracker:
         patches = cut_patches(finder.left, uvd[:, :2])
         return new_tracks(ids, patches, uvd, R, self._R_vc, self._position_v)
 
-    def _release(self, tracks: Tracks, *, first: bool) -> tuple[StereoObservation, Tracks, IntArray]:
-        """Observation for the filter: found in this pair, standing, past probation (in the first pair: all)."""
+    def _release(self, tracks: Tracks, *, first: bool) -> tuple[Measured, Tracks, IntArray]:
+        """Ids, (u, v, d), R for the filter: found in this pair, standing, past probation (in the first pair: all)."""
         here = np.isfinite(tracks.measured[:, 0, 0]) & ~tracks.moving & (tracks.strikes == 0)
         here &= tracks.released | (tracks.age >= self.settings.probation) | first
         candidates = np.flatnonzero(here)
@@ -287,10 +283,8 @@ class StereoTracker:
         initialised = tracks.ids[candidates[~tracks.released[candidates]]]
         released = tracks.released.copy()
         released[candidates] = True
-        observation = StereoObservation(
-            tracks.ids[candidates], tracks.measured[candidates, 0], R=tracks.measured_R[candidates, 0]
-        )
-        return observation, replace(tracks, released=released), initialised
+        measured = tracks.ids[candidates], tracks.measured[candidates, 0], tracks.measured_R[candidates, 0]
+        return measured, replace(tracks, released=released), initialised
 
 
 def _scouts(tracks: Tracks, expected: Expectation) -> BoolArray:
@@ -305,8 +299,3 @@ def _scouts(tracks: Tracks, expected: Expectation) -> BoolArray:
 
 def _modelled(dt: float) -> float:
     return min(max(dt, _MODELLED[0]), _MODELLED[1])
-
-
-def _nothing_searched() -> Search:
-    none = np.zeros(0, dtype=np.int64)
-    return Search(none, np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros((0, 3)), none)

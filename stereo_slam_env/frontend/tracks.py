@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from enum import IntEnum
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from filters.validation import BoolArray, FloatArray, IntArray, covariance_matri
 from stereo_slam_env.frontend.ego_motion import MIN_POINTS, Pairs, Step, predicted, robust_step
 from stereo_slam_env.frontend.patches import Patches
 from stereo_slam_env.frontend.settings import TrackerSettings
+from stereo_slam_env.recording.recording import GreyImage
 
 
 class Outcome(IntEnum):
@@ -45,16 +47,39 @@ class Search:
     outcome: IntArray  # (N,): an `Outcome` each
 
 
+def nothing_searched() -> Search:
+    """The search where there was none, or where a front end does not tell."""
+    none, nowhere = np.zeros(0, dtype=np.int64), np.zeros((0, 3))
+    return Search(none, nowhere, np.zeros((0, 3, 3)), nowhere, none)
+
+
+def _no_ids() -> IntArray:
+    return np.zeros(0, dtype=np.int64)
+
+
 @dataclass(frozen=True, eq=False)
 class TrackedPair:
-    """The front end's result for one pair."""
+    """A front end's result for one pair: M measurements for the filter, and what else it tells of them."""
 
-    observation: StereoObservation  # the measurements for the filter, ids ascending, each with its own R
-    search: Search  # how the landmarks of earlier pairs were followed
-    # new corners of this pair; those that stand still will be given to the filter after their probation
-    corners: StereoObservation
-    initialised: IntArray  # (K,): ids in `observation` that are new to the filter
-    dropped: IntArray  # (L,): ids that will not come again: out of view, missed too often, or moving
+    ids: IntArray
+    """(M,): landmark identities, ascending, never reused."""
+    uvd: FloatArray
+    """(M, 3): left pixel and disparity, px."""
+    R: FloatArray
+    """(M, 3, 3): covariances that are claimed for them, px^2."""
+    search: Search = field(default_factory=nothing_searched)
+    """How the landmarks of earlier pairs were followed; empty where that is not told."""
+    corners: StereoObservation | None = None
+    """New corners of this pair, which the filter may get after a probation; None: those new in `ids`."""
+    initialised: IntArray = field(default_factory=_no_ids)
+    """(K,): which of `ids` are new to the filter."""
+    dropped: IntArray = field(default_factory=_no_ids)
+    """(L,): ids that will not come again: out of view, missed too often, or moving."""
+
+    @cached_property
+    def observation(self) -> StereoObservation:
+        """The measurements, each with its own R."""
+        return StereoObservation(self.ids, self.uvd, R=self.R)
 
 
 MEMORY = 6
@@ -85,7 +110,7 @@ class Tracks:
 
     def select(self, index: BoolArray | IntArray | slice) -> Tracks:
         """Those at `index`."""
-        return Tracks(*(getattr(self, field.name)[index] for field in fields(self)))
+        return Tracks(*(getattr(self, about.name)[index] for about in fields(self)))
 
     def joined(self, other: Tracks) -> Tracks:
         """These, then the others."""
@@ -150,6 +175,15 @@ class Expectation:
         """This one, with `rows` (N,) from the other."""
         uvd, S, in_view = rows_from(other, self, rows, "uvd", "S", "in_view")
         return Expectation(uvd, S, in_view, other.step)
+
+
+def require_pair(camera: StereoCamera, left: GreyImage, right: GreyImage) -> None:
+    """Refuse with a `ValueError` images that are not grey, uint8 and of the camera's size."""
+    shape = (camera.height, camera.width)
+    for name, image in (("left", left), ("right", right)):
+        if not isinstance(image, np.ndarray) or image.shape != shape or image.dtype != np.uint8:
+            what = f"{image.dtype} {image.shape}" if isinstance(image, np.ndarray) else type(image).__name__
+            raise ValueError(f"{name} must be a grey uint8 image of shape {shape}, got {what}")
 
 
 def require_legal(forecast: Forecast) -> None:

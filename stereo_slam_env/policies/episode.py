@@ -89,7 +89,7 @@ def run_episode(
     core = env.unwrapped
     if not isinstance(core, StereoEnv):
         raise ValueError(f"env must be one of the environments of this package, got {core}")
-    wanted = core.route.frames if frames is None else frames
+    wanted = 0 if frames is None else frames
     collected: list[Frame] = []
     drive: list[Pose] = []
 
@@ -104,6 +104,7 @@ def run_episode(
     over = False
     try:
         observation, _ = env.reset(seed=seed)
+        wanted = core.route.frames if frames is None else frames  # a random route is known from here on
         keep()
         asked = "policy"
         policy.reset(env, rng_of_policy(seed))

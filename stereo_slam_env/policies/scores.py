@@ -15,20 +15,16 @@ from stereo_slam_env.policies.interface import Action
 from stereo_slam_env.world.routes import FRAME_PERIOD
 from stereo_slam_env.world.vehicle import Car
 
-_LATERAL_ACCELERATION = 3.0
-"""Of the driver in a bend, m/s^2."""
 _STEER_BY, _BRAKE_BY = 1, 3
 """Points of the observation `route`: the one to steer to, and the farthest one to be slow enough for."""
 
 REFERENCE_RETURNS: Mapping[str, tuple[float, float]] = MappingProxyType(
     {
-        "StereoSlam/Drive-v0": (-7.3, 58.8),
-        "StereoSlam/Gaze-v0": (0.28, 1.04),
-        "StereoSlam/DriveGaze-v0": (-5.0, 47.3),
+        "StereoSlam/Drive-v0": (-9.4, 31.4),
         "StereoSlam/ActiveGaze-v0": (-29.9, -26.9),
         "StereoSlam/Explore-v0": (0.07, 8.90),
         "StereoSlam/Revisit-v0": (-0.73, 10.12),
-        "StereoSlam/ClosedLoop-v0": (-8.80, 43.72),
+        "StereoSlam/ClosedLoop-v0": (-10.1, 20.8),
     }
 )
 """Mean returns of actions at random and of the best policy known, by id, with default arguments; measured by
@@ -55,11 +51,18 @@ def normalised_score(environment: str, returns: ArrayLike) -> FloatArray:
     return 100.0 * (np.asarray(returns, dtype=np.float64) - random) / (best - random)
 
 
-def follow_route(observation: Mapping[str, Any], actions: int = 2) -> Action:
+def follow_route(
+    observation: Mapping[str, Any],
+    actions: int = 2,
+    *,
+    speed: float = Car.max_speed,
+    lateral: float = 3.0,
+    beside: float = 0.0,
+) -> Action:
     """Action that drives along the route that the observation shows (pure pursuit); the head looks straight ahead.
 
-    Steers along the circle through the rear axle and the point 5 m ahead, and keeps below 3 m/s^2 across the direction
-    of travel on the circles to all points up to 20 m ahead.
+    Steers along the circle through the rear axle and the point 5 m ahead, and keeps slow enough for the circles to all
+    points up to 20 m ahead.
 
     Parameters
     ----------
@@ -67,15 +70,21 @@ def follow_route(observation: Mapping[str, Any], actions: int = 2) -> Action:
         With `car` and `route`, from an environment in which the agent drives.
     actions : int
         Entries of the action; those after the first two are 0.
+    speed : float
+        Largest one, m/s.
+    lateral : float
+        Largest acceleration across the direction of travel, m/s^2.
+    beside : float
+        How far to the right of the route to drive, m.
     """
     car = Car()
-    speed, _ = np.asarray(observation["car"], dtype=np.float64)
+    now, _ = np.asarray(observation["car"], dtype=np.float64)
     right, forward = np.asarray(observation["route"], dtype=np.float64).T
-    forward = forward + car.camera_forward
+    right, forward = right + beside, forward + car.camera_forward
     curvatures = 2.0 * right / np.maximum(right**2 + forward**2, 1.0)
     bend = float(np.abs(curvatures[_STEER_BY : _BRAKE_BY + 1]).max())
-    wanted = min(car.max_speed, np.sqrt(_LATERAL_ACCELERATION / max(bend, 1e-6)))
+    wanted = min(speed, np.sqrt(lateral / max(bend, 1e-6)))
     action = np.zeros(actions, dtype=np.float32)
-    action[0] = np.clip((wanted - speed) / (car.max_acceleration * FRAME_PERIOD), -1.0, 1.0)
+    action[0] = np.clip((wanted - now) / (car.max_acceleration * FRAME_PERIOD), -1.0, 1.0)
     action[1] = np.clip(np.arctan(car.wheelbase * curvatures[_STEER_BY]) / car.max_steering, -1.0, 1.0)
     return action

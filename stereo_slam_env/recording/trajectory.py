@@ -61,6 +61,9 @@ class Trajectory:
     """(K,), ascending: which frames of the drive the rows are, where some are missing. None: not numbered."""
     notes: tuple[str, ...] = ()
     """What was left out or taken for granted where it was read, each in a sentence."""
+    plane: FloatArray | None = None
+    """(3, 3): axes x, y, up of the plane, in W, where the covariances are of motion in a plane: of x, y and the angle
+    about up. The others are then filled in, and are no claim. None: of all six numbers."""
     drift: Drift | None = None
     """What the claimed errors of two poses have in common, if they are those of an odometry. None: not said."""
 
@@ -134,7 +137,8 @@ class Trajectory:
         orientations = rotations.multiply(np.broadcast_to(T.orientation, self.orientations.shape), self.orientations)
         turn = np.eye(POSE_SIZE)
         turn[POSITION, POSITION] = scale * T.R_wc
-        return self._carried(positions, orientations, turn)
+        plane = None if self.plane is None else self.plane @ T.R_wc.T
+        return replace(self._carried(positions, orientations, turn), plane=plane)
 
     def of_body(self, T_bc: Pose) -> Trajectory:
         """The trajectory of another frame C of the same rigid body: each pose times T_bc, covariances with them.

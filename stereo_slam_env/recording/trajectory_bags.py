@@ -1,4 +1,7 @@
-"""Poses of a topic of a ROS bag: ROS 1 `.bag`, ROS 2 `.db3` and `.mcap`, through `rosbags` (extra `bags`)."""
+"""Poses of a topic of a ROS bag: ROS 1 `.bag`, ROS 2 `.db3` and `.mcap`, through `rosbags` (extra `bags`).
+
+A topic of transforms is asked for with the two frames, as evo has it: `FILE:/tf:map.base_link`.
+"""
 
 from __future__ import annotations
 
@@ -12,8 +15,10 @@ import numpy as np
 from filters.contract.foreign_text import first_line, plain
 from filters.extras import require_module
 from filters.motions.model import POSE_SIZE
+from filters.validation import FloatArray
 from stereo_slam_env.recording.trajectory import Trajectory
-from stereo_slam_env.recording.trajectory_layouts import about_fixed_axes, known_of_ros
+from stereo_slam_env.recording.trajectory_layouts import claim_of_ros
+from stereo_slam_env.recording.trajectory_transforms import Link, links_of, listed, poses_between
 
 _ENDINGS = (".bag", ".db3", ".mcap")
 _TYPES = {
@@ -22,14 +27,17 @@ _TYPES = {
     "nav_msgs/msg/Odometry": True,
 }
 """Messages that hold a pose; whether a covariance stands beside it."""
+_TRANSFORMS = "tf2_msgs/msg/TFMessage"
+_STATIC = "tf_static"
 
 
 def bag_and_topic(path: str | Path) -> tuple[Path, str | None] | None:
     """The bag and the topic that `FILE` or `FILE:/topic` names, None where no topic is; None of what is no bag."""
-    name, _, topic = str(path).rpartition(":")
-    for file, wanted in ((str(path), None), (name, topic)):
+    parts = str(path).split(":")
+    for count in range(len(parts), 0, -1):
+        file, topic = ":".join(parts[:count]), ":".join(parts[count:])
         if file and (file.endswith(_ENDINGS) or (Path(file) / "metadata.yaml").is_file()):
-            return Path(file), wanted
+            return Path(file), topic or None
     return None
 
 
@@ -47,38 +55,50 @@ def read_bag(path: Path, topic: str | None) -> Trajectory:
     if not (path.is_file() or path.is_dir()):
         raise ValueError(f"{path} does not exist, or is no file: give a bag, or a trajectory as text")
     with opened_bag(path) as reader:
-        found = {c.topic: c.msgtype for c in reader.connections if c.msgtype in _TYPES}
-        listed = ", ".join(plain(name) for name in sorted(found)) or "none"
-        alike = [name for name in found if topic is None or name.strip("/") == topic.strip("/")]
+        types = {c.topic: c.msgtype for c in reader.connections}
+        name, _, pair = (topic or "").partition(":")
+        asked = [c for c in types if topic and c.strip("/") == name.strip("/")]
+        moving = _links(reader) if pair or _TRANSFORMS in types.values() else {}
+        if pair or [types[c] for c in asked] == [_TRANSFORMS]:
+            return _of_transforms(path, name, pair, moving)
+        with_poses = sorted(c for c, kind in types.items() if kind in _TYPES)
+        offered = ", ".join(map(plain, with_poses)) or "none"
+        offered += f"; transforms as /tf:PARENT.CHILD: {listed(moving)}" if moving else ""
+        alike = [c for c in (asked if topic else with_poses) if c in with_poses]
         if len(alike) != 1:
-            asked = f"no poses on {topic}" if topic else "poses on several topics, or on none"
-            raise ValueError(f"{path} has {asked}: ask for one by {path}:TOPIC (topics with poses: {listed})")
+            said = "poses on several topics" if alike else f"no poses on {topic}" if topic else "no topic of poses"
+            raise ValueError(f"{path} has {said}: ask for one by {path}:TOPIC (topics with poses: {offered})")
         (wanted,) = alike
         rows, doubts = _rows(reader, wanted)
     if not rows:
-        raise ValueError(f"{path} has no message on {wanted}: ask for another topic ({listed})")
+        raise ValueError(f"{path} has no message on {wanted}: ask for another topic ({offered})")
     table = np.array(rows)
-    table = table[np.argsort(table[:, 0], kind="stable")]
-    covariances, notes = None, []
-    if _TYPES[found[wanted]]:
-        covariances = np.array(doubts).reshape(-1, POSE_SIZE, POSE_SIZE)[
-            np.argsort(np.array(rows)[:, 0], kind="stable")
-        ]
-        if why := known_of_ros(covariances):
-            covariances, notes = None, [why]
-    kept = np.concatenate([[True], np.diff(table[:, 0]) > 0])
-    if repeated := int(np.count_nonzero(~kept)):
-        notes.append(f"{repeated} of {len(kept)} messages repeat the time of the one before: the first counts")
-    table, covariances = table[kept], None if covariances is None else covariances[kept]
-    if covariances is not None:
-        covariances = about_fixed_axes(table[:, 4:8], covariances)
-    name = f"{path.stem}:{plain(wanted)}"
+    order = np.argsort(table[:, 0], kind="stable")
+    kept = order[np.concatenate([[True], np.diff(table[order, 0]) > 0])]
+    claim: dict[str, Any] = {}
+    if _TYPES[types[wanted]]:
+        claim = claim_of_ros(table[kept, 4:8], np.array(doubts).reshape(-1, POSE_SIZE, POSE_SIZE)[kept])
+    notes = [*claim.pop("notes", [])]
+    if repeated := len(table) - len(kept):
+        notes.append(f"{repeated} of {len(table)} messages repeat the time of the one before: the first counts")
+    return _trajectory(path, wanted, table[kept], notes=tuple(notes), **claim)
+
+
+def _of_transforms(path: Path, topic: str, pair: str, links: dict[str, Link]) -> Trajectory:
+    """The poses of one frame in another."""
     try:
-        return Trajectory(
-            table[:, 1:4], table[:, 4:8], table[:, 0], covariances, name=name, gauge=None, notes=tuple(notes)
-        )
+        table = poses_between(links, pair)
     except ValueError as error:
-        raise ValueError(f"{path}, {wanted}: {error}") from error
+        raise ValueError(f"{path}, {topic}: {error}") from error
+    return _trajectory(path, pair, table)
+
+
+def _trajectory(path: Path, what: str, table: FloatArray, **about: Any) -> Trajectory:
+    name = f"{path.stem}:{plain(what)}"
+    try:
+        return Trajectory(table[:, 1:4], table[:, 4:8], table[:, 0], name=name, gauge=None, **about)
+    except ValueError as error:
+        raise ValueError(f"{path}, {what}: {error}") from error
 
 
 @contextmanager
@@ -108,3 +128,17 @@ def _rows(reader: Any, topic: str) -> tuple[list[list[float]], list[Any]]:
         p, q = pose.position, pose.orientation
         rows.append([stamp.sec + 1e-9 * stamp.nanosec, p.x, p.y, p.z, q.x, q.y, q.z, q.w])
     return rows, doubts
+
+
+def _links(reader: Any) -> dict[str, Link]:
+    """All transforms of a bag, whatever their topics are called, by the frame that they are of."""
+
+    def told() -> Iterator[tuple[str, str, bool, list[float]]]:
+        for connection, _, raw in reader.messages([c for c in reader.connections if c.msgtype == _TRANSFORMS]):
+            is_static = connection.topic.endswith(_STATIC)
+            for one in reader.deserialize(raw, connection.msgtype).transforms:
+                stamp, p, q = one.header.stamp, one.transform.translation, one.transform.rotation
+                row = [stamp.sec + 1e-9 * stamp.nanosec, p.x, p.y, p.z, q.x, q.y, q.z, q.w]
+                yield one.header.frame_id.strip("/"), one.child_frame_id.strip("/"), is_static, row
+
+    return links_of(told())

@@ -177,18 +177,33 @@ def about_fixed_axes(orientations: FloatArray, covariances: FloatArray) -> Float
     return transformed(J, covariances)
 
 
-def known_of_ros(covariances: FloatArray) -> str:
-    """Why 36 covariances of ROS are no claim on a pose; empty where they are one.
+def claim_of_ros(orientations: FloatArray, covariances: FloatArray) -> dict[str, Any]:
+    """What 36 covariances of ROS (K, 6, 6) claim: `covariances`, `plane` and `notes` of the trajectory.
 
-    All zero, or negative in front, they are not known; zero along some axes, those are not estimated.
+    All zero, or negative in front, they are not known. Those of a robot in the plane are zero, or too large to say
+    anything, for z, roll and pitch: what is claimed is x, y and yaw, and the others are given the size of these.
     """
     if not covariances.any():
-        return "its covariances are all zero, which says that they are not known"
+        return {"notes": ["its covariances are all zero, which says that they are not known"]}
     if (covariances[:, 0, 0] < 0).all():
-        return "its covariances are marked as not known (-1)"
-    largest = np.abs(np.diagonal(covariances, axis1=1, axis2=2)).max(axis=0).tolist()
-    axes = [axis for axis, size in zip(("x", "y", "z", "roll", "pitch", "yaw"), largest, strict=True) if size == 0.0]
-    return f"its covariances are zero for {', '.join(axes)}, so there is none of a pose: not judged" if axes else ""
+        return {"notes": ["its covariances are marked as not known (-1)"]}
+    variances = np.abs(np.diagonal(covariances, axis1=1, axis2=2))
+    unknown = (variances == 0.0).all(axis=0) | (variances >= _SAYS_NOTHING).all(axis=0)
+    axes = [axis for axis, is_unknown in zip(_AXES, unknown.tolist(), strict=True) if is_unknown]
+    if not axes:
+        return {"covariances": about_fixed_axes(orientations, covariances)}
+    words = f"its covariances are zero, or too large to say anything, for {', '.join(axes)}"
+    if tuple(axes) != _AXES[2:5]:
+        return {"notes": [f"{words}, so there is none of a pose: not judged"]}
+    filled = np.zeros_like(covariances)
+    filled[:, _IN_PLANE[:, None], _IN_PLANE] = covariances[:, _IN_PLANE[:, None], _IN_PLANE]
+    filled[:, 2, 2] = 0.5 * (variances[:, 0] + variances[:, 1])
+    filled[:, 3, 3] = filled[:, 4, 4] = variances[:, 5]
+    return {
+        "covariances": about_fixed_axes(orientations, filled),
+        "plane": np.eye(3),
+        "notes": [f"{words}: it is judged in the plane, by x, y and yaw"],
+    }
 
 
 def _covariances(columns: Columns) -> tuple[FloatArray | None, dict[str, Any]]:
@@ -205,12 +220,13 @@ def _covariances(columns: Columns) -> tuple[FloatArray | None, dict[str, Any]]:
     orientations = np.stack([values[f"q{a}"] for a in "xyzw"], axis=1)
     if all(f"covariance{i}" in values for i in range(36)):
         found = np.stack([values[f"covariance{i}"] for i in range(36)], axis=1).reshape(-1, POSE_SIZE, POSE_SIZE)
-        if why := known_of_ros(found):
-            return None, {"notes": [why]}
-        return about_fixed_axes(orientations, found), {
-            "tangent": "position-rotation",
-            "notes": ["its covariances are read as those of ROS poses: the rotation about the axes of the world"],
-        }
+        claim = claim_of_ros(orientations, found)
+        if "covariances" in claim:
+            claim["notes"] = [
+                "its covariances are read as those of ROS poses: the rotation about the axes of the world",
+                *claim.get("notes", []),
+            ]
+        return claim.pop("covariances", None), claim
     if not all(name in values for name in _BLOCKS):
         return None, {}
     for part, kind in ((POSITION, "Pt"), (ROTATION, "Pr")):
@@ -229,6 +245,10 @@ def _covariances(columns: Columns) -> tuple[FloatArray | None, dict[str, Any]]:
     return about_fixed_axes(orientations, found) if fixed_axes else found, {"tangent": tangent}
 
 
+_AXES = ("x", "y", "z", "roll", "pitch", "yaw")
+_IN_PLANE = np.array([0, 1, 5])
+_SAYS_NOTHING = np.array([1e3, 1e3, 1e3, 10.0, 10.0, 10.0])
+"""m^2 and rad^2: variances that are never smaller are written by those who do not estimate an axis."""
 _REPRESENTATIONS = ("theta_R", "theta_q", "theta_so3", "R_small_theta", "q_small_theta", "so3_theta", "none")
 
 

@@ -122,7 +122,7 @@ def _alignments(scores: Sequence[TrajectoryScore]) -> Markup:
         f"two poses are taken as {' and '.join(dict.fromkeys(score.correlation for score in scores))}."
     )
     columns = [Column("estimate", kind="text"), Column("alignment", kind="text")]
-    columns += [Column("position RMSE", unit="m"), Column("NEES / 6"), Column("claim", kind="words")]
+    columns += [Column("position RMSE", unit="m"), Column("NEES / dof"), Column("claim", kind="words")]
     return part("section", "Alignments", guide, [table(columns, gauge_rows(scores))])
 
 

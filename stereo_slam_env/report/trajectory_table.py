@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
@@ -11,7 +12,7 @@ from rich.table import Table
 from scipy.stats import chi2
 
 from stereo_slam_env.evaluation.claims import COVERED, ClaimScore
-from stereo_slam_env.evaluation.consistency import DOF, mean_band
+from stereo_slam_env.evaluation.consistency import mean_band
 from stereo_slam_env.evaluation.figures import FIGURES, UNKNOWN
 from stereo_slam_env.evaluation.trajectory_runs import RunsScore
 from stereo_slam_env.evaluation.trajectory_score import TrajectoryScore
@@ -65,7 +66,9 @@ def notes_of(scores: Sequence[TrajectoryScore]) -> list[str]:
 
 def score_rows(scores: Sequence[TrajectoryScore]) -> list[tuple[str, list[str]]]:
     """Title and one cell an estimate of each row; rows that none of them has are left out."""
-    rows = [(title, [text(score) for score in scores]) for title, text in [*_ERRORS, *_CLAIMS, *_windows(scores)]]
+    kinds = {(name, claim.dof): None for score in scores for name, claim in score.claims.items()}
+    claims = [row for kind in kinds for row in _claim_rows(*kind)]
+    rows = [(title, [text(score) for score in scores]) for title, text in [*_ERRORS, *claims, *_windows(scores)]]
     return [(title, cells) for title, cells in rows if set(cells) != {UNKNOWN}]
 
 
@@ -106,8 +109,8 @@ def _figure(name: str) -> _Row:
     return figure.title, lambda score: figure.text(getattr(score, name))
 
 
-def _of(name: str, text: Callable[[ClaimScore], str]) -> Callable[[TrajectoryScore], str]:
-    return lambda score: text(score.claims[name]) if name in score.claims else UNKNOWN
+def _of(name: str, dof: int, text: Callable[[ClaimScore], str]) -> Callable[[TrajectoryScore], str]:
+    return lambda score: text(claim) if (claim := score.claims.get(name)) and claim.dof == dof else UNKNOWN
 
 
 def _nees(claim: ClaimScore) -> str:
@@ -130,23 +133,23 @@ def _coverage(claim: ClaimScore) -> str:
     return " / ".join(f"{100.0 * claim.coverage[p]:.0f}" for p in COVERED)
 
 
-def _claim_rows(name: str) -> list[_Row]:
-    dof, asked = DOF[name], " / ".join(f"{100.0 * p:.0f}" for p in COVERED)
+def _claim_rows(name: str, dof: int) -> list[_Row]:
+    of, asked = partial(_of, name, dof), " / ".join(f"{100.0 * p:.0f}" for p in COVERED)
     low, high = (end / dof for end in mean_band(dof, 1))
     return [
-        (f"{name} NEES / {dof} [95 %] (one run: {low:.2f} to {high:.2f})", _of(name, _nees)),
-        (f"  scale gap k, median NEES / {chi2.ppf(0.5, dof):.2f}", _of(name, _scale_gap)),
-        (f"  inside the {asked} % ellipsoid, %", _of(name, _coverage)),
-        ("  log score = calibration + sharpness, nats", _of(name, _log_score)),
-        ("  CRPS, energy score, m", _of(name, _distances)),
-        ("  claim", _of(name, lambda claim: "not judged" if claim.obstacle else claim.verdict)),
+        (f"{name} NEES / {dof} [95 %] (one run: {low:.2f} to {high:.2f})", of(_nees)),
+        (f"  scale gap k, median NEES / {chi2.ppf(0.5, dof):.2f}", of(_scale_gap)),
+        (f"  inside the {asked} % ellipsoid, %", of(_coverage)),
+        ("  log score = calibration + sharpness, nats", of(_log_score)),
+        ("  CRPS, energy score, m", of(_distances)),
+        ("  claim", of(lambda claim: "not judged" if claim.obstacle else claim.verdict)),
     ]
 
 
 def gauge_rows(scores: Sequence[TrajectoryScore]) -> list[list[str]]:
     """The claim on the pose under each alignment: a row an alignment and estimate."""
     return [
-        [score.estimate, one.alignment, f"{one.position_rmse_m:.3g}", f"{one.nees / DOF['pose']:.3g}", one.verdict]
+        [score.estimate, one.alignment, f"{one.position_rmse_m:.3g}", f"{one.nees / one.dof:.3g}", one.verdict]
         for score in scores
         for one in score.gauges
     ]
@@ -183,4 +186,3 @@ _ERRORS: list[_Row] = [
     ("aligned", alignment_text),
     *map(_figure, ("path_m", "position_rmse_m", "rotation_rmse_deg", "ate_rigid_m", "end_drift_percent")),
 ]
-_CLAIMS = [row for name in ("pose", "position", "rotation") for row in _claim_rows(name)]

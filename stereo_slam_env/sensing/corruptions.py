@@ -18,10 +18,11 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from filters import BodyVelocity, InertialSamples, StereoObservation
+from filters import BodyVelocity, StereoObservation
 from filters.contract.known_names import require_known
 from filters.geometry import rotations
 from filters.validation import FloatArray, positive, probability, whole_number
+from stereo_slam_env.recording.inertial import joined
 from stereo_slam_env.recording.recording import Frame, Recording, Velocity
 from stereo_slam_env.sensing.corrupted_measurements import (
     BiasedDisparity,
@@ -140,16 +141,8 @@ def _after_gap(frames: tuple[Frame, ...]) -> Frame:
         turn = rotations.log(rotations.matrix(rotations.between(first.truth.orientation, last.truth.orientation)))
         whole = float(durations.sum())
         velocity = Velocity((last.truth.position - first.truth.position) / whole, turn / whole)
-    return replace(last, odometry=odometry, truth_velocity=velocity, inertial=_joined(frames[1:], durations))
-
-
-def _joined(frames: tuple[Frame, ...], durations: FloatArray) -> InertialSamples | None:
-    """Inertial samples of all steps as those of one; None where a step has none."""
-    joined, elapsed = frames[0].inertial, 0.0
-    for frame, before in zip(frames[1:], durations, strict=False):
-        elapsed += before
-        joined = None if joined is None or frame.inertial is None else joined.followed_by(frame.inertial, elapsed)
-    return joined
+    inertial = joined([frame.inertial for frame in frames[1:]], durations)
+    return replace(last, odometry=odometry, truth_velocity=velocity, inertial=inertial)
 
 
 def _mean_odometry(steps: list[BodyVelocity], durations: FloatArray) -> BodyVelocity:

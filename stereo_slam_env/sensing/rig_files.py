@@ -89,13 +89,26 @@ def read_calibration(path: str | Path, right: str | Path | None = None, size: Si
 
 
 def body_of_camera(path: Path) -> FloatArray:
-    """T (4, 4) that takes points of the left camera, as mounted, to the body: T_BS, or T_cam_imu of cam0 inverted."""
+    """T (4, 4) that takes points of a sensor, as mounted, to the body: T_BS, or T_cam_imu of cam0 inverted."""
     table = _table(path)
     if "cam0" in table:
         return np.asarray(np.linalg.inv(_transform(path, table["cam0"], "T_cam_imu")), dtype=np.float64)
     if "cameras" in table:
         return _transform(path, table["cameras"][0], "T_BS") if "T_BS" in table["cameras"][0] else np.eye(4)
     return _transform(path, table, "T_BS")
+
+
+def noise_of_unit(path: Path) -> tuple[float, float, float, float]:
+    """Densities of gyros and accelerometers, and their walks, as of `InertialUnit`: EuRoC's and Kalibr's entries."""
+    table = _table(path)
+    kinds = (
+        "gyroscope_noise_density",
+        "accelerometer_noise_density",
+        "gyroscope_random_walk",
+        "accelerometer_random_walk",
+    )
+    gyro, accelerometer, gyro_walk, accelerometer_walk = (float(_numbers(path, table, kind, 1)[0]) for kind in kinds)
+    return gyro, accelerometer, gyro_walk, accelerometer_walk
 
 
 def _file_of(path: Path) -> Path:

@@ -15,6 +15,7 @@ from stereo_slam_env.simulator.motion import (
     move,
     nearest_frame,
     rotation_of,
+    route_of,
     route_velocity,
     times,
 )
@@ -39,14 +40,14 @@ def _begin(rules: Rules, fleet: Fleet, b: int) -> None:
     fleet.step[b], fleet.nearest[b], fleet.farthest[b], fleet.distance[b] = 0, 0, 0.0, 0.0
     fleet.lost[b, :], fleet.measured_at[b, :] = False, -1
     if rules.steered:
-        fleet.car[b, 0], fleet.car[b, 1], fleet.car[b, 2] = rules.speeds[0], 0.0, 0.0
-        velocity[2] = rules.speeds[0]
+        fleet.car[b, 0], fleet.car[b, 1], fleet.car[b, 2] = fleet.speeds[b, 0], 0.0, 0.0
+        velocity[2] = fleet.speeds[b, 0]
         return
     used = fleet.used[b, MOTION]
     for i in range(6):
         fleet.sway[b, i] = rules.sway[0, i] * fleet.normals[b, MOTION, used + i]
     fleet.used[b, MOTION] = used + 6
-    route_velocity(rules, body, fleet.sway[b], 0, velocity)
+    route_velocity(rules, fleet, b, 0)
 
 
 @njit(**KERNEL)
@@ -72,17 +73,24 @@ def _touches(rules: Rules, fleet: Fleet, waiting: IntArray, b: int) -> bool:
 def _judge(rules: Rules, fleet: Fleet, sensed: Sensed, waiting: IntArray, b: int) -> None:
     """Terms of the reward of a step, and whether it was the last one."""
     body, terms = fleet.body[b], sensed.terms
-    nearest = nearest_frame(rules.positions, rules.arc_length, body[0], body[2], fleet.nearest[b])
+    positions, arc_length = route_of(fleet, b)
+    nearest, end = nearest_frame(positions, arc_length, body[0], body[2], fleet.nearest[b]), len(arc_length) - 1
     fleet.nearest[b] = nearest
-    advanced = max(0.0, rules.arc_length[nearest] - fleet.farthest[b])
+    advanced = max(0.0, arc_length[nearest] - fleet.farthest[b])
     fleet.farthest[b] += advanced
     collision = _touches(rules, fleet, waiting, b)
-    p = rules.positions[nearest]
-    away = math.sqrt((p[0] - body[0]) ** 2 + (p[1] - body[1]) ** 2 + (p[2] - body[2]) ** 2) > ARENA
-    failed = collision or away
-    last = nearest == len(rules.arc_length) - 1 if rules.steered else fleet.step[b] >= len(rules.speeds)
+    x, y, z = body[0] - positions[nearest, 0], body[1] - positions[nearest, 1], body[2] - positions[nearest, 2]
+    failed = collision or math.sqrt(x * x + y * y + z * z) > ARENA
+    paid = advanced
+    if rules.steered:
+        R = fleet.attitudes[b, nearest]
+        beside = abs(R[0] * x + R[3] * y + R[6] * z)
+        sensed.beside[b] = beside
+        failed = failed or beside > rules.lane
+        paid *= max(1.0 - (beside / rules.lane) ** 2, 0.0)
+    last = nearest == end if rules.steered else fleet.step[b] >= end
     sensed.collision[b], sensed.failed[b], sensed.success[b] = collision, failed, last and not failed
-    terms[0, b], terms[1, b] = advanced, advanced * (sensed.number[b] / rules.most)
+    terms[0, b], terms[1, b] = paid, paid * (sensed.number[b] / rules.most)
     terms[2, b], terms[3, b], terms[4, b] = -1.0 * failed, 1.0 * sensed.success[b], -rules.dt
     if rules.has_head:
         pan = fleet.turned[b, 0] / (rules.head[1, 0] * rules.dt)
@@ -116,7 +124,7 @@ def run_frame(
         pose = fleet.pose[b]
         if parts & MOVE:
             sensed.terms[:, b], sensed.reward[b] = 0.0, 0.0
-            sensed.collision[b], sensed.failed[b], sensed.success[b] = False, False, False
+            sensed.collision[b], sensed.failed[b], sensed.success[b], sensed.beside[b] = False, False, False, 0.0
             if doing[b] == FIRST:
                 _begin(rules, fleet, b)
                 sensed.number[b] = 0

@@ -57,6 +57,13 @@ def turn_between(a: Nine, b: Nine) -> Three:
     return vector_of(q[0], q[1], q[2], q[3])
 
 
+@njit(**KERNEL)
+def route_of(fleet: Fleet, b: int) -> tuple[FloatArray, FloatArray]:
+    """Positions (K, 3) and arc length (K,) of the route of a row."""
+    frames = fleet.sizes[b, 3]
+    return fleet.positions[b, :frames], fleet.arc_length[b, :frames]
+
+
 LOOK_AHEAD = (2.0, 5.0, 10.0, 20.0, 30.0)
 """Distances along the route of the points of the route in the observation, m."""
 _REACH = 30.0
@@ -128,19 +135,20 @@ def nearest_frame(positions: FloatArray, arc_length: FloatArray, x: float, z: fl
 
 
 @njit(**KERNEL)
-def route_velocity(rules: Rules, pose: FloatArray, sway: FloatArray, step: int, velocity: FloatArray) -> None:
-    """Velocity of a scripted drive: linear in W, angular in the camera frame, into `velocity` (6,); see `Sway`."""
-    T, R = rules.travel[step], rotation_of(pose)
+def route_velocity(rules: Rules, fleet: Fleet, b: int, step: int) -> None:
+    """Velocity of a scripted drive: linear in W, angular in the camera frame; see `Sway`."""
+    pose, sway, velocity = fleet.body[b], fleet.sway[b], fleet.velocity[b]
+    T, R = fleet.travel[b, step], rotation_of(pose)
     travel = (T[0], T[1], T[2], T[3], T[4], T[5], T[6], T[7], T[8])
-    N = rules.attitudes[step]
+    N = fleet.attitudes[b, step]
     nominal = (N[0], N[1], N[2], N[3], N[4], N[5], N[6], N[7], N[8])
-    at = rules.positions[step]
+    at = fleet.positions[b, step]
     off0, off1, off2 = back(travel, pose[0] - at[0], pose[1] - at[1], pose[2] - at[2])
     tilt0, tilt1, tilt2 = turn_between(nominal, R)
-    turn0, turn1, turn2 = back(R, 0.0, rules.yaw_rates[step], 0.0)
+    turn0, turn1, turn2 = back(R, 0.0, fleet.yaw_rates[b, step], 0.0)
     pull = rules.pull
     velocity[0], velocity[1], velocity[2] = times(
-        travel, sway[0] - pull * off0, sway[1] - pull * off1, rules.speeds[step] + sway[2] - pull * off2
+        travel, sway[0] - pull * off0, sway[1] - pull * off1, fleet.speeds[b, step] + sway[2] - pull * off2
     )
     velocity[3] = turn0 + sway[3] - pull * tilt0
     velocity[4] = turn1 + sway[4] - pull * tilt1
@@ -150,13 +158,15 @@ def route_velocity(rules: Rules, pose: FloatArray, sway: FloatArray, step: int, 
 @njit(**KERNEL)
 def agent_velocity(rules: Rules, car: FloatArray, acceleration: float, steering: float, velocity: FloatArray) -> None:
     """Mean velocity of a step of the kinematic bicycle; `car` (3,) is speed, steering angle and heading."""
-    wheelbase, forward, max_speed, max_acceleration, max_steering, max_rate = rules.car
+    wheelbase, forward, max_speed, max_acceleration, max_steering, max_rate, grip = rules.car
     dt, before = rules.dt, car[0]
     car[0] = min(max(before + acceleration * max_acceleration * dt, 0.0), max_speed)
     most = max_rate * dt
     car[1] += min(max(steering * max_steering - car[1], -most), most)
     distance = 0.5 * (before + car[0]) * dt
     turn = distance * math.tan(car[1]) / wheelbase
+    if abs(turn) * distance > grip * dt * dt:  # it slides
+        turn = math.copysign(grip * dt * dt / distance, turn)
     half = 0.5 * turn
     chord = distance * (math.sin(half) / half if half != 0.0 else 1.0)
     old, middle, new = car[2], car[2] + half, car[2] + turn
@@ -195,7 +205,7 @@ def move(rules: Rules, fleet: Fleet, b: int, action: FloatArray) -> None:
         for i in range(6):
             sway[i] = rules.sway[1, i] * sway[i] + rules.sway[2, i] * fleet.normals[b, MOTION, used + i]
         fleet.used[b, MOTION] = used + 6
-        route_velocity(rules, body, sway, fleet.step[b], velocity)
+        route_velocity(rules, fleet, b, fleet.step[b])
     x, y, z = body[0], body[1], body[2]
     advance_pose(body, velocity, rules.dt)
     fleet.distance[b] += math.sqrt((body[0] - x) ** 2 + (body[1] - y) ** 2 + (body[2] - z) ** 2)

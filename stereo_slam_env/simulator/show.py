@@ -9,7 +9,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from filters.validation import FloatArray, IntArray
-from stereo_slam_env.simulator.motion import LOOK_AHEAD, route_ahead
+from stereo_slam_env.simulator.motion import LOOK_AHEAD, route_ahead, route_of
 from stereo_slam_env.simulator.rays import OPTIONS
 from stereo_slam_env.simulator.state import ARENA, Fleet, Rules, Sensed
 
@@ -64,7 +64,7 @@ def show(rules: Rules, fleet: Fleet, sensed: Sensed) -> Shown:
 
 @njit(**OPTIONS)
 def _show(rules: Rules, fleet: Fleet, sensed: Sensed, shown: Shown) -> None:
-    most, length = rules.most, rules.arc_length[-1]
+    most = rules.most
     for b in range(len(fleet.step)):
         count, pose, velocity = sensed.number[b], fleet.pose[b], fleet.velocity[b]
         for k in range(most):
@@ -77,11 +77,12 @@ def _show(rules: Rules, fleet: Fleet, sensed: Sensed, shown: Shown) -> None:
         for i in range(6):
             limit = MAX_VELOCITY[i]
             shown.odometry[b, i] = min(max(sensed.odometry[b, i], -limit), limit)
-        shown.progress[b, 0] = fleet.farthest[b] / length
+        positions, arc_length = route_of(fleet, b)
+        shown.progress[b, 0] = fleet.farthest[b] / arc_length[-1]
         for i in range(2):
             shown.car[b, i], shown.head[b, i] = fleet.car[b, i], fleet.angles[b, i]
         if rules.steered:
-            route_ahead(rules.positions, rules.arc_length, fleet.nearest[b], fleet.body[b], ARENA, shown.route[b])
+            route_ahead(positions, arc_length, fleet.nearest[b], fleet.body[b], ARENA, shown.route[b])
         for i in range(3):
             shown.position[b, i], shown.linear_velocity[b, i] = pose[i], velocity[i]
             shown.angular_velocity[b, i] = velocity[3 + i]

@@ -23,6 +23,7 @@ from stereo_slam_env.simulator.scenes import SceneArrays, put_scene, with_room
 from stereo_slam_env.simulator.show import Shown, show
 from stereo_slam_env.simulator.state import NO_NOISE, NOISE_KINDS, Rules, empty_fleet, empty_sensed
 from stereo_slam_env.simulator.streams import Streams
+from stereo_slam_env.world.routes import Route
 
 START_SIGMAS: FloatArray = np.repeat([1e-6, 1e-6, 0.5, 0.05], 3)
 """What is known at the start of position, rotation, linear and angular velocity: m, rad, m/s, rad/s."""
@@ -125,6 +126,13 @@ class Simulator(Kept):
     def measures_right(self) -> bool:
         """Whether the row in the right image is measured on its own."""
         return self.rules.noise != NOISE_KINDS["uvd"]
+
+    def route(self, b: int) -> Route:
+        """The nominal drive of a row; a `RuntimeError` before its first scene."""
+        scene = self.scenes[b]
+        if scene is None:
+            raise RuntimeError("there is no route yet: reset the environment first")
+        return scene.route
 
     def pose(self, b: int) -> Pose:
         """True pose of the left camera of a row."""

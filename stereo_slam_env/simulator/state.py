@@ -14,7 +14,7 @@ from filters.validation import BoolArray, FloatArray, IntArray
 from stereo_slam_env.sensing.rigs import CAMERA_HEIGHT
 from stereo_slam_env.sensing.tracking import TrackingPolicy
 from stereo_slam_env.simulator.rays import COLUMNS
-from stereo_slam_env.world.routes import FRAME_PERIOD, Route
+from stereo_slam_env.world.routes import FRAME_PERIOD
 from stereo_slam_env.world.vehicle import Car, Head, Sway
 
 NOISE_KINDS = {"pixels": 0, "quantised": 1, "uvd": 2}
@@ -47,22 +47,14 @@ class Rules(NamedTuple):
     exact: bool
     """Whether rays and contacts are computed here; otherwise `Fleet.seen` and `Fleet.touching` have the answers."""
     odometry_sigmas: FloatArray
-    positions: FloatArray
-    """Of the route, (K, 3)."""
-    arc_length: FloatArray
-    """(K,)."""
-    speeds: FloatArray
-    yaw_rates: FloatArray
-    travel: FloatArray
-    """Of the directions of the steps, (K - 1, 9)."""
-    attitudes: FloatArray
-    """(K, 9)."""
     sway: FloatArray
     """Standard deviations, decays and fresh parts of the disturbance of a scripted drive, (3, 6)."""
     pull: float
     steered: bool
     car: tuple[float, ...]
-    """Wheelbase, camera forward, largest speed, acceleration, steering angle and steering rate."""
+    """Wheelbase, camera forward, largest speed, acceleration, steering angle, steering rate, lateral acceleration."""
+    lane: float
+    """How far beside the route a car that is steered may be, m."""
     body: FloatArray
     """Half the size of the car's body, and its centre in the camera frame; (2, 3)."""
     has_head: bool
@@ -73,7 +65,7 @@ class Rules(NamedTuple):
 
 
 class Fleet(NamedTuple):
-    """State of B rows; landmarks, solids and moving bodies have room for the largest scene."""
+    """State of B rows; landmarks, solids, moving bodies and routes have room for the largest scene."""
 
     body: FloatArray
     """Position and orientation of the camera as if it looked straight ahead, (B, 7)."""
@@ -103,10 +95,22 @@ class Fleet(NamedTuple):
     """Landmarks that nothing hides, where the rules are not exact; (B, L)."""
     touching: BoolArray
     """Whether the car touches something, where the rules are not exact; (B,)."""
+    positions: FloatArray
+    """Of the route, (B, K, 3)."""
+    arc_length: FloatArray
+    """(B, K)."""
+    speeds: FloatArray
+    """Of the steps, (B, K), the last one unused, as those of `yaw_rates` and `travel`."""
+    yaw_rates: FloatArray
+    """(B, K)."""
+    travel: FloatArray
+    """Of the directions of the steps, (B, K, 9)."""
+    attitudes: FloatArray
+    """(B, K, 9)."""
     landmarks: FloatArray
     """In W, (B, 3, L)."""
     sizes: IntArray
-    """Landmarks of a scene, nodes of the tree of its solids, moving bodies; (B, 3)."""
+    """Landmarks of a scene, nodes of the tree of its solids, moving bodies, frames of the route; (B, 4)."""
     solids: FloatArray
     bounds: NDArray[np.float32]
     links: IntArray
@@ -148,13 +152,14 @@ class Sensed(NamedTuple):
     terms: FloatArray
     """Of the reward, with weights, (6, B)."""
     reward: FloatArray
+    beside: FloatArray
+    """Distance of a car that is steered from its route, to the side, m; (B,)."""
     collision: BoolArray
     failed: BoolArray
     success: BoolArray
 
 
 def make_rules(
-    route: Route,
     camera: StereoCamera,
     tracking: TrackingPolicy = TrackingPolicy(),  # noqa: B008 (frozen)
     *,
@@ -165,16 +170,15 @@ def make_rules(
     odometry_sigmas: tuple[float, float] = ODOMETRY_SIGMAS,
     perturbation: float = 1.0,
     steered: bool = False,
+    lane: float = math.inf,
     head: Head | None = None,
     weights: Mapping[str, float] | None = None,
     exact: bool = True,
 ) -> Rules:
-    """Rules of vehicles on a route.
+    """Rules of vehicles that drive along the routes of their scenes.
 
     Parameters
     ----------
-    route : Route
-        The nominal drive.
     camera : StereoCamera
         The rig.
     tracking : TrackingPolicy
@@ -191,6 +195,8 @@ def make_rules(
         Scale of the sway of a scripted drive.
     steered : bool
         Whether commands drive the car, and not a script.
+    lane : float
+        How far beside the route a car that is steered may be, m.
     head : Head, optional
         What carries the cameras; None: they are fixed to the car.
     weights : mapping, optional
@@ -212,18 +218,20 @@ def make_rules(
         lasting=(float(lasting), 1.0 if lasting_time is None else math.exp(-FRAME_PERIOD / lasting_time)),
         exact=exact,
         odometry_sigmas=np.repeat(odometry_sigmas, 3).astype(float),
-        positions=route.positions,
-        arc_length=route.arc_length,
-        speeds=route.speeds,
-        yaw_rates=route.yaw_rates,
-        travel=route.travel.reshape(-1, 9),
-        attitudes=route.attitudes.reshape(-1, 9),
         sway=sway.numbers,
         pull=sway.PULL,
         steered=steered,
         car=_numbers(
-            car, "wheelbase", "camera_forward", "max_speed", "max_acceleration", "max_steering", "max_steering_rate"
+            car,
+            "wheelbase",
+            "camera_forward",
+            "max_speed",
+            "max_acceleration",
+            "max_steering",
+            "max_steering_rate",
+            "max_lateral_acceleration",
         ),
+        lane=float(lane),
         body=np.array([[0.5 * side for side in car.size], car.body_c]),
         has_head=head is not None,
         head=np.array([head.max_angles, head.max_rates]) if head else np.ones((2, 2)),
@@ -256,8 +264,14 @@ def empty_fleet(count: int, normals: int, *, lasting: bool) -> Fleet:
         inside=np.zeros((count, 0), dtype=np.uint8),
         seen=np.zeros((count, 0), dtype=np.bool_),
         touching=np.zeros(count, dtype=np.bool_),
+        positions=np.zeros((count, 0, 3)),
+        arc_length=np.zeros((count, 0)),
+        speeds=np.zeros((count, 0)),
+        yaw_rates=np.zeros((count, 0)),
+        travel=np.zeros((count, 0, 9)),
+        attitudes=np.zeros((count, 0, 9)),
         landmarks=np.zeros((count, 3, 0)),
-        sizes=np.zeros((count, 3), dtype=np.int64),
+        sizes=np.zeros((count, 4), dtype=np.int64),
         solids=np.zeros((count, 0, COLUMNS)),
         bounds=np.zeros((count, 0, 6, 8), dtype=np.float32),
         links=np.zeros((count, 0, 8), dtype=np.int64),
@@ -284,6 +298,7 @@ def empty_sensed(count: int, most: int) -> Sensed:
         odometry=np.zeros((count, 6)),
         terms=np.zeros((len(WEIGHTS), count)),
         reward=np.zeros(count),
+        beside=np.zeros(count),
         collision=np.zeros(count, dtype=np.bool_),
         failed=np.zeros(count, dtype=np.bool_),
         success=np.zeros(count, dtype=np.bool_),

@@ -57,9 +57,12 @@ class CoverageRows(RowsWrapper):
     def begin(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
         """See `Rows`; nothing is mapped yet."""
         self.rows.begin(chosen, seeds, options)
-        road, farthest = self.needed("route").positions[:, [0, 2]], self.needed("options").tracking.farthest
+        farthest = self.needed("options").tracking.farthest
         for b in np.flatnonzero(chosen).tolist():
-            places = self.world.landmark_truth(b).positions[:, [0, 2]]
+            places, road = (
+                self.world.landmark_truth(b).positions[:, [0, 2]],
+                self.world.route_of(b).positions[:, [0, 2]],
+            )
             self._in_reach[b] = np.linalg.norm(places[:, None] - road, axis=-1).min(axis=1) <= farthest
             self._mapped[b] = np.zeros(len(places), dtype=np.bool_)
         self._now[chosen] = self._looked(chosen)[chosen]
@@ -165,7 +168,7 @@ def explore(
     level : {"easy", "normal", "hard"}
         Difficulty, see `LEVELS`.
     arguments : mapping, optional
-        Of `StereoSlam/DriveGaze-v0`; JSON-able. The route is "loop" unless given here.
+        Of `StereoSlam/DriveGaze-v0`; JSON-able. The route is "random-loop" unless given here.
     filter : str
         Name of the filter in the loop.
     filter_options : mapping
@@ -176,7 +179,7 @@ def explore(
         `num_envs`, `scenes` and `threads`: that many in rows, instead of one environment.
     """
     unpaid = dict.fromkeys(("progress_weight", "tracking_weight", "goal_weight", "effort_weight"), 0.0)
-    own = {"render_mode": render_mode, "route": "loop", **unpaid}
+    own = {"render_mode": render_mode, "route": "random-loop", "time_weight": 0.05, **unpaid}
     inside = inner_environment("StereoSlam/DriveGaze-v0", level, arguments or {}, many, **own)
     inside = BeliefPanorama.around(BeliefObservation.around(inside, filter=filter, options=filter_options))
     weights = {"coverage_weight": coverage_weight, "path_weight": path_weight}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
 import gymnasium as gym
@@ -11,6 +12,7 @@ from gymnasium import spaces
 
 from filters.validation import BoolArray, FloatArray, positive, whole_number
 from stereo_slam_env.envs.rows import Arrays, Rows, RowsWrapper, Seeds, Step
+from stereo_slam_env.simulator.state import ODOMETRY_SIGMAS
 from stereo_slam_env.tasks.levels import inner_environment
 from stereo_slam_env.training.task import GAZE_FILTER
 from stereo_slam_env.world.routes import Route
@@ -20,6 +22,10 @@ from stereo_slam_env.wrappers.vectors import vector_of
 
 KEYS = ("belief_sigmas", "panorama", "ahead", "price")
 STOP, GO_ON = 0, 1
+DEAREST: Mapping[str, float] = MappingProxyType({"easy": 0.2, "normal": 0.4, "hard": 0.8})
+"""Highest price of a metre at each level, nats."""
+_ODOMETRY = {"odometry_sigma_linear": ODOMETRY_SIGMAS[0], "odometry_sigma_angular": ODOMETRY_SIGMAS[1]}
+"""The same at each level: the worse it is, the more there is to learn where a loop closes."""
 _FARTHEST = 1000.0
 """Bound of the key `ahead`, m."""
 _AWAY, _PAST = 30.0, 3.0
@@ -31,7 +37,7 @@ _BEYOND, _KNOWN_AGAIN = 5.0, -48.0
 class LoopClosureRows(RowsWrapper):
     """What `LoopClosure` does, on rows; see there."""
 
-    changes = ("_steps", "_price", "_driven", "_total", "_learnt", "_path")
+    changes = ("_closing", "_steps", "_price", "_driven", "_total", "_learnt", "_path")
 
     def __init__(self, rows: Rows, begin: Sequence[float], dearest: float, hold: int) -> None:
         super().__init__(rows)
@@ -40,12 +46,12 @@ class LoopClosureRows(RowsWrapper):
             raise ValueError(f"begin must be two shares that ascend to 1 at most, got {tuple(begin)}")
         self._begin, self._dearest = (low, high), positive("dearest", dearest)
         self._hold = whole_number("hold", hold, 1)
-        self._arc_length: FloatArray = self.needed("route").arc_length
-        self._closing = closing_distance(self.needed("route"))
+        closing_distance(self.needed("route"))  # refused before the first episode
+        self._closing = np.zeros(rows.count)
         self._still = np.zeros((rows.count, *rows.action_space.shape), dtype=np.float32)
         added = {
             "ahead": spaces.Box(-_FARTHEST, _FARTHEST, (1,), np.float32),
-            "price": spaces.Box(0.0, dearest, (1,), np.float32),
+            "price": spaces.Box(0.0, max(dearest, max(DEAREST.values())), (1,), np.float32),
         }
         self.observation_space = spaces.Dict({**self.dict_space(), **added})
         self.action_space = spaces.Discrete(2)
@@ -59,12 +65,13 @@ class LoopClosureRows(RowsWrapper):
         begins = np.zeros(self.count)
         for b in np.flatnonzero(chosen).tolist():
             generator = self.world.generator(b)
+            self._closing[b] = closing_distance(self.world.route_of(b))
             begins[b] = generator.uniform(*self._begin)
             self._price[b] = generator.uniform(0.0, self._dearest)
         for numbers in (self._steps, self._total, self._learnt, self._path):
             numbers[chosen] = 0
         while True:
-            going = chosen & (self._arc_length[self._steps] < begins * self._closing)
+            going = chosen & (self._driven_by_script() < begins * self._closing)
             if not going.any():
                 break
             self._drive(going)
@@ -93,11 +100,16 @@ class LoopClosureRows(RowsWrapper):
     def look(self) -> tuple[Arrays, Arrays]:
         """See `Rows`."""
         observation, info = self.rows.look()
-        ahead = self._closing - self._arc_length[self._steps]
+        ahead = self._closing - self._driven_by_script()
         added = {"ahead": ahead[:, None].astype(np.float32), "price": self._price[:, None].astype(np.float32)}
         rewards = {"reward_information": self._learnt.copy(), "reward_path": self._path.copy()}
         success = (ahead <= 0.0) & (self._total > 0.0)
         return {**observation, **added}, {**info, **rewards, "is_success": success}
+
+    def _driven_by_script(self) -> FloatArray:
+        """Planned distances of all rows along their routes, m; (B,)."""
+        lengths = (self.world.route_of(b).arc_length[step] for b, step in enumerate(self._steps.tolist()))
+        return np.fromiter(lengths, dtype=np.float64, count=self.count)
 
     def _drive(self, going: BoolArray) -> Step:
         """A step of the rows inside."""
@@ -164,7 +176,7 @@ def revisit(
     filter: str = "shared-anchor",
     filter_options: Mapping[str, Any] = GAZE_FILTER,
     begin: Sequence[float] = (0.5, 0.95),
-    dearest: float = 0.4,
+    dearest: float | None = None,
     hold: int = 10,
     many: Mapping[str, Any] | None = None,
 ) -> Any:
@@ -184,18 +196,22 @@ def revisit(
     level : {"easy", "normal", "hard"}
         Difficulty, see `LEVELS`.
     arguments : mapping, optional
-        Of `StereoSlam/Gaze-v0`; JSON-able. The route is "loop" unless given here.
+        Of `StereoSlam/Gaze-v0`; JSON-able. The route is "random-loop" unless given here.
     filter : str
         Name of the filter in the loop.
     filter_options : mapping
         Its options; one that drops what is out of view cannot close a loop.
-    begin, dearest, hold
+    begin, hold
         Of `LoopClosure`.
+    dearest : float, optional
+        Of `LoopClosure`; None: that of the level in `DEAREST`.
     many : mapping, optional
         `num_envs`, `scenes` and `threads`: that many in rows, instead of one environment.
     """
-    own = {"render_mode": render_mode, "route": "loop"}
-    inside = inner_environment("StereoSlam/Gaze-v0", level, arguments or {}, many, **own)
+    own = {"render_mode": render_mode, "route": "random-loop"}
+    given = {**_ODOMETRY, **(arguments or {})}
+    inside = inner_environment("StereoSlam/Gaze-v0", level, given, many, **own)
+    dearest = DEAREST[level] if dearest is None else dearest
     inside = BeliefPanorama.around(BeliefObservation.around(inside, filter=filter, options=filter_options))
     paid = InformationGain.around(inside, of="pose", resolution=(0.01, 0.001))
     return SelectedKeys.around(LoopClosure.around(paid, begin=begin, dearest=dearest, hold=hold), keys=KEYS)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, Literal, get_args
 
 import gymnasium as gym
@@ -11,11 +11,12 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from filters.contract.known_names import one_of
-from filters.validation import FloatArray, positive, whole_number
+from filters.validation import BoolArray, FloatArray, positive, whole_number
 from stereo_slam_env.envs.rows import Rows
 from stereo_slam_env.envs.vector_env import RowsVectorEnv, limited
 from stereo_slam_env.policies.interface import require_head
 from stereo_slam_env.policies.network import Network
+from stereo_slam_env.policies.rows import TrueFigures, true_figures
 from stereo_slam_env.wrappers import (
     BeliefObservation,
     BeliefPanorama,
@@ -188,27 +189,23 @@ class Evaluation:
     """NEES of the position at the end, over its 3 degrees of freedom: more than 1 is claimed than is true."""
 
 
-def evaluate(network: Network | None, task: GazeTask, seeds: Sequence[int], *, threads: int = 1) -> Evaluation:
+def network_figures(network: Network | None, task: GazeTask, seeds: Sequence[int], *, threads: int = 1) -> TrueFigures:
     """Run an episode for each seed, all in lock-step; without a network the head looks straight ahead."""
-    env = replace(task, pans=None).make_vector(len(seeds), threads=threads)
+    vector = replace(task, pans=None).make_vector(len(seeds), threads=threads)
+    actions = np.zeros(vector.action_space.shape or (), dtype=np.float32)
+
+    def act(observation: Any, going: BoolArray) -> Any:
+        if network is not None:
+            actions[:, -2:] = network.actions(observation)
+        return actions
+
     try:
-        observation, info = env.reset(seed=list(seeds))
-        actions = np.zeros(env.action_space.shape or (), dtype=np.float32)
-        going, figures, squares, steps = np.ones(len(seeds), dtype=np.bool_), np.zeros((len(seeds), 5)), 0.0, 0
-        while going.any():
-            if network is not None:
-                actions[:, -2:] = network.actions(observation)
-            observation, _, terminated, truncated, info = env.step(actions)
-            offsets = env.filters.poses[:, :3] - info["truth_position"]
-            errors = np.linalg.norm(offsets, axis=1)
-            squares, steps = squares + errors**2, steps + 1
-            ended = going & (terminated | truncated)
-            P = env.filters.pose_covariances[ended]
-            sigmas = np.sqrt(np.einsum("bii->b", P[:, :3, :3]))
-            rmse = np.sqrt(squares[ended] / steps) if ended.any() else np.zeros(0)
-            nees = np.einsum("bi,bi->b", offsets[ended], np.linalg.solve(P[:, :3, :3], offsets[ended, :, None])[..., 0])
-            figures[ended] = np.column_stack([sigmas, np.linalg.slogdet(P)[1], rmse, errors[ended], nees / 3.0])
-            going &= ~ended
+        return true_figures(vector, lambda _: act, seeds)
     finally:
-        env.close()
-    return Evaluation(*figures.mean(axis=0).tolist())
+        vector.close()
+
+
+def evaluate(network: Network | None, task: GazeTask, seeds: Sequence[int], *, threads: int = 1) -> Evaluation:
+    """Means of `network_figures`."""
+    figures = network_figures(network, task, seeds, threads=threads)
+    return Evaluation(**{part.name: float(getattr(figures, part.name).mean()) for part in fields(Evaluation)})

@@ -6,7 +6,7 @@ import logging
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cache, cached_property, wraps
+from functools import cache, cached_property, partial, wraps
 from importlib.metadata import entry_points
 from pathlib import Path
 from types import MappingProxyType
@@ -14,12 +14,12 @@ from typing import TypeVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
 
 from filters.contract.known_names import did_you_mean
 from filters.geometry import rotations
 from filters.validation import FloatArray, positive
 from stereo_slam_env.files.readers import read_poses
+from stereo_slam_env.world.recorded_paths import require_one_drive, smoothed, steady, strides
 
 ENTRY_POINT_GROUP = "stereo_slam.scenes"
 """Functions of installed packages that register scenes and routes."""
@@ -60,12 +60,12 @@ class Route:
     @cached_property
     def travel(self) -> FloatArray:
         """Rotation of a camera that looks in the direction of travel of each step; (K - 1, 3, 3)."""
-        return np.array([rotations.exp([0.0, yaw, 0.0]) for yaw in self.middle_headings])
+        return _yawed(self.middle_headings)
 
     @cached_property
     def attitudes(self) -> FloatArray:
         """Nominal rotation R_wc of the camera at each frame; (K, 3, 3)."""
-        return np.array([rotations.exp([0.0, yaw, 0.0]) for yaw in self.headings])
+        return _yawed(self.headings)
 
     @cached_property
     def positions(self) -> FloatArray:
@@ -137,6 +137,11 @@ def pulse(time: FloatArray, start: float, end: float, ramp: float) -> FloatArray
     return (0.5 - 0.5 * np.cos(np.pi * np.clip(edge, 0.0, 1.0))).astype(np.float64)
 
 
+def _yawed(yaws: FloatArray) -> FloatArray:
+    """Rotations by yaws (N,) about y, rad; (N, 3, 3)."""
+    return rotations.exp(np.stack([np.zeros_like(yaws), yaws, np.zeros_like(yaws)], axis=1))
+
+
 def _step_times(frames: int) -> FloatArray:
     return (np.arange(frames - 1, dtype=np.float64) + 0.5) * FRAME_PERIOD
 
@@ -176,11 +181,66 @@ def loop() -> Route:
     return Route("loop", speeds, yaw_rates)
 
 
+def random_town(rng: np.random.Generator) -> Route:
+    """A drive with one to four turns to either side: 60 to 350 m, at 4 to 6 m/s between the turns."""
+    angles, heading = rng.uniform(0.5, 1.7, rng.integers(1, 5)), 0.0
+    for number, angle in enumerate(angles):
+        turn = rng.choice([-angle, angle])
+        angles[number] = turn if abs(heading + turn) < _FARTHEST_ROUND else -turn  # it does not cross itself
+        heading += angles[number]
+    legs = np.concatenate([rng.uniform(15.0, 50.0, 1), rng.uniform(30.0, 70.0, len(angles))])
+    return _turning("random-town", legs, angles, rng.uniform(4.0, 6.0), rng.uniform(9.0, 14.0, len(angles)))
+
+
+def random_loop(rng: np.random.Generator) -> Route:
+    """Round a block with sides of 45 to 80 m, to the left or to the right, and 24 m further."""
+    first, second = rng.uniform(45.0, 80.0, 2)
+    begun = rng.uniform(0.35, 0.65) * first
+    legs = np.array([begun, second, first, second, first - begun + _BEYOND])
+    angles = np.full(4, rng.choice([-1.0, 1.0]) * 0.5 * np.pi)
+    return _turning("random-loop", legs, angles, rng.uniform(4.0, 5.5), np.full(4, rng.uniform(9.0, 14.0)))
+
+
+def _turning(name: str, legs: FloatArray, angles: FloatArray, cruise: float, radii: FloatArray) -> Route:
+    """Straight legs (T + 1,), m, and the turns (T,) between them, rad, with these mean radii, m, at 3 m/s."""
+    fast, slow, ramp = cruise * FRAME_PERIOD, _TURN_SPEED * FRAME_PERIOD, round(_RAMP / FRAME_PERIOD)
+    rise = slow + (fast - slow) * (0.5 - 0.5 * np.cos(np.pi * (np.arange(ramp) + 0.5) / ramp))
+    steps, yaws = [], []  # m and rad in each step
+    for number, leg in enumerate(legs):
+        before, after = rise[: ramp * (number > 0)], rise[: ramp * (number < len(angles))][::-1]
+        even = max(round((leg - before.sum() - after.sum()) / fast), 0)
+        steps += [before, np.full(even, fast), after]
+        yaws.append(np.zeros(len(before) + even + len(after)))
+        if number < len(angles):
+            time = _step_times(max(round(abs(angles[number]) * radii[number] / slow), 2 * ramp) + 1)
+            shape = pulse(time, 0.0, len(time) * FRAME_PERIOD, 1.2)
+            steps.append(np.full(len(time), slow))
+            yaws.append(angles[number] * shape / shape.sum())
+    return Route(name, np.concatenate(steps) / FRAME_PERIOD, np.concatenate(yaws) / FRAME_PERIOD)
+
+
+def _typical(draw: Callable[[np.random.Generator], Route]) -> Route:
+    """One of the routes that are drawn, always the same."""
+    return draw(np.random.default_rng(0))
+
+
+_TURN_SPEED, _RAMP = 3.0, 3.0
+"""In the turns of random routes, m/s; and the time of braking before and of accelerating after them, s."""
+_FARTHEST_ROUND = 2.0
+"""Farthest direction from the first one on a random route, rad."""
+_BEYOND = 24.0
+"""m: how far a random loop goes on beyond its start."""
+RANDOM_ROUTES: Mapping[str, Callable[[np.random.Generator], Route]] = MappingProxyType(
+    {"random-town": random_town, "random-loop": random_loop}
+)
+"""Routes that are drawn anew for each episode, by name."""
+
 _ROUTES: dict[str, Callable[[], Route]] = {
     "straight": straight,
     "right-turn": right_turn,
     "town": town,
     "loop": loop,
+    **{name: partial(_typical, draw) for name, draw in RANDOM_ROUTES.items()},
 }
 ROUTES: Mapping[str, Callable[[], Route]] = MappingProxyType(_ROUTES)
 """Registered routes by name; read-only, see `register_route`."""
@@ -235,18 +295,8 @@ def load_registrations() -> None:
 
 KITTI_PERIOD = 0.1037
 """Mean time between two frames of KITTI odometry, s."""
-_SPACING = 0.25
-"""Of the points along the smoothed path, m."""
-_STRIDE = 0.3
-"""Steps shorter than this do not tell a direction, m."""
-_PATH_SMOOTHING = 1.5
-"""Over which positions are smoothed, m along the path."""
-_TIME_SMOOTHING = 0.3
-"""Over which they are smoothed in time, s."""
 _AT_REST = 0.02
 """Speed that counts as standing still, m/s."""
-_FASTEST = 60.0
-"""m/s: poses further apart than that are not of one drive."""
 _SHORTEST = 5.0
 _STRAIGHT_BELOW = 0.08
 """rad/s; recorded drives are never quite straight."""
@@ -266,18 +316,18 @@ def kitti_route(path: str | Path, period: float = KITTI_PERIOD) -> Route:
         raise ValueError(f"{path} is not a file: give a KITTI pose file, 12 numbers a row")
     positions, orientations = read_poses(path)
     level = positions[:, [0, 2]] - positions[0, [0, 2]]
-    _require_one_drive(path, level, np.array([rotations.matrix(q)[[0, 2], 2] for q in orientations]), period)
+    require_one_drive(path, level, np.array([rotations.matrix(q)[[0, 2], 2] for q in orientations]), period)
 
-    strides, driven = _strides(level)
+    points, driven = strides(level)
     if driven[-1] < _SHORTEST:
         raise ValueError(f"{path} drives only {driven[-1]:.1f} m: a route needs {_SHORTEST:.0f} m")
-    arc, smooth = _smoothed(strides)
+    arc, smooth = smoothed(points)
     tangents = np.gradient(smooth, axis=0)
     headings = np.unwrap(np.arctan2(tangents[:, 0], tangents[:, 1]))
 
     duration = (len(level) - 1) * period
     frames = int(duration / FRAME_PERIOD) + 1
-    at = np.interp(np.arange(frames) * FRAME_PERIOD, np.arange(len(level)) * period, _steady(driven, period))
+    at = np.interp(np.arange(frames) * FRAME_PERIOD, np.arange(len(level)) * period, steady(driven, period))
     speeds = np.diff(at) / FRAME_PERIOD
     heading = np.interp(at, arc, headings)
     return Route(
@@ -304,51 +354,3 @@ def named_route(name: str) -> Route:
         return kitti_route(name)
     hint = did_you_mean(name, ROUTES)
     raise ValueError(f"route must be one of {', '.join(map(repr, ROUTES))} or a KITTI pose file, got {name!r}{hint}")
-
-
-def _require_one_drive(path: Path, level: FloatArray, forward: FloatArray, period: float) -> None:
-    steps = np.diff(level, axis=0)
-    far = np.flatnonzero(np.linalg.norm(steps, axis=1) > _FASTEST * period)
-    if far.size:
-        raise ValueError(
-            f"{path} jumps by {np.linalg.norm(steps[far[0]]):.1f} m from row {far[0]} to the next: "
-            "give the poses of one drive"
-        )
-    ahead = (steps * forward[:-1]).sum(axis=1)
-    back = np.flatnonzero(ahead < -_STRIDE)
-    if back.size:
-        raise ValueError(f"{path} drives backwards at row {back[0]}: z must be forward, and the car must not reverse")
-
-
-def _strides(level: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Points at least a stride apart (N, 2), and the distance driven at every row (K,), which never falls."""
-    kept, last, driven, before = [level[0]], level[0], np.zeros(len(level)), 0.0
-    for row, point in enumerate(level):
-        step = float(np.hypot(*(point - last)))
-        driven[row] = before + step
-        if step >= _STRIDE:
-            kept.append(point)
-            last, before = point, before + step
-    return np.array(kept), np.maximum.accumulate(driven)
-
-
-def _steady(driven: FloatArray, period: float) -> FloatArray:
-    """The distance at every row (K,), smoothed over time as if the speeds at both ends went on."""
-    margin = min(int(4 * _TIME_SMOOTHING / period), len(driven) - 1)
-    going_on = np.pad(driven, margin, mode="reflect", reflect_type="odd")
-    smooth: FloatArray = gaussian_filter1d(going_on, _TIME_SMOOTHING / period, mode="nearest")
-    return smooth[margin : margin + len(driven)]
-
-
-def _smoothed(strides: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The path by arc length: lengths (N,) and points (N, 2), continued straight at both ends while smoothing."""
-    margin = 4 * _PATH_SMOOTHING
-    few = min(5, len(strides) - 1)
-    ends = np.stack([strides[0] - strides[few], strides[-1] - strides[-1 - few]])
-    first, last = ends / np.linalg.norm(ends, axis=1, keepdims=True)
-    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(strides, axis=0), axis=1))])
-    knots = np.concatenate([[-margin], along, [along[-1] + margin]])
-    points = np.concatenate([strides[:1] + margin * first, strides, strides[-1:] + margin * last])
-    arc = np.arange(-margin, along[-1] + margin, _SPACING)
-    dense = np.stack([np.interp(arc, knots, points[:, i]) for i in range(2)], axis=1)
-    return arc, np.asarray(gaussian_filter1d(dense, _PATH_SMOOTHING / _SPACING, axis=0, mode="nearest"))

@@ -16,6 +16,7 @@ from stereo_slam_env.world.routes import FRAME_PERIOD
 class Car:
     """Limits and size of the car, in m, s and rad; steering is that of the front wheels.
 
+    Tyres that slide bear no more than `max_lateral_acceleration`: a faster car turns less than it is steered.
     `camera_forward` is from the rear axle to the left camera, `size` length, width and height of the body, and `body_c`
     its centre in the left camera frame.
     """
@@ -26,6 +27,7 @@ class Car:
     max_acceleration: float = 3.0
     max_steering: float = 0.55
     max_steering_rate: float = 1.0
+    max_lateral_acceleration: float = 6.0
     size: tuple[float, float, float] = (4.2, 1.8, 1.1)
     body_c: tuple[float, float, float] = (0.0, 0.8, -0.25)
 

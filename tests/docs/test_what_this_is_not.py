@@ -110,16 +110,18 @@ def each_sentence_is_a_test():
     assert f"tests/docs/{Path(__file__).name}" in PAGE.read_text(encoding="utf-8")
 
 
-@says("No inertial sensor.")
+@says("No inertial sensor in the environments.")
 @says(
-    "A filter takes inertial samples, and a recording keeps them, but no environment simulates them and no reader of a "
-    "data set reads them: you bring them."
+    "A filter takes inertial samples, a recording keeps them, and the readers of EuRoC, KITTI raw and KITTI 00 read "
+    "them, but no environment simulates them."
 )
-def nobody_makes_inertial_samples():
+def readers_make_inertial_samples_and_no_environment_does():
     assert "inertial" in inspect.signature(StereoFilter.predict).parameters
     assert "inertial" in fields(Frame) & fields(StereoPair)
     makes = {path.name for path in SOURCES if re.search(r"InertialSamples\(", path.read_text(encoding="utf-8"))}
     assert makes == {"inertial.py", "drives.py", "motions.py", "archive.py"}  # its own module, checks, archives
+    reads = {path.name for path in SOURCES if re.search(r"samples_of_steps\(", path.read_text(encoding="utf-8"))}
+    assert reads == {"inertial.py", "euroc.py", "kitti_raw.py", "kitti00_stereo_tracks.py"}
 
 
 @says("Samples and odometry are not fused in one filter.")

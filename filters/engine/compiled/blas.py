@@ -6,6 +6,7 @@ With `NUMBA_DISABLE_JIT=1` all kernels run as plain Python, and what is written 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from numba import config, njit, types
 from numba.core import cgutils
 from numba.extending import get_cython_function_address, intrinsic
 
-from filters.engine.compiled.disk_cache import LINKED
+from filters.engine.compiled.disk_cache import KEPT, LINKED
 from filters.geometry.machine_code import compile_with
 
 PLAIN = bool(config.DISABLE_JIT)
@@ -31,6 +32,11 @@ UNIT: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract"}, "_nrt"
 KERNEL: dict[str, Any] = {**ENTRY, **LINKED, "_nrt": False}
 """For functions that only kernels call: no counting of references either."""
 compile_with(njit(**KERNEL))
+
+
+def entry(function: Callable[..., Any]) -> Any:
+    """Machine code of a function that Python calls, kept on disk."""
+    return njit(**KEPT, **ENTRY)(function)
 
 
 @intrinsic

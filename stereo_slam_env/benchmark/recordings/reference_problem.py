@@ -102,7 +102,7 @@ def _drive(name: str, route: Route, seed: int, noise: str, sigma: float, frames:
     cloud_rng, drive_rng, sensor_rng, start_rng = np.random.default_rng(seed).spawn(4)
     cloud, pixel_noise = _cloud_along(route, cloud_rng), NOISE_MODELS[noise](sigma)
     tracking = TrackingPolicy(max_landmarks=most, refill_below=round(most * 65 / 90))
-    simulator = Simulator(make_rules(route, camera, tracking, noise=noise, sigma=sigma), 1, pixel_noise)
+    simulator = Simulator(make_rules(camera, tracking, noise=noise, sigma=sigma), 1, pixel_noise)
     simulator.put(0, cloud, [drive_rng, sensor_rng, np.random.default_rng(0), start_rng])
     only = np.ones(1, dtype=np.bool_)
     simulator.begin(only)
@@ -128,7 +128,7 @@ def _cloud_along(route: Route, rng: np.random.Generator) -> SceneArrays:
     points_s, grey = WorldFrame(CAMERA_HEIGHT).to_scene(_points_along(route, rng)), Material((0.5, 0.5, 0.5))
     low, high = points_s[:, :2].min(axis=0), points_s[:, :2].max(axis=0)
     ground = Ground((float(low[0]), float(low[1])), (float(high[0]), float(high[1])), grey)
-    return scene_arrays(Scene(ground, (), (), points_s))
+    return scene_arrays(Scene(ground, (), (), points_s), route)
 
 
 def _points_along(route: Route, rng: np.random.Generator) -> FloatArray:

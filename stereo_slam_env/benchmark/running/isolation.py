@@ -39,7 +39,7 @@ from typing import NoReturn, TypeVar, cast
 import cloudpickle
 
 from filters.contract.foreign_text import first_line
-from stereo_slam_env.benchmark.running.process_server import READY, STATUS, end_process
+from stereo_slam_env.benchmark.running.process_server import LOADING, READY, STATUS, end_process
 
 Result = TypeVar("Result")
 Tell = Callable[[int, int], None]
@@ -310,7 +310,8 @@ class _Server:
         atexit.register(self.close)
         self._socket.settimeout(SECONDS_TO_START)
         try:
-            answer = self._socket.recv(1)
+            while (answer := self._socket.recv(1)) == LOADING:
+                continue
         except OSError as error:
             self.process.kill()
             told = f"the server of processes did not start within {SECONDS_TO_START:.0f} s"

@@ -20,6 +20,7 @@ import signal
 import socket
 import struct
 import sys
+from collections.abc import Callable
 from contextlib import suppress
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -39,7 +40,8 @@ PRELOADED = (
 """Modules that most trials need; importing them once in the server is why a process costs milliseconds."""
 STATUS = struct.Struct("q")
 """Of the numbers on the pipe."""
-READY = b"r"
+LOADING, READY = b"l", b"r"
+"""Signs of life while the server starts, and that it has."""
 
 _SET_DEATH_SIGNAL, _ADOPT_ORPHANS = 1, 36  # PR_SET_PDEATHSIG, PR_SET_CHILD_SUBREAPER
 
@@ -52,12 +54,6 @@ def serve(descriptor: int, *preloaded: str) -> None:
     for module in (*PRELOADED, *preloaded):
         with suppress(ImportError):  # an extra that is not installed
             importlib.import_module(module)
-    with suppress(ImportError):
-        from filters.engine.compiled.frame import compile_frame
-        from filters.engine.compiled.readout import compile_forecasts
-
-        compile_frame()
-        compile_forecasts()
     _ask_linux(_ADOPT_ORPHANS, 1)
     wake_up, woken_by = os.pipe()
     for end in (wake_up, woken_by):
@@ -69,6 +65,7 @@ def serve(descriptor: int, *preloaded: str) -> None:
         waiting.register(requests, selectors.EVENT_READ)
         waiting.register(wake_up, selectors.EVENT_READ)
         try:
+            _load_machine_code(lambda: requests.sendall(LOADING))
             requests.sendall(READY)
         except BrokenPipeError:  # the caller was killed meanwhile
             return
@@ -95,6 +92,20 @@ def serve(descriptor: int, *preloaded: str) -> None:
                 os.close(connection)
                 _write(status, child)
     _end_all(running)
+
+
+def _load_machine_code(tell: Callable[[], None]) -> None:
+    """Run usual trials of two frames, so that each process need not load for itself what they call.
+
+    `tell` is called after each, which may have been compiled first. What is wrong is told where a trial meets it.
+    """
+    from numba import config
+
+    tasks = importlib.import_module("stereo_slam_env.benchmark.running.tasks")  # by name: it knows this module
+    for rehearse in () if config.DISABLE_JIT else tasks.rehearsals():
+        with suppress(Exception):
+            rehearse()
+        tell()
 
 
 def end_process(process: int) -> None:

@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError
 from dataclasses import dataclass, field
 from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
@@ -23,6 +24,7 @@ from filters import ConstantVelocity
 from filters.catalogue.presets import PRESETS
 from filters.contract.foreign_text import first_line
 from stereo_slam_env.benchmark.recordings.source import OpenedImages
+from stereo_slam_env.benchmark.recordings.sources import StreetSource
 from stereo_slam_env.benchmark.running.isolation import NoProcess, Tell, WorkDied, WorkTooSlow, run_isolated
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, Scenario
 from stereo_slam_env.benchmark.scenarios.streams import (
@@ -37,14 +39,17 @@ from stereo_slam_env.benchmark.scenarios.streams import (
 )
 from stereo_slam_env.benchmark.storage.run_archive import packed_bound, packed_run
 from stereo_slam_env.evaluation.batch_run import run_batch
+from stereo_slam_env.evaluation.body_frames import read_body
 from stereo_slam_env.evaluation.cramer_rao import Bound, cramer_rao_bound
 from stereo_slam_env.evaluation.filter_run import failed_run, run_filter
+from stereo_slam_env.evaluation.outside_run import outside_run
 from stereo_slam_env.evaluation.results import FilterRun
 from stereo_slam_env.evaluation.run_figures import score_of
 from stereo_slam_env.frontend.recorder import ActiveSearch, Watch, record_tracks
 from stereo_slam_env.loop import Observe
 from stereo_slam_env.recording.archive import packed_recording, unpacked_recording
 from stereo_slam_env.recording.recording import Recording
+from stereo_slam_env.recording.trajectory_files import load_trajectory
 
 if TYPE_CHECKING:
     from stereo_slam_env.policies.episode import Episode
@@ -210,7 +215,8 @@ def run_trial(task: Task, progress: Tell | None = None) -> Done:
     if task.choice.policy is not None:
         return _drive(task, task.choice, limit, progress)
     # Real images that a filter searches itself are opened here, because their calibration is looked for once.
-    searched = task.scenario.search == "forecast" and not task.scenario.source.isolated
+    searches = task.scenario.search == "forecast" and not task.choice.is_outside
+    searched = searches and not task.scenario.source.isolated
     work = partial(_filtered, task, task.choice, make_sequence(task.scenario, task.seed) if searched else None)
     try:
         packed = run_isolated(work, silence_limit=limit, progress=progress)
@@ -250,6 +256,8 @@ def _description_of(episode: Episode) -> dict[str, Any]:
 
 def _filtered(task: Task, choice: FilterChoice, opened: OpenedImages | None, tell: Tell) -> bytes:
     recording, observe = _given(task), None
+    if choice.is_outside:
+        return _packed(task, outside_run_of(recording, choice, task.seed), task.provenance)
     if task.scenario.search == "forecast":
         search = ActiveSearch(*(opened or make_sequence(task.scenario, task.seed)))
         recording, observe = without_measurements(recording), search.observe
@@ -280,6 +288,18 @@ def _run_on(
     )
 
 
+def outside_run_of(recording: Recording, choice: FilterChoice, seed: int | None) -> FilterRun:
+    """The run that the trajectory of a competitor is; one that cannot be read is a result, too."""
+    options = dict(choice.options)
+    try:
+        trajectory = load_trajectory(choice.outside_file(seed))
+        if "body" in options:
+            trajectory = trajectory.of_body(read_body(Path(options["body"])))
+    except (ValueError, OSError, ImportError) as error:
+        return failed_run(recording, choice.label, options, seed, first_line(error))
+    return outside_run(recording, trajectory, label=choice.label, options=options, seed=seed)
+
+
 def _lost(recording: Recording, task: Task, choice: FilterChoice, error: Exception) -> FilterRun:
     _log.warning("%s on %s: %s", choice.label, recording.name, error)
     return failed_run(recording, choice.label, choice.options, task.seed, str(error))
@@ -308,6 +328,17 @@ def _bounded(task: Task, tell: Tell) -> Bound | None:
     return cramer_rao_bound(_given(task), motion, use_odometry=task.scenario.use_odometry, progress=tell)
 
 
+def rehearsals() -> Iterator[Callable[[], object]]:
+    """Functions that record two frames, run the usual filters over them, and compute the bound."""
+    usual = Scenario("rehearsal", StreetSource({"route": "right-turn"}), frames=2, gate=None, metrics=("map",))
+    made: list[Recording] = []
+    yield lambda: made.append(make_recording(usual, 0))
+    for recording in made:
+        yield partial(cramer_rao_bound, recording, ConstantVelocity())
+        for choice in usual.filters:
+            yield partial(_run_on, recording, Task(0, usual, 0), choice, lambda done, total: None)
+
+
 def watch_search(scenario: Scenario, watch: Watch, progress: Tell | None = None) -> None:
     """Run the front end over the scenario's first seed, guided by the first filter if `search` is "forecast".
 
@@ -319,7 +350,8 @@ def watch_search(scenario: Scenario, watch: Watch, progress: Tell | None = None)
     if scenario.search == "flow":
         record_tracks(sequence, settings, frames=scenario.frames, watch=watch, progress=progress)
         return
-    recording, choice = make_recording(scenario, seed), scenario.filters[0]
+    recording = make_recording(scenario, seed)
+    choice = next(choice for choice in scenario.filters if not choice.is_outside)
     run = run_filter(
         without_measurements(recording),
         choice.name,

@@ -24,6 +24,7 @@ from stereo_slam_env.benchmark.scenarios.bounds import (
     MOST_SEED,
     require_bounded,
 )
+from stereo_slam_env.benchmark.scenarios.outside import OUTSIDE, SEED, require_file, require_place
 
 if TYPE_CHECKING:
     from typing import Self
@@ -95,6 +96,24 @@ class FilterChoice(_Choice):
     _of: ClassVar[str] = "filter"
 
     policy: PolicyChoice | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.is_outside:
+            require_file(self)
+
+    @property
+    def is_outside(self) -> bool:
+        """Whether it is no filter, but a trajectory that another program has estimated: option `file`.
+
+        `{seed}` in it stands for the seed of the recording. `body` is JSON with the pose of the left camera in the body
+        whose poses these are.
+        """
+        return self.name == OUTSIDE
+
+    def outside_file(self, seed: int | None) -> str:
+        """The file, or bag and topic, of a recording."""
+        return str(self.options["file"]).replace(SEED, "recording" if seed is None else str(seed))
 
 
 DEFAULT_FILTERS = (
@@ -233,6 +252,8 @@ class Scenario:
     def _check_competitors(self) -> None:
         if not self.filters:
             raise ValueError("filters must name at least one filter")
+        recordings = len(self.seeds) if self.source.seeded else 1
+        require_place(self.filters, with_policies=bool(self.policies), recordings=recordings)
         kind = self.source.kind
         if self.policies and not self.source.for_policies:
             raise ValueError(

@@ -14,6 +14,7 @@ installed distribution. Code is compared by meaning, as in `code_identity`.
 from __future__ import annotations
 
 import ast
+import glob
 import hashlib
 import importlib.machinery
 import importlib.util
@@ -34,6 +35,8 @@ from stereo_slam_env.benchmark.recordings.source import Source
 from stereo_slam_env.benchmark.recordings.sources import FactorySource
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice
 from stereo_slam_env.benchmark.storage.code_identity import PACKAGES, digest_of, meaning, source_files
+from stereo_slam_env.files.opening import read_bytes
+from stereo_slam_env.recording.trajectory_bags import bag_and_topic
 
 _CODE = tuple({*importlib.machinery.all_suffixes()} - {*importlib.machinery.BYTECODE_SUFFIXES})
 _INSTALLED = tuple({Path(sysconfig.get_path(name)).resolve() for name in ("purelib", "platlib")})
@@ -41,7 +44,9 @@ _NOT_THEIRS = {*PACKAGES, *sys.stdlib_module_names}
 
 
 def digest_of_choice(choice: FilterChoice) -> str | None:
-    """Digest of the code of a competitor, its filter and its policy; None where all of it is ours."""
+    """Digest of the code of a competitor, its filter and its policy, or of its files; None where all of it is ours."""
+    if choice.is_outside:
+        return _digest_of_files(choice)
     points = [filter_plugin(choice.name)]
     if choice.policy is not None:
         from stereo_slam_env.policies.registry import plugin_of as policy_plugin
@@ -49,6 +54,18 @@ def digest_of_choice(choice: FilterChoice) -> str | None:
         points.append(policy_plugin(choice.policy.name))
     theirs = [plugin_digest(_found(point.load), point) for point in points if point is not None]
     return "-".join(digest for digest in theirs if digest is not None) or None
+
+
+def _digest_of_files(choice: FilterChoice) -> str:
+    """Digest of the trajectories of a competitor from outside, of all recordings."""
+    digest = hashlib.sha256()
+    name = str(choice.options["file"])
+    bag = bag_and_topic(name)
+    places = [str(bag[0])] if bag else sorted(glob.glob(glob.escape(name).replace(r"{seed}", "*")))
+    for place in [*places, *filter(None, [choice.options.get("body")])]:
+        for path in [Path(place)] if not Path(place).is_dir() else sorted(Path(place).iterdir()):
+            digest.update(read_bytes(path) if path.is_file() else b"")
+    return digest.hexdigest()[:16]
 
 
 def digest_of_source(source: Source) -> str | None:

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from filters.validation import FloatArray
-from stereo_slam_env.evaluation.consistency import DOF, mean_band
+from stereo_slam_env.evaluation.consistency import mean_band
 from stereo_slam_env.evaluation.trajectory_runs import RunsScore
 from stereo_slam_env.evaluation.trajectory_score import TrajectoryScore
 from stereo_slam_env.recording.trajectory import pose_errors
@@ -38,6 +38,8 @@ def pose_error(score: TrajectoryScore) -> tuple[FloatArray, FloatArray]:
     claimed = poses.pose_covariances
     if claimed is None:
         return error, np.full_like(error, np.nan)
+    if poses.plane is not None:  # up, roll and pitch are filled in
+        claimed = np.where(np.isin(np.arange(6), (0, 1, 5))[:, None], claimed, np.nan)
     with np.errstate(invalid="ignore"):
         return error, np.sqrt(np.diagonal(claimed, axis1=1, axis2=2))
 
@@ -89,12 +91,13 @@ def plot_errors(scores: Sequence[TrajectoryScore]) -> list[Chart]:
 
 
 def plot_nees_over_time(scores: Sequence[TrajectoryScore]) -> Chart:
-    """NEES / 6 of the pose over time, of all that claim covariances, against the 95 % band of one run."""
+    """NEES / 6 (3 in a plane) of the pose over time, of all that claim covariances, against the band of one run."""
     claimed = {label: score for label, score in zip(labels_of(scores), scores, strict=True) if "pose" in score.claims}
+    dof = max(score.claims["pose"].dof for score in claimed.values())
     times = np.unique(np.concatenate([score.times for score in claimed.values()]))
-    low, high = (np.full(len(times), end / DOF["pose"]) for end in mean_band(DOF["pose"], 1))
-    curves = {label: _at(times, score) / DOF["pose"] for label, score in claimed.items()}
-    return band_chart("Pose NEES / 6 (1 is ideal)", times - times[0], curves, (low, high))
+    low, high = (np.full(len(times), end / dof) for end in mean_band(dof, 1))
+    curves = {label: _at(times, score) / score.claims["pose"].dof for label, score in claimed.items()}
+    return band_chart(f"Pose NEES / {dof} (1 is ideal)", times - times[0], curves, (low, high))
 
 
 def plot_calibration(scores: Sequence[TrajectoryScore]) -> Chart:
@@ -111,7 +114,7 @@ def plot_calibration(scores: Sequence[TrajectoryScore]) -> Chart:
     curves, steps = [], []
     for label, score in claimed.items():
         values = score.nees["pose"][np.isfinite(score.nees["pose"])]
-        own = np.sort(chi2.cdf(values, DOF["pose"]))
+        own = np.sort(chi2.cdf(values, score.claims["pose"].dof))
         share = np.searchsorted(own, ideal, side="right") / len(own)
         curves.append(Curve(label, 100 * ideal, 100 * share, colours[label]))
         density, edges = np.histogram(own, bins=20, range=(0.0, 1.0), density=True)

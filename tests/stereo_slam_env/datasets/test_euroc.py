@@ -241,3 +241,69 @@ def test_the_folder_around_one_recording_stands_for_it(tmp_path):
     euroc(tmp_path)
     for folder in (tmp_path, tmp_path / "MH_01_easy", tmp_path / "MH_01_easy" / "mav0"):
         assert open_image_sequence(folder).name == "euroc_MH_01_easy"
+
+
+UNIT_AT, UNIT_TURN = np.array([0.02, -0.01, 0.03]), Rotation.from_euler("xyz", [0.2, -0.1, 0.3])
+GRAVITY = np.array([0.0, 0.0, -9.81])  # in the truth's own world
+
+
+def write_unit(folder):
+    """`imu0` of a unit in the body at 200 Hz, with the samples that the path of the body gives."""
+    seconds = 0.005 * np.arange(-4, 20 * FRAMES)
+    poses = [body_pose(t) for t in seconds]
+    R = Rotation.concatenate([turn for _, turn in poses]) * UNIT_TURN
+
+    def at(offset):
+        return np.array([p + turn.apply(UNIT_AT) for p, turn in (body_pose(t + offset) for t in seconds)])
+
+    h = 1e-3
+    forces = R.inv().apply((at(h) - 2 * at(0.0) + at(-h)) / h**2 - GRAVITY)
+    turned = Rotation.concatenate([body_pose(t + h)[1] for t in seconds]) * UNIT_TURN
+    rates = (R.inv() * turned).as_rotvec() / h
+    (folder / "mav0" / "imu0").mkdir()
+    lines = ["#timestamp [ns],w x,w y,w z,a x,a y,a z"]
+    stamps = FIRST_STAMP + np.rint(1e9 * seconds).astype(np.int64)
+    for stamp, w, a in zip(stamps, rates, forces, strict=True):
+        lines.append(",".join([str(stamp), *(f"{x:.15g}" for x in (*w, *a))]))
+    (folder / "mav0" / "imu0" / "data.csv").write_text("\n".join(lines) + "\n")
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = UNIT_TURN.as_matrix(), UNIT_AT
+    (folder / "mav0" / "imu0" / "sensor.yaml").write_text(
+        f"sensor_type: imu\nT_BS:\n  cols: 4\n  rows: 4\n  data: [{', '.join(map(str, T.ravel()))}]\nrate_hz: 200\n"
+        "gyroscope_noise_density: 1.6968e-04     # [ rad / s / sqrt(Hz) ]\ngyroscope_random_walk: 1.9393e-05\n"
+        "accelerometer_noise_density: 2.0000e-3  # [ m / s^2 / sqrt(Hz) ]\naccelerometer_random_walk: 3.0000e-3\n"
+    )
+    return folder
+
+
+def test_samples_of_imu0_lead_along_the_true_path(tmp_path):
+    """From exact poses at both ends: the unit's place, its turn and the rectification are those of the files."""
+    pairs = list(open_image_sequence(write_unit(euroc(tmp_path))).pairs())
+    assert pairs[0].inertial is None
+    unit = pairs[1].inertial.unit
+    assert (unit.gyro_density, unit.accelerometer_walk) == (1.6968e-4, 3e-3)
+    T_ci = np.linalg.solve(T_BS[0], np.vstack([np.column_stack([UNIT_TURN.as_matrix(), UNIT_AT]), [0, 0, 0, 1]]))
+    assert np.linalg.norm(unit.position) == pytest.approx(np.linalg.norm(T_ci[:3, 3]), abs=1e-9)
+    R_wc = [Rotation.from_quat(pair.truth.orientation) for pair in pairs]
+    for before, pair, turn, after in zip(pairs, pairs[1:], R_wc, R_wc[1:], strict=False):
+        rotation = Rotation.identity()
+        for h, w in zip(np.diff(pair.inertial.times, prepend=0.0), pair.inertial.angular_rates, strict=True):
+            rotation = rotation * Rotation.from_rotvec(h * w)
+        R_ci = Rotation.from_quat(np.array(unit.orientation))
+        assert (R_ci * rotation * R_ci.inv() * (turn.inv() * after).inv()).magnitude() < 1e-5
+        assert pair.inertial.times[-1] == pytest.approx(pair.timestamp - before.timestamp, abs=1e-12)
+    # The camera is hardly accelerated against gravity: 9.81 m/s^2 upwards in the world of the first camera.
+    up = np.array([R_wc[k].apply(R_ci.apply(pairs[k].inertial.specific_forces.mean(axis=0))) for k in range(1, FRAMES)])
+    R0 = body_pose(0.0)[1] * Rotation.from_matrix(T_BS[0][:3, :3])
+    assert np.ptp(up, axis=0).max() < 0.5
+    assert up.mean(axis=0) @ R0.inv().apply([0.0, 0.0, 1.0]) == pytest.approx(9.81, abs=0.4)
+
+
+def test_a_unit_without_its_data_sheet_is_named(tmp_path):
+    folder = write_unit(euroc(tmp_path))
+    sheet = folder / "mav0" / "imu0" / "sensor.yaml"
+    sheet.write_text(sheet.read_text().replace("gyroscope_random_walk", "gyro_walk"))
+    with pytest.raises(
+        ValueError, match=r"sensor.yaml lacks 'gyroscope_random_walk': take the calibration of this rig$"
+    ):
+        open_image_sequence(folder)

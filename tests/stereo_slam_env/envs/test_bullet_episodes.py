@@ -27,7 +27,7 @@ class Episode(NamedTuple):
 EPISODES = [
     Episode(
         "Drive-v0",
-        {"policy": "route", "route": "right-turn", "moving_cars": 4, "pedestrians": 4},
+        {"policy": "route", "route": "right-turn", "moving_cars": 4, "pedestrians": 4, "time_weight": 0.05},
         1,
         80,
         "26641bf659ef6a8b",
@@ -37,7 +37,7 @@ EPISODES = [
     ),
     Episode(
         "Drive-v0",
-        {"surroundings": "corridor", "noise": "heavy-tailed", "policy": "route"},
+        {"surroundings": "corridor", "noise": "heavy-tailed", "policy": "route", "time_weight": 0.05},
         3,
         81,
         "993abccd6b909816",
@@ -67,7 +67,7 @@ EPISODES = [
     ),
     Episode(
         "DriveGaze-v0",
-        {},
+        {"route": "town", "lane": 1e9, "time_weight": 0.05},
         7,
         81,
         "f4a377cda9bdb687",

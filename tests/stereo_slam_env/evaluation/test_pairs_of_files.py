@@ -83,6 +83,10 @@ LEFT = LEFT @ IN_WORLD @ LEFT.swapaxes(1, 2)
 SWAPPED = [3, 4, 5, 0, 1, 2]
 PLANAR = IN_WORLD.copy()
 PLANAR[:, [2, 3, 4], :] = PLANAR[:, :, [2, 3, 4]] = 0.0
+UNKNOWN = PLANAR.copy()
+UNKNOWN[:, [2, 3, 4], [2, 3, 4]] = 1e6
+ONLY_Z = IN_WORLD.copy()
+ONLY_Z[:, 2, :] = ONLY_Z[:, :, 2] = 0.0
 
 
 def square(covariances, *lines):
@@ -157,7 +161,7 @@ NOT_JUDGED = {
     "T_bw in place of T_wb": (text(tum(inverse(ESTIMATE))), T_TUM, "is read as T_bw"),
     "another body": (text(tum(TURNED)), T_TUM, "body seems to be turned by 85.9°"),
     "diverged": (text(tum(ASTRAY)), T_TUM, "the estimate diverged"),
-    "planar covariances of ROS": (full(PLANAR), T_TUM, "are zero for z, roll, pitch, so there is none of a pose"),
+    "covariances of ROS without z": (full(ONLY_Z), T_TUM, "too large to say anything, for z, so there is none of a"),
 }
 """What is said of pairs that tell nothing of a claim."""
 REFUSED = {
@@ -190,6 +194,29 @@ def test_the_same_claim_has_the_same_nees_in_every_layout(tmp_path, name):
         exact = part == "rotation" or "SQUARE" not in name
         assert found[part].nees.mean == pytest.approx(right[part].nees.mean, rel=1e-6 if exact else 0.1)
         assert found[part].verdict == "consistent, as far as one run can tell"
+
+
+@pytest.mark.parametrize("covariances", [PLANAR, UNKNOWN], ids=["zero", "1e6"])
+def test_a_claim_in_the_plane_is_judged_by_x_y_and_yaw(tmp_path, covariances):
+    found = score(tmp_path, full(covariances), T_TUM, align="none")
+    errors = ESTIMATE.errors(TRUTH.positions, TRUTH.orientations)[1:]
+    errors[:, 3:] = rotations.turned(R_WB[1:], errors[:, 3:])
+    for name, axes in (("pose", [0, 1, 5]), ("position", [0, 1]), ("rotation", [5])):
+        e, P_own = errors[:, axes], IN_WORLD[1:][:, axes][:, :, axes]
+        mean = np.mean(np.einsum("ki,kij,kj->k", e, np.linalg.inv(P_own), e))
+        assert found.claims[name].nees.mean == pytest.approx(mean, rel=1e-6)
+        assert found.claims[name].dof == len(axes)
+    assert found.verdict == "consistent, as far as one run can tell"
+    assert all(window.nees is None for window in found.windows)
+
+
+def test_a_plane_is_carried_into_the_world_of_the_reference(tmp_path):
+    """The world of the reference has another axis up: the claim is judged in the plane all the same."""
+    tilted = Pose([5.0, -2.0, 1.0], rotations.exp_quaternion([0.4, -0.9, 0.7]))
+    found = score(tmp_path, full(PLANAR), text(tum(TRUTH.moved(tilted))), align="rigid")
+    flat = score(tmp_path, full(PLANAR), T_TUM, align="rigid")
+    for name in ("pose", "position", "rotation"):
+        assert found.claims[name].nees.mean == pytest.approx(flat.claims[name].nees.mean, rel=1e-5)
 
 
 @pytest.mark.parametrize("name", ERRORS)

@@ -69,8 +69,8 @@ def compared(surroundings, seed):
     """Landmarks asked for, those that differ and do not graze, those that differ; frames, and those that differ."""
     route = named_route("right-turn")
     scene = build_scene(surroundings, route, np.random.default_rng(seed), moving_cars=6, pedestrians=6)
-    simulator = Simulator(make_rules(route, CAMERA, TrackingPolicy(max_landmarks=20)), 1, None)
-    simulator.put(0, scene_arrays(scene), np.random.default_rng(seed).spawn(4))
+    simulator = Simulator(make_rules(CAMERA, TrackingPolicy(max_landmarks=20)), 1, None)
+    simulator.put(0, scene_arrays(scene, route), np.random.default_rng(seed).spawn(4))
     simulator.begin(ONE)
     oracle, answers = BulletAnswers(1), simulator.rules._replace(refill_below=0)
     oracle.build(0, scene)
@@ -122,8 +122,8 @@ def test_moving_bodies_hide_landmarks_and_are_touched():
     seen, touched = [], []
     for moving in (True, False):
         scene = build_scene("street", route, np.random.default_rng(3), moving_cars=8 if moving else 0)
-        simulator = Simulator(make_rules(route, CAMERA, TrackingPolicy(max_landmarks=3000, refill_below=3000)), 1, None)
-        simulator.put(0, scene_arrays(scene), np.random.default_rng(3).spawn(4))
+        simulator = Simulator(make_rules(CAMERA, TrackingPolicy(max_landmarks=3000, refill_below=3000)), 1, None)
+        simulator.put(0, scene_arrays(scene, route), np.random.default_rng(3).spawn(4))
         simulator.begin(ONE)
         counts = []
         for _ in range(60):

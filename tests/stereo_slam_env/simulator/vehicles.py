@@ -28,9 +28,9 @@ def vehicle(scene=None, route=None, seed=1, noise="uvd", sigma=1e-9, policy=None
     """One vehicle after the first frame; without noise, odometry errors and sway unless they are asked for."""
     tracking = TrackingPolicy(**(policy or {}))
     rules = {"perturbation": 0.0, "odometry_sigmas": (0.0, 0.0), **rules}
-    made = make_rules(route or straight(), CAMERA, tracking, noise=noise, sigma=sigma, **rules)
+    made = make_rules(CAMERA, tracking, noise=noise, sigma=sigma, **rules)
     simulator = Simulator(made, 1, NOISE_MODELS[noise](sigma))
-    simulator.put(0, scene_arrays(scene or scene_of()), np.random.default_rng(seed).spawn(4))
+    simulator.put(0, scene_arrays(scene or scene_of(), route or straight()), np.random.default_rng(seed).spawn(4))
     simulator.begin(ONE)
     return simulator
 

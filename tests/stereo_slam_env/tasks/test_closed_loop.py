@@ -27,7 +27,7 @@ def test_with_a_filter_the_car_arrives_and_earns_it():
     total, info, off = drive(follow_route)
     assert info["is_success"]
     assert off < 1.0
-    assert total > 40.0
+    assert total > 15.0
 
 
 def test_with_dead_reckoning_it_leaves_its_route_and_pays_for_it():
@@ -65,4 +65,4 @@ def test_the_route_is_that_of_the_belief_some_frames_ago():
 def test_standing_still_costs_time():
     total, info, _ = drive(lambda _: np.array([-1.0, 0.0], np.float32), max_episode_steps=50)
     assert not info["is_success"]
-    assert -1.0 < total < 0.5
+    assert -2.0 <= total < -1.5  # five seconds at 0.4, and the metres until it stood

@@ -49,8 +49,10 @@ def test_what_is_mapped_stays_mapped_and_who_looks_about_succeeds(sweep):
 
 
 def test_looking_about_earns_more_than_looking_ahead_and_that_more_than_standing_still(sweep):
-    ahead, *_ = episode(lambda seen, _: follow_route(seen, 5))
-    brake, _, truncated = episode(lambda *_: np.array([-1, 0, 0, 0, 0], np.float32), max_episode_steps=300)
+    ahead, *_ = episode(lambda seen, _: follow_route(seen, 5), arguments={"route": "loop"})
+    brake, _, truncated = episode(
+        lambda *_: np.array([-1, 0, 0, 0, 0], np.float32), max_episode_steps=300, arguments={"route": "loop"}
+    )
     assert sweep[0] > ahead + 2.0 > brake + 2.0
     assert truncated
     assert brake == pytest.approx(-1.5, abs=0.5)

@@ -27,7 +27,10 @@ def tracked(searches=(), measured=(), initialised=()):
     observation = StereoObservation([i for i, _ in measured], np.array([uvd for _, uvd in measured]).reshape(-1, 3))
     none = np.zeros(0, dtype=np.int64)
     corners = StereoObservation(none, np.zeros((0, 3)))
-    return TrackedPair(observation, search, corners, np.array(initialised, dtype=np.int64), none)
+    R = np.tile(np.eye(3), (len(observation), 1, 1))
+    return TrackedPair(
+        observation.ids, observation.uvd, R, search, corners, np.array(initialised, dtype=np.int64), none
+    )
 
 
 def changes(pair, **options):

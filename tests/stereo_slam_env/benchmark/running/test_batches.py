@@ -85,7 +85,7 @@ def test_whole_drives_made_at_once_end_where_each_ends():
 @pytest.mark.timeout(300)
 def test_a_study_in_batches_has_the_figures_of_one_by_one(tmp_path, monkeypatch, few_are_timed):
     """All shipped filters on the streets of the preset."""
-    scenario = quick(filters=tuple(map(filter_choice, OURS)))
+    scenario = quick(filters=tuple(map(filter_choice, OURS)), frames=25)
     run_benchmark(scenario, tmp_path / "batches", jobs=1)
     monkeypatch.setattr("stereo_slam_env.benchmark.running.tasks.goes_in_a_batch", lambda task: False)
     run_benchmark(scenario, tmp_path / "alone", jobs=1)

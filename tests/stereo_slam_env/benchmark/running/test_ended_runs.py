@@ -22,7 +22,7 @@ class Run:
     def __init__(self, out: Path, *, seeds: int = 40) -> None:
         self.out, self.mark = out, f"{MARK}={out}"
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "stereo_slam_env.cli", "bench", "--preset", "turn", "--jobs", "2",
+            [sys.executable, "-m", "stereo_slam_env.cli", "bench", "--preset", "reference-turn", "--jobs", "2",
              "--seeds", str(seeds), "--out", str(out)],
             cwd=ROOT,
             env={**os.environ, "PYTHONPATH": str(ROOT), MARK: str(out)},
@@ -92,7 +92,7 @@ def test_a_terminated_run_says_what_is_kept_as_an_interrupted_one_does(run, by):
     kept = len(list(run.out.glob("trials/*/*.npz")))
     assert run.process.returncode == 130
     assert f"interrupted: {kept} finished trials are kept in {run.out}" in told
-    assert "to go on: stereo-slam bench --preset turn" in told
+    assert "to go on: stereo-slam bench --preset reference-turn" in told
     assert "Traceback" not in told
     assert run.left() == []
     assert run.shared_memory() == []

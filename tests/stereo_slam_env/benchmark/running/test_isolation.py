@@ -293,6 +293,19 @@ def test_the_process_has_one_thread_whatever_this_one_has():
     assert count == 1
 
 
+def test_a_process_has_the_machine_code_of_usual_trials_before_it_begins():
+    """Loading it would cost it some 0.1 s, more than many trials."""
+
+    def loaded(tell):
+        from filters.engine.compiled import frame
+        from stereo_slam_env.simulator.frame import run_frame
+        from stereo_slam_env.world.street_plan import plan
+
+        return [len(kernel.signatures) for kernel in (run_frame, plan)], "_compiled" in vars(frame.predict)
+
+    assert run_isolated(loaded, silence_limit=LIMIT) == ([1, 1], True)
+
+
 def test_several_threads_may_ask_at_once():
     answers = {}
 

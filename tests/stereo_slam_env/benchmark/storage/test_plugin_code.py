@@ -94,18 +94,22 @@ LAB = FilterChoice("lab", "lab")
 # ---- the command ----------------------------------------------------------------------------------------------------
 
 
-def slam(project, *arguments):
-    """The command, in a process of its own in which the project is installed; returns the process."""
+def in_process(project, *arguments):
+    """What Python says to these arguments, in a process of its own in which the project is installed."""
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(project)]), "COLUMNS": "200"}
-    command = [sys.executable, "-m", "stereo_slam_env.cli", *arguments]
-    return subprocess.run(command, capture_output=True, text=True, env=environment, timeout=240, check=False)
+    done = subprocess.run(
+        [sys.executable, *arguments], capture_output=True, text=True, env=environment, timeout=240, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
 
 
 def bench(project, out):
+    """The summary of a run without a report, which would take three times as long."""
     scenario = project.parent / "lab.toml"
     scenario.write_text(SCENARIO)
-    done = slam(project, "bench", "--scenario", str(scenario), "--jobs", "1", "--out", str(out))
-    assert done.returncode == 0, done.stderr
+    run = "from stereo_slam_env.benchmark import run_benchmark"
+    in_process(project, "-c", f"{run}; run_benchmark({str(scenario)!r}, {str(out)!r}, jobs=1)")
     return json.loads((out / "summary.json").read_text())["filters"]
 
 
@@ -124,10 +128,9 @@ def test_a_filter_that_now_raises_does_not_return_its_old_result(project, tmp_pa
     after = bench(project, tmp_path / "b")
     assert after["lab"]["failures"] == ["seed 0, frame 1: RuntimeError: edited"]
     assert of_ours.stat().st_mtime_ns == written
-    said = slam(project, "report", str(tmp_path / "a"), str(tmp_path / "b"))
-    assert said.returncode == 0, said.stderr
-    assert re.search(r"The code of lab differs\s+between\s+the\s+two\s+runs", said.stdout)
-    assert "The code of stereo-slam-env differs" not in said.stdout
+    said = in_process(project, "-m", "stereo_slam_env.cli", "report", str(tmp_path / "a"), str(tmp_path / "b"))
+    assert re.search(r"The code of lab differs\s+between\s+the\s+two\s+runs", said)
+    assert "The code of stereo-slam-env differs" not in said
     edit(tmp_path / "b" / "settings.json", f'"code": "{code_digest()}"', '"code": "another"')
     warnings = compare(tmp_path / "a", tmp_path / "b").warnings
     assert f"The code of stereo-slam-env differs between the two runs ({code_digest()} and another)." in warnings

@@ -1,0 +1,196 @@
+"""A trajectory from outside as a run on a recording, so that it stands beside filters in tables, statistics and charts.
+
+It is held against the truth of the recording as a filter is: at the times of the frames, in the definition of its own
+errors, from a start that both know. What a filter has and a file has not, such as innovations, a map and a time a
+frame, is not known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from filters import Pose, nees
+from filters.consistency import are_definite
+from filters.motions.model import POSE_SIZE, POSITION, ROTATION
+from filters.validation import FloatArray, IntArray
+from stereo_slam_env.evaluation.filter_run import failed_run
+from stereo_slam_env.evaluation.gauges import Alignment, carried, correlation_of, is_zero_at_start
+from stereo_slam_env.evaluation.results import FilterRun
+from stereo_slam_env.evaluation.trajectory_windows import motion_covariances, motions
+from stereo_slam_env.evaluation.windows import WINDOWS, nees_floor, series_of, window_ends
+from stereo_slam_env.recording.recording import Recording
+from stereo_slam_env.recording.trajectory import Trajectory, pose_errors, tangent_jacobian, transformed
+
+_NEAREST = 0.5
+"""A pose belongs to a frame that is nearer than this share of the time between two frames."""
+
+
+def outside_run(
+    recording: Recording,
+    trajectory: Trajectory,
+    *,
+    label: str | None = None,
+    options: Mapping[str, Any] | None = None,
+    seed: int | None = None,
+) -> FilterRun:
+    """The run that a trajectory from outside is on a recording.
+
+    Parameters
+    ----------
+    recording : Recording
+        What it was estimated from.
+    trajectory : Trajectory
+        Poses of the left camera, with the times of the recording, or as many as it has frames, or with the numbers of
+        these. Unless its header says that its world is that of the recording, its first pose is put where the vehicle
+        was at that time. Frames that it has no pose for stay unknown.
+    label : str, optional
+        Name in tables and files; None: that of the trajectory.
+    options : mapping, optional
+        What is kept with the run, JSON-able.
+    seed : int, optional
+        Of the recording.
+
+    Returns
+    -------
+    FilterRun
+        With `failure` where no pose belongs to a frame, or a covariance is not positive definite; without NEES where
+        nothing is claimed, or only motion in a plane.
+    """
+    name, options = label or trajectory.name, options or {}
+    run = replace(failed_run(recording, name, options, seed, ""), failure=None)
+    try:
+        rows, frames = _paired(trajectory, run.timestamps)
+        poses = _in_world(trajectory.rows(rows), recording, int(frames[0]))
+    except ValueError as error:
+        return replace(run, failure=str(error))
+    claimed = None if poses.plane is not None else poses.covariances
+    failure = None
+    if claimed is not None:
+        sound = are_definite(claimed)
+        sound[0] = True  # where it starts may be known exactly
+        if not sound.all():
+            first = int(np.flatnonzero(~sound)[0])
+            failure = f"frame {frames[first]}: its covariance is not positive definite"
+            poses, frames, claimed = poses.rows(slice(0, first)), frames[:first], claimed[:first]
+    series = {"positions": poses.positions, "orientations": poses.orientations}
+    if claimed is not None:
+        covariances = poses.pose_covariances
+        assert covariances is not None
+        series |= {"pose_covariances": covariances} | _scored(recording, run, poses, claimed, frames)
+    filled = {key: getattr(run, key).copy() for key in (*series, *(series_of(s) for s in WINDOWS))}
+    for key, values in series.items():
+        filled[key][frames] = values
+    if claimed is not None and poses.drift is not None:
+        for seconds in WINDOWS:
+            _add_windows(filled[series_of(seconds)], seconds, recording, run, poses, frames)
+    return replace(run, failure=failure, **filled)
+
+
+def _paired(trajectory: Trajectory, times: FloatArray) -> tuple[IntArray, IntArray]:
+    """Rows of a trajectory and the frames that they belong to, in order, each once."""
+    if trajectory.timestamps is None:
+        numbers = np.arange(len(trajectory)) if trajectory.frame_numbers is None else trajectory.frame_numbers
+        if trajectory.frame_numbers is None and len(trajectory) != len(times):
+            raise ValueError(
+                f"{trajectory.name} has {len(trajectory)} poses without times, the recording {len(times)} frames: give "
+                "times, or frame numbers (13 columns)"
+            )
+        rows = np.flatnonzero((numbers >= 0) & (numbers < len(times)))
+        frames = np.asarray(numbers)[rows]
+    else:
+        after = np.clip(np.searchsorted(times, trajectory.timestamps), 1, len(times) - 1)
+        before = after - 1
+        nearest = np.where(trajectory.timestamps - times[before] <= times[after] - trajectory.timestamps, before, after)
+        gaps = np.abs(trajectory.timestamps - times[nearest])
+        near = np.flatnonzero(gaps <= _NEAREST * np.median(np.diff(times)))
+        order = near[np.lexsort((gaps[near], nearest[near]))]
+        frames, first = np.unique(nearest[order], return_index=True)
+        rows = order[first]
+    if not len(rows):
+        raise ValueError(
+            f"{trajectory.name} has no pose at the time of a frame: the recording lasts from {times[0]:.9g} to "
+            f"{times[-1]:.9g} s, write its times so"
+        )
+    return rows, frames
+
+
+def _in_world(poses: Trajectory, recording: Recording, frame: int) -> Trajectory:
+    """The poses in the world of the recording, by the pose of the vehicle in the first frame that they have."""
+    if poses.gauge == "fixed":
+        return poses
+    there = recording.frames[frame].truth
+    if there is None:
+        if frame:
+            raise ValueError(f"{poses.name} begins at frame {frame}, where no pose of the vehicle is known: give one")
+        there = Pose(recording.start.position, recording.start.orientation)
+    at_first = Alignment("start", there @ poses.pose(0).inverse(), 1.0, np.arange(len(poses)) == 0, up=2)
+    aligned = at_first.apply(poses)
+    if aligned.covariances is None or is_zero_at_start(poses):
+        return aligned
+    return replace(
+        aligned, covariances=carried(aligned.covariances, aligned, at_first, correlation_of(poses)), drift=None
+    )
+
+
+def _scored(
+    recording: Recording, run: FilterRun, poses: Trajectory, claimed: FloatArray, frames: IntArray
+) -> dict[str, FloatArray]:
+    """Errors of the poses and their NEES, with what the reference states of its own errors."""
+    truth, truly_turned = run.true_positions[frames], run.true_orientations[frames]
+    known = np.isfinite(truth).all(axis=1)
+    errors = np.full((len(frames), POSE_SIZE), np.nan)
+    estimated = poses.positions[known], poses.orientations[known]
+    errors[known] = pose_errors(poses.tangent, *estimated, truth[known], truly_turned[known])
+    reference, start = recording.reference, Pose(recording.start.position, recording.start.orientation)
+    summed, floor = claimed, np.full(len(frames), np.nan)
+    if not reference.is_exact:
+        truths = [recording.frames[k].truth for k in frames]
+        doubt = np.array([np.zeros((6, 6)) if t is None else reference.covariance(start, t) for t in truths])
+        doubt = transformed(tangent_jacobian(poses.tangent, poses.positions, poses.orientations), doubt)
+        summed = claimed + doubt
+        usable = np.flatnonzero(are_definite(claimed) & known)
+        floor[usable] = [nees_floor(claimed[k], doubt[k]) for k in usable]
+    counts = known & reference.has_settled(run.timestamps[frames]) & reference.counts_as_truth
+    counts[0] = poses.gauge == "fixed"  # else both are put together there
+    summed = np.where(counts[:, None, None], summed, np.nan)
+    return {
+        "pose_errors": errors,
+        "pose_nees": nees(errors, summed),
+        "position_nees": nees(errors[:, POSITION], summed[:, POSITION, POSITION]),
+        "rotation_nees": nees(errors[:, ROTATION], summed[:, ROTATION, ROTATION]),
+        "pose_nees_floor": floor,
+    }
+
+
+def _add_windows(
+    series: FloatArray, seconds: float, recording: Recording, run: FilterRun, poses: Trajectory, frames: IntArray
+) -> None:
+    """Note the NEES of the motion over windows, of poses that say what two of them have in common."""
+    reference = recording.reference
+    known = np.isfinite(run.true_positions[frames]).all(axis=1) & reference.has_settled(run.timestamps[frames])
+    rows = np.flatnonzero(known & reference.counts_as_truth)
+    ends = list(window_ends(run.timestamps[frames[rows]], seconds))
+    if not ends:
+        return
+    first, last = rows[np.array(ends).T]
+    truth = Trajectory(run.true_positions[frames[rows]], run.true_orientations[frames[rows]])
+    errors = pose_errors("right", *motions(poses, first, last), *motions(truth, *np.array(ends).T))
+    covariances = motion_covariances(poses, first, last)
+    assert covariances is not None
+    for k, (i, j) in enumerate(zip(frames[first], frames[last], strict=True)):
+        start, end = recording.frames[i].truth, recording.frames[j].truth
+        assert start is not None
+        assert end is not None
+        covariances[k] += transformed(_into_body(start, end), reference.relative_covariance(start, end))
+    series[frames[last]] = nees(errors, covariances)
+
+
+def _into_body(start: Pose, end: Pose) -> FloatArray:
+    """J (6, 6) from errors of a motion as of `PoseBelief` to those of its right perturbation."""
+    moved = start.inverse() @ end
+    J: FloatArray = tangent_jacobian("right", moved.position[None], moved.orientation[None])[0]
+    return J

@@ -1,0 +1,77 @@
+"""Measurements of an inertial unit, cut into the steps between frames, and samples of adjacent steps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from filters import InertialSamples, InertialUnit
+from filters.validation import FloatArray
+
+_GAP = 5.0
+"""Times the usual distance of two samples: a longer one is a gap."""
+_SAME = 1e-9
+"""Of two times, s: as far apart as rounding moves them."""
+
+
+def samples_of_steps(
+    path: Path, times: FloatArray, numbers: FloatArray, frames: FloatArray, unit: InertialUnit
+) -> list[InertialSamples | None]:
+    """Samples of the step to each frame from the one before; None for the first, and where a step is not covered.
+
+    Between two rows what was measured changes linearly: a sample is its mean from the row, or the frame, before.
+
+    Parameters
+    ----------
+    path : Path
+        Of the table, for messages.
+    times : (N,) ndarray
+        Of the rows, s, ascending.
+    numbers : (N, 6) ndarray
+        Angular rates, rad/s, and specific forces, m/s^2, in the frame of the unit.
+    frames : (K,) ndarray
+        Times of the frames, s, on the same clock; NaN where one is not known.
+    unit : InertialUnit
+        That measured them.
+
+    Raises
+    ------
+    ValueError
+        There are less than two rows, or their times do not ascend.
+    """
+    if len(times) < 2 or not (np.diff(times) > 0.0).all():
+        raise ValueError(f"{path} must have two rows or more with increasing times: copy it again")
+    steps: list[InertialSamples | None] = [None]
+    integral = np.vstack([np.zeros(6), np.cumsum(np.diff(times)[:, None] * 0.5 * (numbers[1:] + numbers[:-1]), axis=0)])
+    longest = _GAP * float(np.median(np.diff(times)))
+    for begin, end in pairwise(frames.tolist()):
+        first, last = np.searchsorted(times, [begin + _SAME, end - _SAME])
+        covered = times[0] - _SAME <= begin < end <= times[-1] + _SAME
+        if not covered or np.diff(times[max(first - 1, 0) : last + 1]).max(initial=0.0) > longest:
+            steps.append(None)
+            continue
+        edges = np.array([begin, *times[first:last], end])
+        means = np.diff(_at(times, numbers, integral, edges), axis=0) / np.diff(edges)[:, None]
+        steps.append(InertialSamples(edges[1:] - begin, means[:, :3], means[:, 3:], unit))
+    return steps
+
+
+def joined(steps: Sequence[InertialSamples | None], durations: FloatArray) -> InertialSamples | None:
+    """Samples of adjacent steps of these lengths (N,), s, as those of one step; None where a step has none."""
+    one, elapsed = steps[0], 0.0
+    for step, before in zip(steps[1:], durations.tolist(), strict=False):
+        elapsed += before
+        one = None if one is None or step is None else one.followed_by(step, elapsed)
+    return one
+
+
+def _at(times: FloatArray, numbers: FloatArray, integral: FloatArray, t: FloatArray) -> FloatArray:
+    """Integral of what changes linearly between the rows, from the first of them to `t` (M,); (M, 6)."""
+    row = np.clip(np.searchsorted(times, t, side="right") - 1, 0, len(times) - 2)
+    since, width = t - times[row], times[row + 1] - times[row]
+    slope = (numbers[row + 1] - numbers[row]) / width[:, None]
+    whole: FloatArray = integral[row] + since[:, None] * (numbers[row] + 0.5 * since[:, None] * slope)
+    return whole

@@ -1,0 +1,84 @@
+"""Leaderboard of claims, from packets of results; `python -m stereo_slam_env.report.leaderboard RESULTS PAGE.md`.
+
+Sorted by how far the claim is from the truth, not by the error: the factor of the scale gap, whichever way.
+"""
+
+from __future__ import annotations
+
+import sys
+import textwrap
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stereo_slam_env.benchmark.packets import read_packet
+from stereo_slam_env.files.folders import write_atomically
+
+_HEADS = ("system", "recordings", "position error, m", "NEES / 6", "k", "inside 90 %, %", "log score", "diverged")
+_UNKNOWN = "–"
+
+
+def leaderboard(packets: Mapping[str, Mapping[str, Any]]) -> str:
+    """The page, in Markdown: a table a scenario; the keys are names of the files."""
+    parts = [_HEAD]
+    for name, packet in packets.items():
+        for cell in packet["cells"]:
+            rows = sorted(
+                (_row(label, trials) for label, trials in cell["trials"].items()), key=lambda row: (row[0], row[1])
+            )
+            parts.append(f"## {cell['name']}\n\n{_about(name, packet, cell)}\n")
+            lines = ["| " + " | ".join(_HEADS) + " |", "|---|" + "--:|" * (len(_HEADS) - 1)]
+            parts.append("\n".join([*lines, *("| " + " | ".join(cells) + " |" for _, _, cells in rows)]) + "\n")
+    return "\n".join(parts)
+
+
+def _about(name: str, packet: Mapping[str, Any], cell: Mapping[str, Any]) -> str:
+    """Where it comes from, and what is missing, in lines of Markdown."""
+    kinds = sorted({str(one["reference"]) for one in cell["recordings"]})
+    missing = [sentence.partition(": ")[2] for sentence in packet["missing"] if sentence.startswith(f"{cell['name']}:")]
+    lines = [f"`stereo-slam verify results/{name}` runs a part of it again. Truth: {', '.join(kinds)}."]
+    if missing:
+        lines.append("\n".join(textwrap.wrap(f"Missing: {'; '.join(missing)}.", 100, break_on_hyphens=False)))
+    return "\n\n".join(lines)
+
+
+def _row(label: str, trials: Sequence[Mapping[str, Any]]) -> tuple[float, str, list[str]]:
+    """Distance of the claim from the truth, label and cells."""
+    claims = [trial["claim"] for trial in trials if "claim" in trial]
+    gap = float(np.exp(np.mean([np.log(claim["scale_gap"]) for claim in claims]))) if claims else None
+    errors = [trial["position_rmse_m"] for trial in trials if trial["position_rmse_m"] is not None]
+    nees = [trial["pose_anees"] / 6.0 for trial in trials if trial["pose_anees"] is not None]
+    cells = [
+        label,
+        str(len(trials)),
+        f"{np.sqrt(np.mean(np.square(errors))):.3g}" if errors else _UNKNOWN,
+        f"{np.mean(nees):.2f}" if nees else _UNKNOWN,
+        _UNKNOWN if gap is None else f"{gap:.2f}",
+        f"{100.0 * np.mean([claim['coverage_90'] for claim in claims]):.0f}" if claims else _UNKNOWN,
+        f"{np.mean([claim['log_score'] for claim in claims]):.2f}" if claims else _UNKNOWN,
+        str(sum(bool(trial["diverged"]) for trial in trials)),
+    ]
+    return np.inf if gap is None else abs(float(np.log(gap))), label, cells
+
+
+_HEAD = """# Leaderboard of claims
+
+Made from the packets in [`results/`](../results) by
+`python -m stereo_slam_env.report.leaderboard results docs/leaderboard.md`. The first system of a
+table is the one whose covariances are nearest to its errors, by k, the median NEES over its ideal:
+1 is right, 4 says that deviations are claimed half as large as they are. k, coverage and log score
+are of the first ten recordings, in the world of the recording, not aligned; [how results are handed
+in](handing_in.md) and what each figure [means](evaluate.md#what-is-said).
+"""
+
+
+def read_results(folder: Path) -> dict[str, dict[str, Any]]:
+    """All packets of a folder, by name of the file; raises as `read_packet`."""
+    return {path.name: read_packet(path) for path in sorted(folder.glob("*.json"))}
+
+
+if __name__ == "__main__":
+    page = leaderboard(read_results(Path(sys.argv[1])))
+    write_atomically(Path(sys.argv[2]), lambda stream: stream.write(page.encode()))

@@ -1,0 +1,216 @@
+"""The multi-state constraint filter: its algebra against the Schur form, consistency, error, and what it never uses."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from filters import StereoEKF, StereoObservation, check_filter, make_filter
+
+from ..drives import CAMERA, INDEPENDENT_PIXELS, drive, finish, run, start
+from ..inertial_drives import DT, Journey, Path, driven, flown
+
+INERTIAL = {"motion": {"name": "strapdown", "sigma_gravity": 1e-4}, "gate": None}
+WINDOW = 5
+
+
+def skew(v: np.ndarray) -> np.ndarray:
+    return np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
+
+
+def linearised(poses: np.ndarray, uvd: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Whitened H by the poses, H by the point in W, and residual at the point that Gauss-Newton finds."""
+    whiten = np.linalg.inv(np.linalg.cholesky(INDEPENDENT_PIXELS.R))
+    Rs = Rotation.from_quat(poses[:, 3:]).as_matrix()
+    point = poses[0, :3] + Rs[0] @ CAMERA.backproject(uvd[0])
+    for _ in range(12):
+        p_c = np.einsum("kij,kj->ki", Rs.transpose(0, 2, 1), point - poses[:, :3])
+        J = whiten @ CAMERA.project_jacobian(p_c)
+        H_f = (J @ Rs.transpose(0, 2, 1)).reshape(-1, 3)
+        r = ((uvd - CAMERA.project(p_c)) @ whiten.T).ravel()
+        point = point + np.linalg.lstsq(H_f, r, rcond=None)[0]
+    H = np.zeros((len(r), 6 * len(poses)))
+    for k in range(len(poses)):
+        H[3 * k : 3 * k + 3, 6 * k : 6 * k + 6] = J[k] @ np.hstack([-Rs[k].T, skew(p_c[k])])
+    return H, H_f, r
+
+
+class SchurWindow:
+    """The plain filter in its Schur form (SchurVINS), of public calls: tracks that end or fill the window correct it.
+
+    With H by the poses, H_f by the point and r the residual it is A = H^T H - W V^-1 W^T and b = H^T r - W V^-1 g,
+    W = H^T H_f, V = H_f^T H_f, g = H_f^T r. The sum of A over the tracks is singular: its square root is a measurement.
+    """
+
+    def __init__(self) -> None:
+        options = {"landmark": "shared-anchor", "error": "right-invariant", "gate": None}
+        self.slam = start(StereoEKF(CAMERA, INDEPENDENT_PIXELS, **options))
+        self.tracks: dict[int, list[tuple[str, np.ndarray]]] = {}
+
+    def update(self, number: int, seen: StereoObservation) -> None:
+        at = dict(zip(seen.ids.tolist(), seen.uvd, strict=True))
+        done = [i for i, track in self.tracks.items() if i not in at or len(track) == WINDOW]
+        names = list(self.slam.clones)
+        A, b = np.zeros((6 * len(names), 6 * len(names))), np.zeros(6 * len(names))
+        for track in map(self.tracks.pop, done):
+            if len(track) < 3:
+                continue
+            own = [name for name, _ in track]
+            H, H_f, r = linearised(self.slam.belief(*own).value.reshape(-1, 7), np.array([uvd for _, uvd in track]))
+            W, V, g = H.T @ H_f, H_f.T @ H_f, H_f.T @ r
+            rows = (6 * np.array([names.index(n) for n in own])[:, None] + np.arange(6)).ravel()
+            A[np.ix_(rows, rows)] += H.T @ H - W @ np.linalg.solve(V, W.T)
+            b[rows] += H.T @ r - W @ np.linalg.solve(V, g)
+        if A.any():
+            size, axes = np.linalg.eigh(A)
+            there = size > 1e-9 * size.max()
+            root, axes = np.sqrt(size[there]), axes[:, there]
+            H = np.hsplit((axes * root).T, len(names))
+            self.slam.correct(axes.T @ b / root, dict(zip(names, H, strict=True)), np.eye(len(root)))
+        if len(names) == WINDOW:
+            self.slam.forget_clone(names[0])
+        self.slam.clone_pose(str(number))
+        for i, uvd in at.items():
+            self.tracks.setdefault(i, []).append((str(number), uvd))
+
+
+def test_null_space_and_schur_form_are_the_same() -> None:
+    """Over 14 frames with tracks that end and tracks that outlive the window, to 1e-9 of pose and covariance."""
+    schur, slam = (
+        SchurWindow(),
+        start(make_filter("msckf", camera=CAMERA, noise=INDEPENDENT_PIXELS, map_landmarks=0, window=WINDOW, gate=None)),
+    )
+    for number, frame in enumerate(drive(0, 14, depths=(6.0, 40.0))):
+        if number:
+            schur.slam.predict(DT)
+            slam.predict(DT)
+        schur.update(number, frame.observation)
+        slam.update(frame.observation)
+    np.testing.assert_allclose(slam.pose.position, schur.slam.pose.position, atol=1e-9)
+    np.testing.assert_allclose(slam.pose.orientation, schur.slam.pose.orientation, atol=1e-9)
+    scale = np.abs(slam.pose.covariance).max()
+    np.testing.assert_allclose(slam.pose.covariance, schur.slam.pose.covariance, atol=1e-9 * scale)
+
+
+def scores(path: Path, runs: int, filter_name: str, **options: object) -> tuple[np.ndarray, float]:
+    """NEES / 6 of each run and the root mean square of the position error over the second half of all."""
+    found, errors = [], []
+    for seed in range(runs):
+        journey = Journey.along(path, seed, 8.0)
+        slam = make_filter(filter_name, camera=CAMERA, noise=INDEPENDENT_PIXELS, **options)
+        slam.reset(journey.start)
+        nees = []
+        for k, step in enumerate(journey.steps):
+            if k:
+                slam.predict(DT, inertial=step.inertial if "motion" in options else None)
+            slam.update(step.observation)
+            error, covariance = slam.pose_error(step.position, step.orientation)
+            nees.append(error @ np.linalg.solve(covariance, error) / 6.0)
+            if k > 40:
+                errors.append(np.sum((slam.pose.position - step.position) ** 2))
+        found.append(np.mean(nees))
+    return np.array(found), float(np.sqrt(np.mean(errors)))
+
+
+@pytest.mark.parametrize(
+    "runs", [4, pytest.param(30, marks=[pytest.mark.slow, pytest.mark.timeout(900)])], ids=["few", "many"]
+)
+@pytest.mark.parametrize("path", [driven, flown], ids=["drives", "flights"])
+def test_it_is_consistent_and_about_as_exact_as_slam(path: Path, runs: int) -> None:
+    """With an inertial unit. 30 runs: NEES / 6 within .8 and 1.2; the error at most 1.15 times that of the EKF."""
+    nees, error = scores(path, runs, "msckf", **INERTIAL)
+    _, of_slam = scores(path, runs, "inertial", **INERTIAL)
+    assert (0.8 < nees.mean() < 1.2) if runs == 30 else (0.4 < nees.mean() < 2.0)
+    assert error < (1.15 if runs == 30 else 1.5) * of_slam
+
+
+def test_the_plain_filter_is_consistent_and_needs_no_map() -> None:
+    nees, _ = scores(flown, 4, "msckf", map_landmarks=0, **INERTIAL)
+    assert 0.4 < nees.mean() < 2.0
+    slam = make_filter("msckf", camera=CAMERA, noise=INDEPENDENT_PIXELS, map_landmarks=0, gate=None)
+    finish(slam, drive(0, 10))
+    assert len(slam.landmarks.ids) == 0
+
+
+def test_a_monocular_inertial_filter_finds_the_scale_and_reads_no_disparity() -> None:
+    """The speed at the start is known to .5 m/s only; wrong disparities change no bit."""
+    ends = []
+    for disparity in (0.0, 500.0):
+        journey = Journey.along(flown, 1, 8.0)
+        steps = tuple(replace(s, observation=_with_disparity(s.observation, disparity)) for s in journey.steps)
+        slam = make_filter(
+            "msckf", camera=CAMERA, noise=INDEPENDENT_PIXELS, measurement="left", map_landmarks=0, **INERTIAL
+        )
+        assert isinstance(slam, StereoEKF)
+        nees = replace(journey, steps=steps).run(slam)
+        ends.append(slam.pose.position)
+        assert np.linalg.norm(slam.pose.position - steps[-1].position) < 0.3
+        assert nees[-30:].mean() / 6.0 < 3.0
+    np.testing.assert_array_equal(ends[0], ends[1])
+
+
+def _with_disparity(seen: StereoObservation, disparity: float) -> StereoObservation:
+    return StereoObservation(seen.ids, np.column_stack([seen.uvd[:, :2], np.full(len(seen), disparity)]))
+
+
+def test_a_wild_track_is_gated_and_a_point_behind_is_no_point() -> None:
+    slam = make_filter("msckf", camera=CAMERA, noise=INDEPENDENT_PIXELS, map_landmarks=0)
+    frames = drive(0, 6, missed=0.0)
+    wild, reports = int(frames[0].observation.ids[0]), []
+    for k, frame in enumerate(frames):
+        uvd = frame.observation.uvd.copy()
+        uvd[frame.observation.ids == wild, :2] += 40.0 * (k % 2)
+        frames[k] = replace(frame, observation=StereoObservation(frame.observation.ids, uvd))
+    reports = list(run(start(slam), frames))
+    slam.predict(DT)
+    reports.append(slam.update(StereoObservation(np.zeros(0, dtype=np.int64), np.zeros((0, 3)))))
+    assert wild in np.concatenate([report.gated for report in reports])
+    assert wild not in np.concatenate([report.updated for report in reports])
+
+
+def test_a_window_of_a_user_lives_beside_the_clones() -> None:
+    """`correct` with a clone that stays, a speed of zero, a position from outside: as of every filter."""
+    slam = make_filter("msckf", camera=CAMERA, noise=INDEPENDENT_PIXELS)
+    assert isinstance(slam, StereoEKF)
+    start(slam)
+    slam.clone_pose("start")
+    for _ in run(slam, drive(0, 15)):
+        pass
+    before = slam.relative_pose("start").covariance
+    start_at, now = slam.belief("start").value[:3], slam.pose.position
+    told = slam.correct(start_at - now, {"pose": np.eye(3, 6), "start": -np.eye(3, 6)}, 0.01**2 * np.eye(3), gate=1e-6)
+    assert not told.used  # it has moved: no loop
+    slam.correct(np.zeros(3), {"pose": np.eye(3, 6)}, 0.01**2 * np.eye(3))
+    assert np.trace(slam.relative_pose("start").covariance[:3, :3]) < np.trace(before[:3, :3])
+
+
+def test_forgotten_tracks_correct_nothing() -> None:
+    frames = drive(0, 6, missed=0.0)
+    slam = make_filter("msckf", camera=CAMERA, noise=INDEPENDENT_PIXELS, map_landmarks=0)
+    assert isinstance(slam, StereoEKF)
+    finish(slam, frames)
+    slam.forget(np.unique(np.concatenate([frame.observation.ids for frame in frames])))
+    slam.predict(DT)
+    assert slam.update(StereoObservation(np.zeros(0, dtype=np.int64), np.zeros((0, 3)))).nis_dof == 0
+
+
+@pytest.mark.parametrize(
+    ("option", "message"),
+    [
+        ({"window": 2}, r"^window must be an integer >= 3, got 2$"),
+        ({"measurement": "left"}, r"^map_landmarks must be 0 with measurement='left', got 30: see its page$"),
+        ({"map_landmarks": -1}, r"^map_landmarks must be an integer >= 0, got -1$"),
+        ({"measurement": "stacked"}, r"^measurement must be 'joint' or 'left' with a window, got Stacked$"),
+        ({"error": "first-estimates"}, r"^error must linearise at the state with a window, got FirstEstimates$"),
+    ],
+)
+def test_what_it_cannot_do_is_refused(option: dict[str, object], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        make_filter("msckf", camera=CAMERA, noise=INDEPENDENT_PIXELS, **option)
+
+
+def test_it_keeps_the_contract() -> None:
+    assert "0 failed" in str(check_filter("msckf"))

@@ -1,0 +1,193 @@
+"""Front ends as plug-ins: ours keep the contract, faults are found, and each can be asked for by name (15 s)."""
+
+import sys
+from dataclasses import replace
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from filters import StereoObservation
+from stereo_slam_env.cli import app as cli
+from stereo_slam_env.datasets import load
+from stereo_slam_env.frontend import (
+    StereoTracker,
+    TrackedPair,
+    TrackerSettings,
+    available_front_ends,
+    check_front_end,
+    make_front_end,
+)
+from stereo_slam_env.frontend.check_front_end import CAMERA, DT, _pairs
+from stereo_slam_env.frontend.klt import SIGMA, KLTFrontEnd
+
+from ..datasets.small_image_folders import kitti_odometry
+
+
+@pytest.mark.parametrize("name", ["active-search", "klt", pytest.param("sift", marks=pytest.mark.slow)])
+def test_ours_keep_the_contract(name):
+    assert str(check_front_end(name)).endswith("9 checks passed, 0 failed")
+
+
+class Faulty(KLTFrontEnd):
+    """A good front end with one fault."""
+
+    def __init__(self, camera, settings=None):
+        super().__init__(camera, settings)
+        self.calls = 0
+
+    def track(self, left, right, dt=None, forecast=None):
+        self.calls += 1
+        return self.spoilt(super().track(left, right, dt, forecast))
+
+
+class Biased(Faulty):
+    def spoilt(self, found):
+        return replace(found, uvd=found.uvd + np.array([0.0, 0.0, 0.15]))
+
+
+class Shuffled(Faulty):
+    def spoilt(self, found):
+        return replace(found, ids=found.ids[::-1].copy())
+
+
+class Certain(Faulty):
+    def spoilt(self, found):
+        return replace(found, R=0.0 * found.R)
+
+
+class Forgetful(Faulty):
+    def spoilt(self, found):
+        return replace(found, ids=found.ids + 1000 * self.calls)
+
+
+class Undead(Faulty):
+    def spoilt(self, found):
+        return replace(found, dropped=found.ids[:1])
+
+
+class Moody(Faulty):
+    moods = np.random.default_rng(0)
+
+    def spoilt(self, found):
+        return replace(found, uvd=found.uvd + self.moods.normal(0.0, 0.01, found.uvd.shape))
+
+
+class Credulous(Faulty):
+    def track(self, left, right, dt=None, forecast=None):
+        try:
+            return super().track(left, right, dt, forecast)
+        except ValueError:
+            return TrackedPair(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3, 3)))
+
+    def spoilt(self, found):
+        return found
+
+
+class Borrower(Faulty):
+    def spoilt(self, found):
+        return found
+
+    def track(self, left, right, dt=None, forecast=None):
+        found = super().track(left, right, dt, forecast)
+        self._left = left
+        return found
+
+
+@pytest.mark.parametrize(
+    ("front_end", "failed"),
+    [
+        (Biased, "to parts of a pixel. the median error of (u, v, d) is"),
+        (Shuffled, "ids must be int64 and ascend"),
+        (Certain, "symmetric and positive definite. pair 0 has one that is not"),
+        (Forgetful, "half of them are measured in the next pair, too. pair 3 has 0%"),
+        (Undead, "dropped does not come again. pair 1 has"),
+        (Moody, "give the same bits, after `reset`"),
+        (Credulous, "a smaller image is taken"),
+        (Borrower, "an image is kept that was overwritten"),
+    ],
+    ids=lambda value: getattr(value, "__name__", ""),
+)
+def test_each_fault_is_found_and_named(front_end, failed):
+    report = check_front_end(front_end, raise_on_failure=False)
+    assert any(failed in line for line in report.failed), report
+    with pytest.raises(AssertionError, match=front_end.__name__):
+        check_front_end(front_end)
+
+
+def test_a_tracked_pair_is_ids_measurements_and_covariances():
+    found = TrackedPair(np.array([3, 7]), np.array([[10.0, 20, 5], [30, 40, 2]]), np.tile(np.eye(3), (2, 1, 1)))
+    assert isinstance(found.observation, StereoObservation)
+    np.testing.assert_array_equal(found.observation.ids, [3, 7])
+    assert found.observation is found.observation
+    assert len(found.dropped) == len(found.initialised) == len(found.search.ids) == 0
+
+
+def test_klt_claims_one_constant_and_finds_the_disparity_offset():
+    left, right = _pairs()[0]
+    plain = KLTFrontEnd(CAMERA).track(left, right)
+    np.testing.assert_allclose(
+        plain.R, np.tile(SIGMA**2 * np.array([[1, 0, 1], [0, 1, 0], [1, 0, 2]]), (len(plain.ids), 1, 1))
+    )
+    moved = KLTFrontEnd(CAMERA, TrackerSettings(disparity_offset=0.25)).track(left, right)
+    np.testing.assert_allclose(moved.uvd[:, 2], plain.uvd[:, 2] + 0.25)
+
+
+def test_unknown_names_and_missing_networks_are_refused_in_one_line(tmp_path):
+    with pytest.raises(
+        ValueError, match=r"front end must be one of active-search, klt, .* got 'klp', did you mean 'klt'"
+    ):
+        make_front_end(CAMERA, TrackerSettings(method="klp"))
+    for name in ("aliked", "disk"):
+        with pytest.raises(ValueError, match=r"needs a network: give its ONNX file as model|needs OpenCV 5"):
+            make_front_end(CAMERA, TrackerSettings(method=name))
+        (tmp_path / "net.onnx").write_bytes(b"no network")
+        with pytest.raises(ValueError, match=r"is no network that|needs OpenCV 5"):
+            make_front_end(CAMERA, TrackerSettings(method=name, model=str(tmp_path / "net.onnx")))
+    with pytest.raises(ValueError, match="front end must be one of"):
+        gym.make("StereoSlam/Drive-v0", sensor="images", front_end_name="klp")
+    with pytest.raises(ValueError, match=r"is no network that LightGlueMatcher takes|needs OpenCV 5"):
+        make_front_end(CAMERA, TrackerSettings(method="sift", matcher_model=str(tmp_path / "net.onnx")))
+
+
+def test_a_recording_is_measured_by_the_front_end_that_is_named(tmp_path, capsys):
+    folder = kitti_odometry(tmp_path)
+    recording = load(folder, front_end={"method": "klt", "disparity_offset": 0.0})
+    assert recording.source["front_end"]["method"] == "klt"
+    assert sum(len(frame.observation) for frame in recording.frames) > 30
+    assert recording.start.covariance is not None  # the first two pairs show how it moves
+    assert 2.0 < np.linalg.norm(recording.start.linear_velocity) < 6.0  # of 4 m/s, in pictures of 160x120
+    assert cli.main(["replay", str(folder), "--front-end", "klp", "--out", str(tmp_path / "run")]) == 2
+    assert "front end must be one of" in capsys.readouterr().err
+    assert cli.main(["bench", "--preset", "turn", "--front-end", "klt", "--out", str(tmp_path / "run")]) == 2
+    assert "--front-end needs images" in capsys.readouterr().err
+
+
+@pytest.fixture
+def installed(tmp_path, monkeypatch):
+    """Two front ends of strangers, one of which cannot be loaded."""
+    about = tmp_path / "fast_front_end-1.dist-info"
+    about.mkdir()
+    (tmp_path / "fast_front_end.py").write_text(
+        "from stereo_slam_env.frontend import StereoTracker\n\n"
+        'class Fast(StereoTracker):\n    """Somebody else\'s."""\n'
+    )
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: fast-front-end\nVersion: 1\n")
+    points = "[stereo_slam.front_ends]\nfast = fast_front_end:Fast\nbroken = nobody_has_this:It\n"
+    (about / "entry_points.txt").write_text(points)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    yield
+    sys.modules.pop("fast_front_end", None)
+
+
+def test_front_ends_of_others_are_found_by_entry_point_and_a_broken_one_is_named(installed):
+    listed = available_front_ends()
+    assert listed["fast"] == "Somebody else's."
+    assert listed["broken"].startswith("not available: ")
+    made = make_front_end(CAMERA, TrackerSettings(method="fast"))
+    ours = StereoTracker(CAMERA)
+    for number, (left, right) in enumerate(_pairs()[:3]):
+        dt = DT if number else None
+        np.testing.assert_array_equal(made.track(left, right, dt).uvd, ours.track(left, right, dt).uvd)
+    with pytest.raises(ValueError, match=r"front end 'broken' \(nobody_has_this:It\) cannot be loaded"):
+        make_front_end(CAMERA, TrackerSettings(method="broken"))

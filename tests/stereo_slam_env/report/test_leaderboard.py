@@ -1,0 +1,34 @@
+"""The leaderboard of claims is that of the packets that are kept."""
+
+from pathlib import Path
+
+from stereo_slam_env.report.leaderboard import leaderboard, read_results
+
+ROOT = Path(__file__).resolve().parents[3]
+
+
+def trial(seed, scale_gap, **figures):
+    claim = {"scale_gap": scale_gap, "coverage_90": 0.8, "log_score": -3.0}
+    known = {"recording": "drive", "seed": seed, "position_rmse_m": 3.0, "pose_anees": 6.0, "diverged": 0}
+    return {**known, **figures} | ({} if scale_gap is None else {"claim": claim})
+
+
+def test_the_page_is_made_from_the_packets():
+    assert (ROOT / "docs" / "leaderboard.md").read_text(encoding="utf-8") == leaderboard(read_results(ROOT / "results"))
+
+
+def test_the_nearest_claim_comes_first_whichever_way_it_is_wrong_and_none_last():
+    trials = {
+        "loose": [trial(0, 0.5)],
+        "nothing": [trial(0, None, pose_anees=None)],
+        "right": [trial(0, 1.1), trial(1, 1.0, position_rmse_m=4.0, diverged=1)],
+        "tight": [trial(0, 3.0)],
+    }
+    cell = {"name": "one", "recordings": [{"reference": "simulation"}], "trials": trials}
+    page = leaderboard({"mine.json": {"cells": [cell], "missing": ["one: 3 frames of loose have no NEES"]}})
+    rows = [line.split(" | ") for line in page.splitlines() if line.startswith("| ")][1:]
+    assert [row[0].lstrip("| ") for row in rows] == ["right", "loose", "tight", "nothing"]
+    # The root mean square of 3 and 4, the geometric mean of 1 and 1.1, and one run of two that diverged.
+    assert rows[0][1:] == ["2", "3.54", "1.00", "1.05", "80", "-3.00", "1 |"]
+    assert rows[3][4] == "–"
+    assert "Missing: 3 frames of loose have no NEES." in page
