@@ -4,9 +4,9 @@
     python benchmarks/left_out.py --rendered 2 --routes right-turn
 
 Two constants of `stereo_slam_env/frontend/track_noise.py` size it: what lens and calibration add to all tracks of a
-frame (`COMMON_FLOOR`), and the share of the slide that they have in common (`SLIDE_IN_COMMON`). For each recording those
-values are taken that give the others the best mean log score of windows of 1 s and 10 s. NEES/6 of the pose and of
-windows on the one that was left out should be 1. Vision only.
+frame (`COMMON_FLOOR`), and the share of the slide that they have in common (`SLIDE_IN_COMMON`). For each recording
+those values are taken that give the others the best mean log score of windows of 1 s and 10 s. NEES/6 of the pose and
+of windows on the one that was left out should be 1. Vision only.
 
 Rendered drives have an exact lens, rig and truth. They are judged as the simulation that they are ("exact"), and as a
 stranger's, to whom nobody says so.
