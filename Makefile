@@ -8,7 +8,8 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 BENCH ?= --preset quick
 PYTEST ?=
-RUN_TESTS = $(BIN)/python -m pytest --numprocesses $(WORKERS) --dist loadfile --max-worker-restart 0
+# Tests start hundreds of processes: without bytecode each compiles all modules, and reads all code to know what it is.
+RUN_TESTS = env -u PYTHONDONTWRITEBYTECODE $(BIN)/python -m pytest --numprocesses $(WORKERS) --dist loadfile --max-worker-restart 0
 WORKERS ?= 2
 EXTRAS := dev,gtsam,evo,bags,gl,ray,dask,rl,video,docs,viewer,pictures,notebooks
 PYTHONS ?= python3.10 python3.11 python3.12 python3.13

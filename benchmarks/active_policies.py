@@ -105,11 +105,11 @@ def main() -> None:
         true = dict(zip(("true", "true_low", "true_high"), changes[0][1], strict=True))
         about = {"world": given.world, "belief": given.belief, "policy": label, "drives": given.drives}
         kept.append({**about, **means, **true, **claimed})
+        with given.out.open("w", newline="", encoding="utf-8") as stream:
+            writer = csv.DictWriter(stream, list(kept[0]))
+            writer.writeheader()
+            writer.writerows({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in row.items()} for row in kept)
         show(f"{given.world}, {given.belief}, {given.drives} drives", HEADS, rows[-1:])
-    with given.out.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.DictWriter(stream, list(kept[0]))
-        writer.writeheader()
-        writer.writerows({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in row.items()} for row in kept)
     show(f"{given.world}, {given.belief}, {given.drives} drives", HEADS, rows)
 
 

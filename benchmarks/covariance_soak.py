@@ -84,8 +84,7 @@ class Health:
 
     def look(self, stereo_filter: StereoEKF) -> None:
         """At the whole covariance."""
-        rows = stereo_filter.state.rows_in_use
-        P = symmetric.full(stereo_filter.state.P)[np.ix_(rows, rows)]
+        P = symmetric.full(stereo_filter.state.P)
         eigenvalues = np.abs(np.linalg.eigvalsh(P))
         self.largest_condition = max(self.largest_condition, eigenvalues.max() / eigenvalues.min())
         sigmas = np.sqrt(np.diag(P))
@@ -158,7 +157,7 @@ def soak(case: Case, updates: int) -> tuple[Health, float, float]:
         spent += time.perf_counter() - began
         state = stereo_filter.state
         health.failed += report.failed_factorisations
-        health.smallest_variance = min(health.smallest_variance, float(np.diagonal(state.P)[state.rows_in_use].min()))
+        health.smallest_variance = min(health.smallest_variance, float(np.diagonal(state.P).min()))
         moves = 0 if len(report.initialised) else moves + 1
         if (k % LOOK_EVERY == 0 or k < 20) and moves >= MOVES_TO_PART:
             health.look(stereo_filter)

@@ -22,7 +22,7 @@ def main() -> None:
     given = arguments(__doc__, "runs", runs=[Path], log_det=-41.7, out=Path("learning_curve.png"))
     curves = [LearningCurve(run / "learning_curve.csv").rows for run in given.runs]
     for run, rows in zip(given.runs, curves, strict=True):
-        best = min(rows, key=lambda row: row["final_pose_logdet"])
+        best = min(rows, key=lambda row: row["final_position_error_m"])
         reached = next((row["seconds"] for row in rows if row["final_pose_logdet"] <= given.log_det), float("nan"))
         print(
             f"{run}: {given.log_det:g} after {reached:.0f} s; best {best['final_pose_logdet']:.2f} "

@@ -10,8 +10,9 @@ the project. There, those tests of its room that reach the changed statement are
 or they take three times the processor time that they take without it. Kernels are mutated where they run as plain
 Python, so that no change needs compiling. What survives is printed as a diff: it is to be read, and to be killed by a
 test or judged to make no difference. Annotations and texts are not mutated. `--results` keeps what was found: the same
-command goes on where it was ended. `--limit` is that of one run of
-tests, seconds. Ends with 1 where a smaller share than `--least` percent was killed.
+command goes on where it was ended. `--limit` is that of one run of tests, seconds; `--budget` that of processor time
+for the tests of one mutant: the quickest that reach it are run. Ends with 1 where a smaller share than `--least`
+percent was killed.
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
 
+import numpy as np
 import pytest
 
 from harness import arguments
@@ -52,7 +54,9 @@ class Room:
     tests: tuple[str, ...]
     """Files and folders of tests."""
     compiled: bool = True
-    """Whether the tests use compiled kernels, none of which is mutated."""
+    """Whether the tests use compiled kernels, none of which is mutated. Of the engine what compiles is left out."""
+    only: str = ""
+    """Expression by which pytest chooses among the tests: those that are slow as plain Python are left out."""
 
 
 ROOMS = {
@@ -71,12 +75,24 @@ ROOMS = {
         ("filters/monitor.py",), ("tests/filters/test_monitor.py", "tests/stereo_slam_env/evaluation/test_alarms.py")
     ),
     "engine": Room(
-        ("filters/engine/compiled/*.py", "filters/engine/*.py"),
+        (
+            *(
+                f"filters/engine/compiled/{name}.py"
+                for name in ("correction", "covariance", "drift", "frame", "gating")
+            ),
+            *(f"filters/engine/compiled/{name}.py" for name in ("gauge_walk", "landmarks", "linearisation", "recipe")),
+            *(f"filters/engine/compiled/{name}.py" for name in ("prediction", "retraction", "scratch", "storage")),
+            "filters/engine/compiled/sigma_points.py",
+            *(f"filters/engine/{name}.py" for name in ("doors", "engine", "new_landmarks", "row", "selection")),
+        ),
         (
             *(f"tests/filters/engine/test_{name}.py" for name in ("dense", "exact_numbers", "storage", "textbook")),
-            "tests/filters/engine/test_golden.py",
+            *(f"tests/filters/engine/test_{name}.py" for name in ("golden", "gauge_walk", "consensus", "selection")),
+            "tests/filters/state/test_clones.py",
+            "tests/filters/updates/test_unscented.py",
         ),
         compiled=False,
+        only="not (conforms or monte_carlo or better)",
     ),
     "parts": Room(
         tuple(f"filters/{room}/*.py" for room in ("landmarks", "measurements", "motions", "errors", "updates")),
@@ -157,8 +173,11 @@ class Clean:
     reach: dict[str, dict[int, set[str]]]
     """Tests that run a line of a file, or the file or folder of tests whose fixture does."""
 
-    def nearest(self, mutant: Mutant) -> list[str]:
-        """Tests that run the changed statement, in the order in which to run them; all tests, if it runs on import."""
+    def nearest(self, mutant: Mutant, budget: float) -> list[str]:
+        """Tests that run the changed statement, in the order in which to run them; all tests, if it runs on import.
+
+        Of these the quickest that together take no more than the budget, s.
+        """
         lines, on_call = statement((ROOT / mutant.path).read_text(), mutant.line)
         reach = self.reach.get(mutant.path, {})
         by_statement = tuple(set().union(*(reach.get(line, ()) for line in lines)))
@@ -166,6 +185,10 @@ class Clean:
         tests = [test for test in self.seconds if test]
         if on_call and by_statement:
             tests = [test for test in tests if test.startswith(by_statement)]
+        if budget < np.inf:
+            tests.sort(key=self.seconds.__getitem__)
+            spent = np.cumsum([self.seconds[test] for test in tests])
+            tests = tests[: max(1, int(np.searchsorted(spent, budget)))]
         file = {test: test.partition("::")[0] for test in tests}
         seconds: Counter[str] = Counter()
         for test in tests:
@@ -260,7 +283,7 @@ def run_tests(copy: Path, room: Room, tests: Iterable[str], task: dict[str, Any]
     note = copy / "task.json"
     note.write_text(json.dumps(task))
     options = ["-x", "-q", "-p", "mutants", "-p", "no:randomly", "-m", "not slow"]
-    command = [sys.executable, "-m", "pytest", *options, *tests]
+    command = [sys.executable, "-m", "pytest", *options, "-k", room.only, *tests]
     path = os.pathsep.join([str(copy), str(copy / "benchmarks"), *filter(None, [os.environ.get("PYTHONPATH")])])
     environment = {**os.environ, "PYTHONPATH": path, "PYTHONDONTWRITEBYTECODE": "1", "MUTANTS_TASK": str(note)}
     if not room.compiled:
@@ -288,9 +311,9 @@ def clean(copy: Path, room: Room, limit: float) -> Clean:
     return Clean(found["seconds"], reach)
 
 
-def tried(mutant: Mutant, copy: Path, known: Clean, limit: float) -> int:
+def tried(mutant: Mutant, copy: Path, known: Clean, limit: float, budget: float) -> int:
     """Exit code of the tests that reach the mutant, in a copy of the project; 0 where it survives."""
-    target, tests = copy / mutant.path, known.nearest(mutant)
+    target, tests = copy / mutant.path, known.nearest(mutant, budget)
     seconds = 10 + round(3.0 * sum(known.seconds[test] for test in ("", *tests)))
     task = {"chosen": tests, "known": list(known.seconds), "seconds": seconds}
     files = dict.fromkeys(test.partition("::")[0] for test in tests)
@@ -305,7 +328,16 @@ def tried(mutant: Mutant, copy: Path, known: Clean, limit: float) -> int:
 def main() -> None:
     """Sample, test, and print what survived."""
     given = arguments(
-        __doc__, rooms=list(ROOMS), count=300, seed=0, least=85.0, limit=1200.0, jobs=1, results=Path, list=False
+        __doc__,
+        rooms=list(ROOMS),
+        count=300,
+        seed=0,
+        least=85.0,
+        limit=1200.0,
+        budget=np.inf,
+        jobs=1,
+        results=Path,
+        list=False,
     )
     chosen = sample(given.rooms, given.count, given.seed)
     if given.list:
@@ -326,7 +358,8 @@ def main() -> None:
         def tested(mutant: Mutant) -> tuple[int, float]:
             copy, began = copies.get(), time.perf_counter()
             try:
-                return tried(mutant, copy, without[mutant.room], given.limit), time.perf_counter() - began
+                code = tried(mutant, copy, without[mutant.room], given.limit, given.budget)
+                return code, time.perf_counter() - began
             finally:
                 copies.put(copy)
 

@@ -30,7 +30,7 @@ import numpy as np
 
 import stereo_slam_env as sse
 from filters import ColouredNoise
-from filters.engine.gauge_walk import image_motion
+from filters.engine.compiled.gauge_walk import TURN_WEIGHT
 from filters.geometry import rotations
 from filters.validation import BoolArray, FloatArray
 from harness import arguments, mean_and_error, show
@@ -159,8 +159,10 @@ def half_differences(recording: Recording) -> list[float]:
         both = [_by_halves(recording, pairs, split) for split in splits] if whole else [None] * 3
         motion = 0.0
         if whole is not None:
-            seen = np.column_stack([recording.camera.backproject(np.maximum(pairs.first, 1e-3)), np.ones(len(ids))])
-            motion = image_motion(float(np.linalg.norm(rotations.log(whole.step.R))), whole.step.t, seen)[0]
+            points = recording.camera.backproject(np.maximum(pairs.first, 1e-3))
+            by_step = np.linalg.norm(np.cross(whole.step.t, points), axis=1) / (points**2).sum(axis=1)
+            turn = float(np.linalg.norm(rotations.log(whole.step.R)))
+            motion = TURN_WEIGHT * turn + float(np.mean(by_step)) if len(points) else 0.0
         pending.append((motion, both))
         if len(pending) == WINDOW:
             total = sum(motion for motion, _ in pending)

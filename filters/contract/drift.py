@@ -16,9 +16,6 @@ import numpy as np
 
 from filters.validation import FloatArray, positive
 
-SMALLEST_DETERMINANT = 1e-3
-"""Of d(u, v, d) / d(own numbers): below, a landmark is so far that a step in the image has no place in the map."""
-
 
 @dataclass(frozen=True)
 class LandmarkDrift:
@@ -86,25 +83,3 @@ class LandmarkDrift:
         whole = np.square(self.pixels)
         gate = whole if self.gate_pixels is None else np.square(self.gate_pixels)
         return np.array([[self.share**2, *gate], [0.0, *(whole - gate)]])
-
-
-def step_covariances(part: FloatArray, R: FloatArray) -> FloatArray:
-    """Covariance of a step in (u, v, d); (4,), (M, 3, 3) -> (M, 3, 3)."""
-    Q: FloatArray = part[0] * R + np.diag(part[1:])
-    return Q
-
-
-def in_own_numbers(Q: FloatArray, by_own: FloatArray) -> FloatArray:
-    """J^-1 Q J^-T of each landmark, J = d(u, v, d) / d(first three own numbers); zero where it is next to singular.
-
-    Parameters
-    ----------
-    Q, by_own : (M, 3, 3)
-        Covariance of the step, px^2, and J.
-    """
-    steps = np.zeros_like(Q)
-    with np.errstate(invalid="ignore", over="ignore"):
-        regular = np.abs(np.linalg.det(by_own)) >= SMALLEST_DETERMINANT
-    inverse = np.linalg.inv(by_own[regular])
-    steps[regular] = inverse @ Q[regular] @ inverse.transpose(0, 2, 1)
-    return steps

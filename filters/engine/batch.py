@@ -107,7 +107,7 @@ class FilterBatch(Sequence[StereoEKF]):
                 raise ValueError(f"make must give a StereoEKF, got {type(slam).__name__}")
         recipes = [slam.engine.recipe for slam in self._filters]
         for index, recipe in enumerate(recipes):
-            if recipe != recipes[0]:
+            if not recipe.is_that_of(recipes[0]):
                 raise ValueError(f"make must give filters that do the same, filter {index} differs from the first")
         first = self._filters[0]
         self._engine = Engine(recipes[0], count, threads, Parts(first.camera, first.options))
@@ -143,13 +143,13 @@ class FilterBatch(Sequence[StereoEKF]):
     @property
     def velocities(self) -> FloatArray:
         """Linear (W, m/s) and angular (camera, rad/s) velocity of every filter; (B, 6)."""
-        first = self._engine.recipe.velocity + 1  # an orientation has one number more than its error
+        first = self._engine.recipe.plan.velocity + 1  # an orientation has one number more than its error
         return self._engine.storage.x[:, first : first + 6].copy()
 
     @property
     def velocity_covariances(self) -> FloatArray:
         """Covariance of the velocities, as in `VelocityBelief`; (B, 6, 6)."""
-        return self._covariances(self._engine.recipe.velocity)
+        return self._covariances(self._engine.recipe.plan.velocity)
 
     def _covariances(self, first: int) -> FloatArray:
         rows = slice(first, first + 6)
@@ -165,7 +165,7 @@ class FilterBatch(Sequence[StereoEKF]):
 
     def forecasts(self) -> list[Forecast]:
         """`StereoEKF.forecast` of all landmarks of every filter."""
-        if self._engine.recipe.by_numbers:
+        if self._engine.recipe.plan.by_numbers:
             return [slam.forecast() for slam in self._filters]
         uvd, S, in_front = self._engine.forecast(slice(0, len(self)), self._R)
         ids, counts = self._engine.storage.ids, self._engine.storage.counts[:, 0].tolist()

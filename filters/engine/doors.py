@@ -12,7 +12,6 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from filters.contract.drift import in_own_numbers, step_covariances
 from filters.contract.observation import StereoObservation
 from filters.engine import selection
 from filters.engine.compiled.blas import PLAIN
@@ -21,7 +20,6 @@ from filters.engine.compiled.recipe import MOST_ROWS, MOST_STAGES, Recipe
 from filters.engine.compiled.scratch import Scratch
 from filters.engine.compiled.storage import CLONE_POSITION, POINT, REJECTED, STARTED, Frame, Storage
 from filters.engine.gating import gate_limit
-from filters.engine.gauge_walk import directions, image_motion
 from filters.engine.new_landmarks import can_start, start_landmarks
 from filters.engine.options import Options
 from filters.engine.values import ValuePlaces
@@ -81,7 +79,7 @@ class Doors:
         self._rig, self._options, self._room = parts.camera, parts.options, room
         self._values = ValuePlaces(parts.options.layout)
         rows = parts.options.layout.rows_of(parts.options.motion.moves)
-        self._moves = rows, np.ix_(rows, rows)
+        self._moved = None if np.array_equal(rows, parts.options.layout.rows) else rows
         self._stages: dict[tuple[int, int], Stage] = {}
         self._after: dict[int, tuple[JointState, Transport]] = {}
         self._answers = (
@@ -114,10 +112,10 @@ class Doors:
         before = self._values.camera(self._room.storage.x[b].copy())
         predicted = predict_camera(motion, before, dt, odometry)
         measured = None if odometry is None else measure_odometry(motion, predicted.state, dt, odometry)
-        rows, square = self._moves
-        F, Q = np.eye(layout.size), np.zeros((layout.size, layout.size))
-        F[square] = predicted.F
-        Q[square] = predicted.G @ predicted.Q @ predicted.G.T
+        F, Q, rows = predicted.F, predicted.G @ predicted.Q @ predicted.G.T, self._moved
+        if rows is not None:
+            F, Q = np.eye(layout.size), np.zeros((layout.size, layout.size))
+            F[np.ix_(rows, rows)], Q[np.ix_(rows, rows)] = predicted.F, predicted.G @ predicted.Q @ predicted.G.T
         if layout.walk_rates is not None:
             Q[layout.rows, layout.rows] += layout.walk_rates * dt
         if error.constrains:
@@ -125,8 +123,10 @@ class Doors:
         step = (self._values.of(predicted.state), F, Q)
         if measured is None:
             return step
-        H = np.zeros((len(measured.innovation), layout.size))
-        H[:, rows] = measured.H
+        H = measured.H
+        if rows is not None:
+            H = np.zeros((len(H), layout.size))
+            H[:, rows] = measured.H
         return (*step, measured.innovation, H, measured.R)
 
     def put_stages(self, frame: Frame, which: IntArray, variant: int, with_right: bool, M: int) -> None:
@@ -181,7 +181,7 @@ class Doors:
         where, place = divmod(what, 16)
         variant, number = divmod(place, 8)
         options, frame = self._options, self._room.frame
-        moved_here = where == MOVED and self._room.recipe.moves_by_numbers
+        moved_here = where == MOVED and self._room.recipe.plan.moves_by_numbers
         state = self._after[int(room.door[0])][0] if moved_here else self.view(b, room if where == MOVED else None)
         selected = room.select[:count]
         if where == FIRST:
@@ -207,7 +207,7 @@ class Doors:
         room.H[selected, :size, :measured] = linear.by_leading
         room.H[selected, :size, measured : measured + linear.by_map.shape[2]] = linear.by_map
         room.R[selected, :size, :size] = linear.R
-        anchors, own = self._room.recipe.anchors, -self._options.landmark.size
+        anchors, own = self._room.recipe.plan.anchors, -self._options.landmark.size
         room.base[selected, 2 - anchors : 2] = linear.map_rows[:, :own:3]
         room.base[selected, 2] = linear.map_rows[:, own]
 
@@ -308,15 +308,13 @@ class Doors:
         state.become_points(index, self._options.error.linearisation_point(state) or state)
 
     def _walk(self, b: int, room: Scratch, what: int, count: int) -> None:
-        """B^T of the walk of camera and map together since the camera was at `before`, in `HP`."""
-        state, options = self.view(b), self._options
-        at, now = options.error.linearisation_point(state) or state, state.camera
-        R_before = rotations.matrix(room.before[3:7])
-        turn = float(np.linalg.norm(rotations.log(R_before.T @ now.R_wc)))
-        seen = state.model.point(points_in_camera(state, np.arange(len(state))))
-        motion, distance = image_motion(turn, now.R_wc.T @ (now.position - room.before[:3]), seen)
-        sigma = options.gauge_walk * np.sqrt(motion)
-        B = directions(at.world_rotation(), at.world_translation(), at.camera.position, sigma, distance)
+        """Landmarks as seen from the camera, in W, and the directions that vision cannot see, in `HP`."""
+        state = self.view(b)
+        at, count = self._options.error.linearisation_point(state) or state, len(state)
+        seen = state.model.point(points_in_camera(state, np.arange(count)))
+        room.points[:count, :3], room.points[:count, 3] = seen[:, :3] @ state.camera.R_wc.T, seen[:, 3]
+        shift = at.world_translation()
+        B = np.hstack([at.world_rotation() + shift @ rotations.skew(at.camera.position), shift])
         for name, clone in at.clones.items():  # they stay where the camera was, those that no landmark hangs on
             if isinstance(name, str):
                 B[at.block_rows(clone.blocks)] = 0.0
@@ -336,16 +334,12 @@ class Doors:
         room.by_position[rows], room.W[rows] = np.split(carried.by_pose.reshape(len(rows), 6), 2, axis=1)
 
     def _drift(self, b: int, room: Scratch, part: int, count: int) -> None:
-        """Steps of the selected landmarks in the image, added to P."""
-        options, state = self._options, self.view(b)
-        assert options.drift is not None
-        selected, size = room.select[:count], state.size
-        index, Q = room.land[selected], step_covariances(options.drift.parts[part], room.noise[selected])
-        numbers = Stage(np.zeros((count, 3)), np.eye(3, options.measurement.size), Q)
-        point = options.error.linearisation_point(state)
-        by_map = Extended().linearise(options.measurement, self._rig, state, index, numbers, point).by_map
-        rows, by_own = state.own_rows(index)[:, :3], by_map[:, :, -size:][:, :, :3]
-        state.P[rows[:, :, None], rows[:, None, :]] += in_own_numbers(Q, by_own)
+        """H of (u, v, d) of the selected landmarks."""
+        sensor, state, selected = self._options.measurement, self.view(b), room.select[:count]
+        stage = Stage(np.zeros((count, 3)), np.eye(3, sensor.size), room.noise[selected])
+        point = self._options.error.linearisation_point(state)
+        linear = Extended().linearise(sensor, self._rig, state, room.land[selected], stage, point)
+        self._write(room, selected, linear)
 
 
 def anchor_poses(values: FloatArray, anchors: IntArray) -> dict[str | int, Clone]:

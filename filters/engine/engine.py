@@ -57,7 +57,7 @@ class Engine:
         self.count = count
         self.threads = max(1, min(threads, count))
         self.parts = parts
-        asks = recipe.asks or recipe.changes or recipe.motion is None
+        asks = recipe.asks or recipe.plan.changes or recipe.motion is None
         self._doors = Doors(parts, weakref.proxy(self)) if asks and parts is not None else None
         self._fuses = self._odometry_there = False
         motion = None if parts is None else parts.options.motion
@@ -218,7 +218,7 @@ class Engine:
             frame.ids[:M], frame.uvd[:M], frame.R[:M] = o.ids, o.uvd, o.R
             if o.v_right is not None:
                 frame.v_right[:M] = o.v_right
-            if self.recipe.by_numbers and self._doors is not None:
+            if self.recipe.plan.by_numbers and self._doors is not None:
                 of_right = np.repeat(frame.with_right, np.diff(o.offsets))
                 for variant in (0, 1):
                     which = np.flatnonzero(of_right == bool(variant))

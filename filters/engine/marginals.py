@@ -67,7 +67,6 @@ def forecast(
     uvd = sensor.predict(camera, points_c, sensor.values_at(state.camera))[:, :3]
     stage = Stage(uvd, np.eye(3, sensor.size), noise.R[None].repeat(len(index), axis=0))
     S = Extended().linearise(sensor, camera, state, index, stage).innovation_covariances(state.P)
-    S = Extended().linearise(sensor, camera, state, index, stage).innovation_covariances(state.P)
     return Forecast(ids, uvd, _mirrored(S), sensor.in_front(points_c) & camera.in_view(uvd))
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -14,20 +14,20 @@ from filters.contract.observation import StereoObservation
 from filters.contract.update_report import UpdateReport
 from filters.contract.variables import VELOCITY
 from filters.engine.compiled import storage as fates
-from filters.engine.compiled.recipe import Recipe
+from filters.engine.compiled.recipe import Plan, Recipe, stage_tables
 from filters.engine.compiled.storage import CLONE_POSITION, CLONE_ROTATION, OWN, POINT, FilterState
 from filters.engine.doors import Parts, anchor_poses, clones_at
 from filters.engine.engine import Engine
 from filters.engine.frames import Observations, Odometry, Outcome
 from filters.engine.options import Options
 from filters.engine.values import ValuePlaces
+from filters.errors.model import ErrorKernels
 from filters.geometry.camera import StereoCamera
 from filters.geometry.machine_code import settings_of
 from filters.geometry.retractions import ADDITIVE
 from filters.measurements.model import MeasurementModel
 from filters.motions.model import CameraState, StepInput
 from filters.parts import SLOTS, kernels_of
-from filters.state import symmetric
 from filters.state.joint_state import JointState
 from filters.validation import FloatArray, IntArray
 
@@ -51,6 +51,8 @@ def recipe_of(camera: StereoCamera, options: Options) -> Recipe:
     seen = None if own_stages else kernels_of(sensor)
     driven = None if own_jacobians else kernels_of(motion)
     by_numbers = own_jacobians or landmark is None or seen is None or not kernels_of(options.update)
+    sigma_points = options.update.sigma_points(layout.measured + 3 * model.anchored + model.size)
+    by_numbers |= bool(sigma_points) and landmark is not None and landmark.turn is None and not model.additive
     turns = error is not None and error.turns
     moves_by_numbers = (
         error is None
@@ -58,59 +60,73 @@ def recipe_of(camera: StereoCamera, options: Options) -> Recipe:
         or any(variable.retraction is not ADDITIVE for variable in layout.variables)
     )
     has_place = landmark is not None and (model.anchored or landmark.turn is None)
-    values = ValuePlaces(layout)
+    values, flags = ValuePlaces(layout), error or ErrorKernels()
     v = layout.places[VELOCITY].start
-    return Recipe(
-        camera=(camera.fx, camera.fy, camera.cx, camera.cy, camera.baseline),
-        landmark=landmark,
-        sensor=None if by_numbers else seen,
-        motion=driven,
-        error=error,
-        stages=() if by_numbers else sensor.rows(False),
-        stages_with_right=() if by_numbers else sensor.rows(True),
-        landmark_settings=_settings(model, landmark),
-        sensor_settings=() if by_numbers else _settings(sensor, seen),
-        motion_settings=_settings(motion, driven),
-        sensor_size=sensor.size,
+    tables = ((), ()) if by_numbers else (sensor.rows(False), sensor.rows(True))
+    prior = np.zeros((0, 0)) if model.prior is None else np.array(model.prior, dtype=np.float64)
+    plan = Plan(
+        camera=np.array((camera.fx, camera.fy, camera.cx, camera.cy, camera.baseline)),
+        landmark=_settings(model, landmark),
+        sensor=_settings(sensor, None if by_numbers else seen),
+        motion=_settings(motion, driven),
         size=model.size,
-        value_size=model.value_size,
-        seen_size=model.seen_size,
-        prior=() if model.prior is None else tuple(map(tuple, np.asarray(model.prior).tolist())),
+        prior=prior,
         anchors=2 if model.in_anchor else int(model.anchored),
         shares_anchors=model.shares_anchors,
         additive=model.additive,
-        follows=model.follows,
-        resets=options.error.reset,
+        points=landmark is not None and landmark.turn is None,
+        follows=_places(model.follows),
+        additive_quaternion=flags.additive_quaternion,
+        first_estimates=flags.first_estimates,
+        turns=flags.turns,
+        resets=flags.turns and options.error.reset,
         by_numbers=by_numbers,
         moves_by_numbers=moves_by_numbers,
-        walks_by_numbers=bool(options.gauge_walk) and (own_jacobians or not has_place),
         changes=not model.steady,
         carries=model.in_camera,
-        parts=tuple(getattr(options, slot) for slot in SLOTS if not kernels_of(getattr(options, slot))),
         most_landmarks=options.max_landmarks or 0,
-        gate=options.gate,
+        walks_by_numbers=bool(options.gauge_walk) and (own_jacobians or not has_place),
+        driven_by_numbers=driven is None,
+        odometry_rows=0 if driven is None else driven.rows,
         consensus=options.consensus,
-        tail_dof=options.tail_dof,
-        drift=options.drift,
-        gauge_walk=options.gauge_walk,
+        tail_dof=np.inf if options.tail_dof is None else float(options.tail_dof),
         iterations=options.iterations,
         drop_unseen=options.drop_unseen,
-        min_disparity=options.min_disparity,
+        sigma_points=np.array(() if by_numbers else sigma_points),
+        min_disparity=-np.inf if options.min_disparity is None else float(options.min_disparity),
         measured=layout.measured,
         velocity=v,
+        sees_velocity=layout.sees_velocity,
         leading=layout.size,
-        values=values.size,
-        sensed=values.of_variables(tuple(variable.name for variable in sensor.variables)),
-        moved=() if driven is None else values.of_camera(motion.moves[2:]),
-        moved_rows=() if driven is None else tuple(layout.rows_of(motion.moves).tolist()),
-        in_world=tuple(layout.places[x.name].start for x in layout.variables if x.in_world),
-        considered=tuple(layout.considered.tolist()),
-        walk=() if layout.walk_rates is None else tuple(layout.walk_rates.tolist()),
+        sensed=_places(values.of_variables(tuple(variable.name for variable in sensor.variables))),
+        moved=_places(() if driven is None else values.of_camera(motion.moves[2:])),
+        moved_rows=_places(() if driven is None else layout.rows_of(motion.moves)),
+        in_world=_places([layout.places[x.name].start for x in layout.variables if x.in_world]),
+        considered=layout.considered,
+        walk=np.zeros(layout.size) if layout.walk_rates is None else layout.walk_rates,
+        drift=np.zeros((2, 4)) if options.drift is None else options.drift.parts,
+        gauge_walk=float(options.gauge_walk),
+        **stage_tables(tables, sensor.size, options.gate),
+    )
+    return Recipe(
+        plan,
+        landmark,
+        None if by_numbers else seen,
+        driven,
+        sensor.size,
+        model.value_size,
+        model.seen_size,
+        values.size,
+        tuple(getattr(options, slot) for slot in SLOTS if not kernels_of(getattr(options, slot))),
     )
 
 
-def _settings(part: object, kernels: Any) -> tuple[float, ...]:
-    return () if kernels is None else tuple(settings_of(part, kernels).tolist())
+def _settings(part: object, kernels: Any) -> FloatArray:
+    return np.zeros(0) if kernels is None else settings_of(part, kernels)
+
+
+def _places(numbers: Sequence[int] | IntArray) -> IntArray:
+    return np.array(numbers, dtype=np.int64)
 
 
 @dataclass(eq=False)
@@ -248,14 +264,10 @@ class Row:
 
     @state.setter
     def state(self, state: JointState) -> None:
-        used = np.delete(np.arange(len(state.blocks)), state.empty_blocks)
-        number = np.full(len(state.blocks) + 1, -1)
-        number[used] = np.arange(len(used))
-        kept = np.concatenate([state.layout.rows, state.block_rows(used)])
-        blocks, first = np.zeros((2, len(used), self.engine.recipe.block_values))
-        kind, own = np.full(len(used), POINT), number[state.parameter_block]
-        size = state.blocks.shape[1]
-        blocks[:, :size], first[:, :size] = state.blocks[used], state.first_blocks[used]
+        own, size = state.parameter_block, state.blocks.shape[1]
+        blocks, first = np.zeros((2, len(state.blocks), self.engine.recipe.block_values))
+        kind = np.full(len(blocks), POINT)
+        blocks[:, :size], first[:, :size] = state.blocks, state.first_blocks
         free = state.anchor_block < 0
         plan = self.engine.recipe.plan
         points = free & (plan.changes or plan.points)
@@ -264,7 +276,7 @@ class Row:
         if state.model.in_anchor:
             turns = state.anchor_poses()[2]
         for clone in state.clones.values():
-            position, rotation = number[clone.blocks]
+            position, rotation = clone.blocks
             kind[position], kind[rotation] = CLONE_POSITION, CLONE_ROTATION
             for values in (blocks, first):
                 values[position, :3], values[rotation, :4] = clone.position, clone.orientation
@@ -274,14 +286,14 @@ class Row:
             FilterState(
                 x=values_of.of(state.camera),
                 predicted=values_of.of(state.predicted),
-                P=symmetric.keep(state.P, kept).T,
+                P=state.P.T,
                 blocks=blocks,
                 first=first,
                 kind=kind,
                 ids=state.ids,
                 own=own,
-                anchor=number[np.column_stack([state.anchor_block, turns])],
-                held=number[state.held],
+                anchor=np.column_stack([state.anchor_block, turns]),
+                held=state.held,
             ),
         )
         self.clones = [name for name in state.clones if isinstance(name, str)]

@@ -223,7 +223,7 @@ class StereoEKF(StereoFilter):
         """Predicted (u, v, d) and S of landmarks at the current pose."""
         wanted, index = self._wanted(ids)
         engine, number = self._row.engine, self._row.number
-        if engine.recipe.by_numbers:
+        if engine.recipe.plan.by_numbers:
             return forecast(self.camera, self.noise, self.options.measurement, self.state, wanted, index)
         uvd, S, in_front = engine.forecast(slice(number, number + 1), self.noise.R[None])
         if ids is not None:

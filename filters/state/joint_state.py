@@ -1,13 +1,9 @@
-"""The joint state x = (x_C, y_1, ..., y_n) of Eq. 1 with its covariance: augmentation, marginalisation, correction.
+"""The joint state x = (x_C, y_1, ..., y_n) of Eq. 1 with its covariance, as parts and submaps see it.
 
 The error state is that of the named variables (`state.layout`) followed by blocks: landmarks, anchors and clones of
 the pose. All blocks have as many rows as a landmark has error numbers; anchors, and positions and orientations of
 clones, use the first three, the others are zero. Only the lower triangle of P is valid. Each operation checks nothing:
 the filter has done so.
-
-A landmark that leaves only empties its blocks: their values, and their rows and columns of P, become zero, which every
-other operation leaves as they are. New landmarks move into empty blocks, so that coming and going costs in proportion
-to who comes and goes, not to the size of P; only when too many blocks stand empty does P become smaller.
 """
 
 from __future__ import annotations
@@ -19,12 +15,10 @@ import numpy as np
 from filters.contract.start import Start
 from filters.geometry import rotations
 from filters.landmarks.model import LandmarkModel, StartedLandmarks
-from filters.motions.model import POSE_SIZE, POSITION, ROTATION, CameraState
+from filters.motions.model import POSITION, ROTATION, CameraState
 from filters.state import symmetric
 from filters.state.layout import Layout
 from filters.validation import BoolArray, FloatArray, IntArray
-
-_EMPTY_SHARE = 1 / 8  # of the blocks: where carrying empty rows through every update costs more than leaving them out
 
 
 def _no_landmarks() -> IntArray:
@@ -80,8 +74,8 @@ class JointState:
     predicted: CameraState
     """The variables before landmarks last corrected them: predicted, then corrected by odometry and `correct`."""
     blocks: FloatArray
-    """(B, v): values of the map blocks; block b of s rows is at rows c + s b of P, c the size of the layout. Empty ones
-    are zero; anchors are the first three numbers."""
+    """(B, v): values of the map blocks; block b of s rows is at rows c + s b of P, c the size of the layout. Anchors
+    are the first three numbers."""
     first_blocks: FloatArray
     """(B, v): their values when they entered."""
     ids: IntArray = field(default_factory=_no_landmarks)
@@ -90,8 +84,6 @@ class JointState:
     """(N,): block of each landmark."""
     anchor_block: IntArray = field(default_factory=_no_landmarks)
     """(N,): block of each landmark's anchor; -1 where there is none."""
-    empty_blocks: IntArray = field(default_factory=_no_landmarks)
-    """(E,): blocks without a landmark or anchor, ascending."""
     held: IntArray = field(default_factory=_no_landmarks)
     """(H,): blocks that stay whether or not a landmark uses them, in the order in which they were held."""
     clones: dict[str | int, Clone] = field(default_factory=dict)
@@ -144,12 +136,6 @@ class JointState:
         in_world = by_position @ R_wa.transpose(0, 2, 1)
         by_turn = by_position @ rotations.skew(r_a) - by_rotation @ R_ac.transpose(0, 2, 1)
         return np.concatenate([in_world, by_rotation], axis=2), np.concatenate([-in_world, by_turn], axis=2)
-
-    @property
-    def rows_in_use(self) -> IntArray:
-        """Rows of P of the variables, landmarks and anchors: all but those of empty blocks, which are zero."""
-        used = np.delete(np.arange(len(self.blocks)), self.empty_blocks)
-        return np.concatenate([self.layout.rows, self.block_rows(used)])
 
     def parameters(self, index: IntArray | slice = slice(None)) -> FloatArray:
         """Values of the landmarks at `index`, (M, v)."""
@@ -219,43 +205,6 @@ class JointState:
         blocks[own] = self.model.first_estimates(self.anchors(), self.first_blocks[own], self.blocks[own])
         return replace(self, camera=self.predicted, blocks=blocks)
 
-    def augment(self, new: NewLandmarks) -> None:
-        """Add landmarks with their covariance and their cross-covariance with everything else (Eq. 19-25).
-
-        Eq. 25 as printed leaves out the correlation of the new landmark with the old map, which it inherits
-        from the pose it was seen from; J P for the rows of the pose gives all of it.
-        """
-        started, count = new.started, len(new.ids)
-        anchors = int(started.anchored.sum())
-        which_anchor = np.cumsum(started.anchored) - 1
-        if self.model.shares_anchors:
-            anchors, which_anchor = min(anchors, 1), np.zeros_like(which_anchor)
-        blocks = np.zeros((anchors + count, self.blocks.shape[1]))
-        blocks[:anchors, :3] = self.camera.position
-        blocks[anchors:] = started.parameters
-        leading = new.by_leading.shape[2]
-        by_leading = np.zeros((anchors + count, self.size, leading))
-        by_leading[:anchors, :3, :3] = np.eye(3)
-        by_leading[anchors:] = new.by_leading
-        J = by_leading.reshape(-1, leading)
-        taken = self._take_blocks(len(blocks))
-        anchor_block, parameter_block = taken[:anchors], taken[anchors:]
-        rows = self.block_rows(taken)
-        cross = J @ symmetric.leading_rows(self.P, leading)
-        cross[:, rows] = cross[:, :leading] @ J.T
-        symmetric.put_rows(self.P, rows, cross)
-        own = rows[self.size * anchors :].reshape(count, self.size)
-        self.P[own[:, :, None], own[:, None, :]] += new.noise
-        self.blocks[taken] = self.first_blocks[taken] = blocks
-        by_landmark = np.full(count, -1)
-        by_landmark[started.anchored] = anchor_block[which_anchor[started.anchored]]
-        self.adopt(new.ids, parameter_block, by_landmark)
-
-    def remove(self, gone: BoolArray) -> None:
-        """Take the landmarks marked in `gone` (N,) out of the map, and the anchors nobody uses any more."""
-        if gone.any():
-            self.rest(gone, self.held)
-
     def become_points(self, index: IntArray, at: JointState) -> None:
         """Turn the inverse-depth landmarks at `index` into XYZ (Eq. 4), with Jacobians taken at the state `at`.
 
@@ -274,47 +223,6 @@ class JointState:
         self.blocks[own, :3] = self.model.points(self.anchors(index), self.parameters(index)).positions
         self.first_blocks[own, :3] = points.positions
         self.anchor_block[index] = -1
-
-    def _leave_empty_what_nobody_uses(self) -> None:
-        empty = np.ones(len(self.blocks), dtype=bool)
-        empty[self.parameter_block] = False
-        empty[self.anchor_block[self.anchor_block >= 0]] = False
-        empty[self.held] = False
-        left = empty.copy()
-        left[self.empty_blocks] = False
-        self.empty_blocks = np.flatnonzero(empty)
-        if len(self.empty_blocks) > _EMPTY_SHARE * len(self.blocks):
-            self._keep_blocks(np.flatnonzero(~empty))
-            return
-        left_blocks = np.flatnonzero(left)
-        rows = self.block_rows(left_blocks)
-        self.P[rows] = self.P[:, rows] = 0.0
-        self.blocks[left_blocks] = self.first_blocks[left_blocks] = 0.0
-
-    def _take_blocks(self, count: int) -> IntArray:
-        """Numbers of `count` empty blocks, made where there are too few."""
-        missing = count - len(self.empty_blocks)
-        if missing > 0:
-            old, size = len(self.P), len(self.blocks)
-            P = np.zeros((old + self.size * missing, old + self.size * missing), order="F")
-            P[:old, :old] = self.P
-            self.P = P
-            none = np.zeros((missing, self.blocks.shape[1]))
-            self.blocks, self.first_blocks = np.vstack([self.blocks, none]), np.vstack([self.first_blocks, none])
-            self.empty_blocks = np.concatenate([self.empty_blocks, np.arange(size, size + missing)])
-        taken, self.empty_blocks = self.empty_blocks[:count], self.empty_blocks[count:]
-        return taken
-
-    def _keep_blocks(self, kept: IntArray) -> None:
-        """Leave out all blocks but the ascending `kept`."""
-        number = np.full(len(self.blocks) + 1, -1)  # the last one, for -1: no anchor
-        number[kept] = np.arange(len(kept))
-        self.P = symmetric.keep(self.P, np.concatenate([self.layout.rows, self.block_rows(kept)]))
-        self.blocks, self.first_blocks = self.blocks[kept], self.first_blocks[kept]
-        self.parameter_block, self.anchor_block = number[self.parameter_block], number[self.anchor_block]
-        self.held = number[self.held]
-        self.clones = {name: replace(clone, blocks=number[clone.blocks]) for name, clone in self.clones.items()}
-        self.empty_blocks = _no_landmarks()
 
     def block_rows(self, blocks: IntArray) -> IntArray:
         """Rows of P that belong to map blocks, in their order; (M,) -> (size M,)."""
@@ -335,13 +243,12 @@ class JointState:
         (M,) int64
             The new blocks.
         """
-        new = self._take_blocks(len(values))
-        rows, old = self.block_rows(new), cross.shape[1]
-        whole = np.zeros((len(rows), len(self.P)))
-        whole[:, :old] = cross
-        whole[:, rows] = own
-        symmetric.put_rows(self.P, rows, whole)
-        self.blocks[new], self.first_blocks[new] = values, first
+        old, count = len(self.P), len(self.blocks)
+        new = count + np.arange(len(values))
+        P = np.zeros((old + len(own), old + len(own)), order="F")
+        P[:old, :old], P[old:, :old], P[old:, old:] = self.P, cross, own
+        self.P = P
+        self.blocks, self.first_blocks = np.vstack([self.blocks, values]), np.vstack([self.first_blocks, first])
         self.held = np.concatenate([self.held, new])
         return new
 
@@ -355,16 +262,6 @@ class JointState:
         nothing = np.zeros((count, self.blocks.shape[1]))
         return self.append(nothing, nothing, cross, own)
 
-    def clone_pose(self, name: str) -> None:
-        """Keep the present pose as a variable of that name."""
-        pose, used = np.arange(POSE_SIZE), np.concatenate([np.arange(3), self.size + np.arange(3)])
-        cross, own = np.zeros((2 * self.size, len(self.P))), np.zeros((2 * self.size, 2 * self.size))
-        cross[used] = symmetric.rows(self.P, pose)
-        own[np.ix_(used, used)] = cross[used][:, pose]
-        nothing = np.zeros((2, self.blocks.shape[1]))
-        blocks = self.append(nothing, nothing, cross, own)
-        self.clones = {**self.clones, name: Clone(self.camera.position, self.camera.orientation, blocks)}
-
     def adopt(self, ids: IntArray, parameter_block: IntArray, anchor_block: IntArray) -> None:
         """Make landmarks of blocks that are here already; (M,) each, anchor block -1 where there is none."""
         self.ids = np.concatenate([self.ids, ids])
@@ -373,8 +270,13 @@ class JointState:
 
     def rest(self, gone: BoolArray, held: IntArray) -> None:
         """Marginalise the landmarks marked in `gone` (N,), and from now on hold only the blocks `held`."""
-        self.held = held
         stays = ~gone
         self.ids = self.ids[stays]
-        self.parameter_block, self.anchor_block = self.parameter_block[stays], self.anchor_block[stays]
-        self._leave_empty_what_nobody_uses()
+        own, anchors = self.parameter_block[stays], self.anchor_block[stays]
+        kept = np.unique(np.concatenate([own, anchors[anchors >= 0], held]))
+        number = np.full(len(self.blocks) + 1, -1)  # the last one, for -1: no anchor
+        number[kept] = np.arange(len(kept))
+        self.P = symmetric.keep(self.P, np.concatenate([self.layout.rows, self.block_rows(kept)]))
+        self.blocks, self.first_blocks = self.blocks[kept], self.first_blocks[kept]
+        self.parameter_block, self.anchor_block, self.held = number[own], number[anchors], number[held]
+        self.clones = {name: replace(clone, blocks=number[clone.blocks]) for name, clone in self.clones.items()}

@@ -42,13 +42,3 @@ def full(P: FloatArray) -> FloatArray:
     """The whole matrix, both triangles."""
     index = np.arange(len(P))
     return np.where(index[:, None] >= index, P, P.T)
-
-
-def transform_leading(P: FloatArray, F: FloatArray, added: FloatArray) -> None:
-    """P <- blockdiag(F, I) P blockdiag(F, I)^T, plus `added` on the leading block; in place, F and added (c, c)."""
-    size = len(F)
-    leading = P[:size, :size]
-    moved = F @ full(leading) @ F.T + added
-    P[:size, :size] = 0.5 * (moved + moved.T)
-    cross = P[size:, :size].T
-    cross[...] = F @ cross

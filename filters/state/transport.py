@@ -8,10 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import blas
 
 from filters.motions.model import ROTATION
-from filters.state import symmetric
 from filters.state.linearised import LinearisedMeasurements
 from filters.validation import FloatArray, IntArray
 
@@ -28,24 +26,6 @@ class Transport:
     """(m, s): rows of the blocks that have a Jacobian of their own. None: there are none."""
     own: FloatArray | None = None
     """(m, s, s), of those blocks by themselves; that of all other rows is the identity."""
-
-    def apply(self, P: FloatArray) -> None:
-        """P <- J P J^T, lower triangle, in place."""
-        size = len(self.leading)
-        if self.own is not None and self.rows is not None:
-            rows = self.rows.ravel()
-            moved = (self.own @ symmetric.rows(P, rows).reshape(*self.rows.shape, len(P))).reshape(len(rows), len(P))
-            crossed = self.own @ moved[:, self.rows].transpose(1, 2, 0)
-            moved[:, rows] = crossed.reshape(-1, len(rows)).T
-            symmetric.put_rows(P, rows, moved)
-        symmetric.transform_leading(P, self.leading, np.zeros_like(self.leading))
-        if self.by_rotation is not None:
-            # The rotation error is that at the corrected state by now.
-            W = np.zeros((len(P), 3), order="F")
-            W[size:] = np.linalg.solve(self.leading[ROTATION, ROTATION].T, self.by_rotation.T).T
-            rotation = symmetric.rows(P, np.arange(ROTATION.start, ROTATION.stop))
-            half = rotation.T + 0.5 * W @ rotation[:, ROTATION].T
-            blas.dsyr2k(1.0, W, np.asfortranarray(half), beta=1.0, c=P, lower=1, overwrite_c=1)
 
     def pulled_back(self, measurements: LinearisedMeasurements, delta: FloatArray) -> LinearisedMeasurements:
         """The same measurements, linear in the errors of an earlier state that `delta` has moved here.

@@ -18,7 +18,12 @@ class Linearisation:
     """Whether it takes Jacobians, which may be taken at another point than the state; without, first-estimates
     Jacobians and variables of the measurement model cannot be had."""
     kernels: ClassVar[bool] = False
-    """Whether it is the engine's own, compiled. It holds for the class that states it, not for its subclasses."""
+    """Whether it is the engine's own, compiled: by Jacobians, or by `sigma_points` along the Cholesky factor. It holds
+    for the class that states it, not for its subclasses."""
+
+    def sigma_points(self, size: int) -> tuple[float, ...]:
+        """Of `size` numbers: distance from the centre, its weights in mean and covariance, weight of each other one."""
+        return ()
 
     def linearise(
         self,

@@ -25,8 +25,8 @@ from filters.state.linearised import LinearisedMeasurements
 from filters.updates.model import Linearisation
 from filters.validation import FloatArray, IntArray, positive
 
-_NEGLIGIBLE = 1e-14
-"""Eigenvalues below this share of the largest are directions without uncertainty."""
+NEGLIGIBLE = 1e-13
+"""Share of a variance below which what is left of it, given the numbers before, is rounding."""
 
 
 @dataclass(frozen=True)
@@ -44,11 +44,20 @@ class Unscented(Linearisation):
     alpha: float = 0.5
     beta: float = 2.0
     by_jacobians: ClassVar[bool] = False
+    kernels: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         positive("alpha", self.alpha)
         positive("beta", self.beta, allow_zero=True)
         require_core("filterpy")
+
+    def sigma_points(self, size: int) -> tuple[float, ...]:
+        """Those of Merwe with kappa = 3 - size."""
+        # Half of the time that `import filters` would take, for those who never ask for this.
+        from filterpy.kalman import MerweScaledSigmaPoints
+
+        scaled = MerweScaledSigmaPoints(size, self.alpha, self.beta, 3.0 - size)
+        return float(np.sqrt(self.alpha**2 * 3.0)), float(scaled.Wm[0]), float(scaled.Wc[0]), float(scaled.Wm[1])
 
     def linearise(
         self,
@@ -60,37 +69,40 @@ class Unscented(Linearisation):
         point: JointState | None = None,
     ) -> LinearisedMeasurements:
         """Innovations with H and R fitted to sigma points; `point` must be None."""
-        # Half of the time that `import filters` would take, for those who never ask for this.
-        from filterpy.kalman import MerweScaledSigmaPoints
-
         assert point is None, "sigma points are drawn around the state itself"
         map_rows = state.map_rows(index)
         pose_rows = np.broadcast_to(np.arange(POSE_SIZE), (len(index), POSE_SIZE))
         rows = np.concatenate([pose_rows, map_rows], axis=1)
         size = rows.shape[1]
-        scaled = MerweScaledSigmaPoints(size, self.alpha, self.beta, 3.0 - size)
-        values, vectors = np.linalg.eigh(symmetric.blocks(state.P, rows))
-        values = np.where(values > _NEGLIGIBLE * values[:, -1:], values, 0.0)
-        sigmas = np.sqrt(values)
-        spread = np.sqrt(self.alpha**2 * 3.0)
-        # The symmetric root: eigenvectors of equal eigenvalues turn with the last bit of P, and this does not.
-        root = vectors * sigmas[:, None] @ vectors.transpose(0, 2, 1)
-        offsets = spread * root
+        spread, mean_0, covariance_0, weight = self.sigma_points(size)
+        L = _root(symmetric.blocks(state.P, rows))
+        offsets = spread * L.transpose(0, 2, 1)
         errors = np.concatenate([np.zeros((len(index), 1, size)), offsets, -offsets], axis=1)
 
         z = _measured_at(sensor, camera, state, index, errors) @ stage.T.T
-        mean = np.einsum("s,msk->mk", scaled.Wm, z)
+        mean = mean_0 * z[:, 0] + weight * z[:, 1:].sum(axis=1)
         deviation = z - mean[:, None]
-        scatter = np.einsum("s,msk,msl->mkl", scaled.Wc, deviation, deviation)
+        weights = np.r_[covariance_0, np.full(2 * size, weight)]
+        scatter = np.einsum("s,msk,msl->mkl", weights, deviation, deviation)
         # In the coordinates of the root, in which the variance is one, the regression is the cross-covariance.
-        along = spread * scaled.Wc[1] * (deviation[:, 1 : size + 1] - deviation[:, size + 1 :])
-        with np.errstate(divide="ignore"):
-            unscale = np.where(sigmas > 0.0, 1.0 / sigmas, 0.0)
-        H = along.transpose(0, 2, 1) @ (vectors * unscale[:, None] @ vectors.transpose(0, 2, 1))
-        explained = H @ root
-        nonlinearity = scatter - explained @ explained.transpose(0, 2, 1)
-        R = stage.R + 0.5 * (nonlinearity + nonlinearity.transpose(0, 2, 1))
+        along = spread * weight * (deviation[:, 1 : size + 1] - deviation[:, size + 1 :])
+        H = np.zeros((len(index), z.shape[2], size))
+        for j in reversed(range(size)):
+            left = along[:, j] - np.einsum("mki,mi->mk", H, L[:, :, j])
+            H[:, :, j] = np.divide(left, L[:, j, None, j], out=np.zeros_like(left), where=L[:, j, None, j] > 0.0)
+        R = stage.R + scatter - along.transpose(0, 2, 1) @ along
         return LinearisedMeasurements(stage.z - mean, H[:, :, :POSE_SIZE], H[:, :, POSE_SIZE:], map_rows, R)
+
+
+def _root(C: FloatArray) -> FloatArray:
+    """Cholesky factors (M, w, w); what is known from the numbers before has a zero column."""
+    L = np.zeros_like(C)
+    for j in range(C.shape[1]):
+        left = C[:, j:, j] - np.einsum("mik,mk->mi", L[:, j:, :j], L[:, j, :j])
+        certain = left[:, 0] <= NEGLIGIBLE * C[:, j, j]
+        pivots = np.sqrt(np.where(certain, 1.0, left[:, 0]))
+        L[:, j:, j] = np.where(certain[:, None], 0.0, left / pivots[:, None])
+    return L
 
 
 def _measured_at(

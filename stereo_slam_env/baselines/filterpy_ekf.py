@@ -20,7 +20,7 @@ from filters import (
     StereoObservation,
     UpdateReport,
 )
-from filters.engine.gating import gate_limit, passes
+from filters.engine.gating import gate_limit
 from filters.geometry import rotations
 from filters.motions.model import (
     ANGULAR,
@@ -102,7 +102,8 @@ class FilterpyEKF(CameraFilter):
         uvd, H, forward = self._linearised(np.searchsorted(self._ids, ids[known]))
         innovations = observation.uvd[known] - uvd
         S = H @ self._P @ H.transpose(0, 2, 1) + R[known]
-        used, nis = forward & (np.isinf(self._limit) | passes(innovations, S, self._limit)), 0.0
+        squared = np.einsum("mk,mk->m", innovations, np.linalg.solve(S, innovations[:, :, None])[:, :, 0])
+        used, nis = forward & (np.isinf(self._limit) | (squared <= self._limit)), 0.0
         if used.any():
             nis = self._correct(innovations[used].ravel(), np.concatenate(H[used]), block_diag(*R[known][used]))
         dropped = self._ids[~np.isin(self._ids, ids)]

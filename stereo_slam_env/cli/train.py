@@ -26,7 +26,7 @@ def train(
     filter_name: Annotated[str, typer.Option("--filter", help="The filter in the loop.")] = "shared-anchor",
     reward: Annotated[
         str, typer.Option("--reward", help="information: what a belief gains. error: the truth.")
-    ] = "information",
+    ] = "error",
     criterion: Annotated[str, typer.Option("--criterion", help="Of the information on the pose.")] = "log-det",
     belief: Annotated[str, typer.Option("--belief", help="Whose information: filter or reference.")] = "filter",
     nees_gate: Annotated[
@@ -53,10 +53,11 @@ def train(
     except KeyboardInterrupt:
         typer.echo(f"interrupted: to go on, run the same command with --out {directory}", err=True)
         raise typer.Exit(130) from None
-    straight = dataclasses.asdict(evaluate(None, task, VALIDATION_SEEDS))
-    rows = LearningCurve(directory / "learning_curve.csv").rows
+    straight = dataclasses.asdict(evaluate(None, task, VALIDATION_SEEDS[: settings.validation]))
+    curve = LearningCurve(directory / "learning_curve.csv")
+    rows = curve.rows
     plot_learning([rows], straight).save(directory / "learning_curve.png")
-    best = min(rows, key=lambda row: row["final_pose_logdet"])
+    best = curve.best
     for name, value in straight.items():
         typer.echo(f"{name:<24} network {best[name]:8.3f}   straight ahead {value:8.3f}")
     made = int(rows[-1]["decisions"])

@@ -151,6 +151,8 @@ class RowsVectorEnv(gym.vector.VectorEnv[Arrays, NDArray[Any], NDArray[Any]], Ke
 
     def _command(self, actions: Any) -> NDArray[Any]:
         """The actions (B, ...), checked."""
+        if self.closed:
+            raise RuntimeError("the environments are closed: make them again")
         if not self._begun.all():
             raise RuntimeError("reset the environments before the first step")
         if isinstance(self.single_action_space, gym.spaces.Box):

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import os
 import platform
+import subprocess
 import sys
 from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
 
 _DISTRIBUTIONS = {"pybullet": ("pybullet", "pybullet-arm64")}
 """Those of which one brings the package, where it is not the one of the same name alone."""
@@ -27,6 +29,23 @@ def version_of(package: str) -> str:
 
 
 __version__ = version_of("stereo-slam-env")
+
+
+def commit() -> str | None:
+    """Commit of the checkout that this package runs from, with "+" where it was edited; None where it is installed."""
+    folder, told = Path(__file__).parent, []
+    for asked in (
+        ("ls-files", "--error-unmatch", Path(__file__).name),
+        ("describe", "--always", "--dirty=+", "--abbrev=40"),
+    ):
+        try:
+            done = subprocess.run(["git", "-C", str(folder), *asked], capture_output=True, text=True, timeout=10)
+        except (OSError, subprocess.TimeoutExpired):
+            return None
+        if done.returncode:
+            return None
+        told.append(done.stdout.strip())
+    return told[-1]
 
 
 def show_versions() -> None:

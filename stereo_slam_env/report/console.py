@@ -186,17 +186,18 @@ def progress_bar(console: Console, what: str = "trials") -> Iterator[ProgressCal
         TextColumn("running"),
         BarColumn(),
         TextColumn("{task.fields[count]}"),
+        TextColumn("{task.fields[said]}"),
         TimeElapsedColumn(),
         TextColumn("left"),
         TimeRemainingColumn(),
     )
     bar = Progress(*columns, console=console)
-    task = bar.add_task("running", total=None, count="")
+    task = bar.add_task("running", total=None, count="", said="")
 
-    def tell(done: float, total: int) -> None:
+    def tell(done: float, total: int, said: str = "") -> None:
         if not bar.live.is_started:  # not before there is something to tell: wrong input is refused before that
             bar.start()
-        bar.update(task, completed=done, total=total, count=f"{math.floor(done)} of {total} {what}")
+        bar.update(task, completed=done, total=total, count=f"{math.floor(done)} of {total} {what}", said=said)
 
     try:
         yield tell

@@ -5,11 +5,14 @@ from __future__ import annotations
 import csv
 import json
 import logging
+import platform
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
+from importlib.util import find_spec
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,6 +22,7 @@ from filters.extras import require_module
 from filters.validation import FloatArray, positive, probability, whole_number
 from stereo_slam_env.files.folders import claimed_folder, write_atomically
 from stereo_slam_env.files.opening import open_regular
+from stereo_slam_env.files.package_versions import commit, version_of
 from stereo_slam_env.files.readers import read_json, read_text
 from stereo_slam_env.policies.network import Network
 from stereo_slam_env.training.task import Evaluation, GazeTask, evaluate
@@ -27,11 +31,22 @@ if TYPE_CHECKING:
     from stable_baselines3 import PPO
     from stable_baselines3.common.vec_env import VecNormalize
 
-Progress = Callable[[int, int], None]
+Progress = Callable[..., None]
+"""Called with decisions made, decisions wanted, and the latest result in words."""
 
-VALIDATION_SEEDS = tuple(range(100_000, 100_016))
+VALIDATION_SEEDS = tuple(range(100_000, 100_256))
 """Episodes on which the best network of a run is chosen; training never sees them, and reports use others."""
+DIAGNOSTICS = {
+    "policy_loss": "train/policy_gradient_loss",
+    "value_loss": "train/value_loss",
+    "entropy": "train/entropy_loss",
+    "kl": "train/approx_kl",
+    "clipped": "train/clip_fraction",
+    "explained_variance": "train/explained_variance",
+}
+"""Columns of the learning curve, and what the logger of stable-baselines3 calls them; NaN before the first update."""
 _OBSERVATION_CLIP = 5.0
+_PACKAGES = ("stereo-slam-env", "numpy", "numba", "gymnasium", "torch", "stable-baselines3")
 
 _log = logging.getLogger(__name__)
 
@@ -74,13 +89,16 @@ class PPOSettings:
     """Weight of the entropy of decisions, so that it goes on trying."""
     initial_log_std: float = -0.7
     """Logarithm of the standard deviation of continuous actions at first."""
-    evaluate_every: int = 8192
+    evaluate_every: int = 16_384
     """Decisions between two looks at the validation episodes."""
+    validation: int = len(VALIDATION_SEEDS)
+    """How many of these there are, at most 256."""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "layers", tuple(self.layers))
         for name in ("decisions", "environments", "threads", "rollout", "minibatch", "epochs", "evaluate_every"):
             whole_number(name, getattr(self, name), 1)
+        whole_number("validation", self.validation, 1, len(VALIDATION_SEEDS))
         whole_number("seed", self.seed, 0)
         for width in self.layers:
             whole_number("layers", width, 1)
@@ -122,14 +140,28 @@ class LearningCurve:
         """Time of the training so far, s."""
         return self.rows[-1]["seconds"] if self.rows else 0.0
 
-    def add(self, decisions: int, seconds: float, mean_return: float, results: Evaluation) -> bool:
-        """Add a row; whether it is the best so far, by the log det of the pose in the end."""
+    @property
+    def best(self) -> dict[str, float]:
+        """The row of the network that is kept: the least true error of the position in the end."""
+        return min(self.rows, key=lambda row: row["final_position_error_m"])
+
+    def add(
+        self,
+        decisions: int,
+        seconds: float,
+        mean_return: float,
+        results: Evaluation,
+        diagnostics: Mapping[str, float] = MappingProxyType({}),
+    ) -> bool:
+        """Add a row; whether it is the best so far, by the true error of the position in the end."""
+        made = decisions - (self.rows[-1]["decisions"] if self.rows else 0.0)
+        speed = made / max(seconds - self.seconds, 1e-9) if made else np.nan
         row = {"decisions": float(decisions), "seconds": seconds, "mean_return": mean_return, **asdict(results)}
-        best = all(results.final_pose_logdet < other["final_pose_logdet"] for other in self.rows)
+        row |= {"decisions_per_second": speed, **{name: diagnostics.get(name, np.nan) for name in DIAGNOSTICS}}
         self.rows.append(row)
+        best = self.best is row
         with self._file.open("w", encoding="utf-8", newline="") as stream:
-            columns = ("decisions", "seconds", "mean_return", *(field.name for field in fields(Evaluation)))
-            writer = csv.DictWriter(stream, columns)
+            writer = csv.DictWriter(stream, list(row))
             writer.writeheader()
             writer.writerows({name: f"{value:.6g}" for name, value in row.items()} for row in self.rows)
         return best
@@ -145,8 +177,11 @@ def train(
 ) -> Path:
     """Train a network, or go on where an interrupted run in `out` stopped.
 
-    `out` gets `run.json` (task, settings), `learning_curve.csv`, `policy.npz` (the network that did best on the
-    validation episodes, see `policies.network`) and `state.pt` (to go on).
+    `out` gets `run.json` (task, settings, versions, commit), `learning_curve.csv` (claim, true error, losses, entropy,
+    KL, explained variance, throughput), `policy.npz` (the network with the least true error on the validation episodes,
+    see `policies.network`), `state.pt` (to go on) and, where TensorBoard is installed, `tensorboard/` with all that
+    stable-baselines3 logs. A training that was stopped between two looks at the validation episodes goes on from the
+    last look, with the bits of one that was not stopped.
 
     Parameters
     ----------
@@ -157,9 +192,9 @@ def train(
     out : Path
         Directory of the run.
     minutes : float, optional
-        Stop after this time at the latest; the same call goes on.
+        Stop at the first look at the validation episodes after this time; the same call goes on.
     progress : callable, optional
-        Called with (decisions made, decisions wanted).
+        Called with decisions made, decisions wanted, and the latest result in words.
 
     Returns
     -------
@@ -182,35 +217,41 @@ def train(
     began = time.monotonic() - curve.seconds
     limit = None if minutes is None else curve.seconds + 60.0 * positive("minutes", minutes)
     with claimed_folder(out), _learner(task, settings, out) as (model, scaling):
+        seeds, said = VALIDATION_SEEDS[: settings.validation], ""
 
-        def look() -> None:
+        def look() -> str:
             """Evaluate the network, keep it if it is the best so far, and save the state of the training."""
             about = {"task": asdict(task), "settings": asdict(settings), "decisions": model.num_timesteps}
             network = network_of(model, scaling, about, task.choices)
-            results = evaluate(network, task, VALIDATION_SEEDS, threads=settings.threads)
+            results = evaluate(network, task, seeds, threads=settings.threads)
             returns = [episode["r"] for episode in model.ep_info_buffer or ()] or [np.nan]
-            if curve.add(model.num_timesteps, time.monotonic() - began, float(np.mean(returns)), results):
+            logged = getattr(model, "logger", None) and model.logger.name_to_value
+            found = {name: float(logged[key]) for name, key in DIAGNOSTICS.items() if logged and key in logged}
+            if curve.add(model.num_timesteps, time.monotonic() - began, float(np.mean(returns)), results, found):
                 network.save(out / "policy.npz")
             _save_state(out / "state.pt", model, scaling)
-            _log.info("%d decisions: final position sigma %.3f m", model.num_timesteps, results.final_position_sigma_m)
+            words = f"true error {results.final_position_error_m:.3f} m, claimed {results.final_position_sigma_m:.3f} m"
+            _log.info("%d decisions: %s", model.num_timesteps, words)
+            return words
 
         if not curve.rows:
-            look()
+            said = look()
         while model.num_timesteps < settings.decisions and (limit is None or curve.seconds < limit):
             target = min(model.num_timesteps + settings.evaluate_every, settings.decisions)
+            _begin_stage(model, settings.seed)
             while model.num_timesteps < target:
                 model.learn(settings.steps * settings.environments, reset_num_timesteps=False)
                 if progress is not None:
-                    progress(min(model.num_timesteps, settings.decisions), settings.decisions)
-                if limit is not None and time.monotonic() - began > limit:
-                    break
-            look()
+                    progress(min(model.num_timesteps, settings.decisions), settings.decisions, said)
+            said = look()
     return out / "policy.npz"
 
 
 def _claim(out: Path, task: GazeTask, settings: PPOSettings) -> None:
     """Write task and settings, or check that those of the run in `out` are the same but for its length and threads."""
-    about = json.loads(json.dumps({"task": asdict(task), "settings": asdict(settings)}))
+    versions = {name: version_of(name) for name in _PACKAGES} | {"python": platform.python_version()}
+    made_with = {"task": asdict(task), "settings": asdict(settings), "versions": versions, "commit": commit()}
+    about = json.loads(json.dumps(made_with))
     file = out / "run.json"
     if file.exists():
         there = read_json(file)
@@ -250,14 +291,24 @@ def _learner(task: GazeTask, settings: PPOSettings, out: Path) -> Iterator[tuple
             policy_kwargs={"net_arch": list(settings.layers), "log_std_init": settings.initial_log_std},
             seed=settings.seed,
             device="cpu",
+            tensorboard_log=str(out / "tensorboard") if find_spec("tensorboard") else None,
         )
         if (out / "state.pt").exists():
             _load_state(out / "state.pt", model, scaling)
-            # Other episodes and actions than those the run has had already.
-            model.set_random_seed(settings.seed + model.num_timesteps)
         yield model, scaling
     finally:
         scaling.close()
+
+
+def _begin_stage(model: PPO, seed: int) -> None:
+    """Begin new episodes, with randomness from the seed and the decisions made alone.
+
+    So what follows depends on what `_save_state` keeps, and on nothing else.
+    """
+    model.set_random_seed(int(np.random.SeedSequence([seed, model.num_timesteps]).generate_state(1)[0] >> 1))
+    model._last_obs = None  # the environments are reset
+    if model.ep_info_buffer is not None:
+        model.ep_info_buffer.clear()
 
 
 def network_of(

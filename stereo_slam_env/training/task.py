@@ -51,8 +51,8 @@ class GazeTask:
     """Name of the filter in the loop."""
     filter_options: Mapping[str, Any] = field(default_factory=lambda: dict(GAZE_FILTER))
     """Of the filter."""
-    reward: Reward = "information"
-    """For "error" the three arguments of `InformationGain` that follow have no effect."""
+    reward: Reward = "error"
+    """For "error" the four arguments of `InformationGain` that follow have no effect."""
     criterion: Criterion = "log-det"
     """Of `InformationGain`, on the pose."""
     belief: BeliefOf = "filter"
@@ -140,13 +140,13 @@ class GazeTask:
 
 
 def active_gaze(render_mode: str | None = None, *, many: Mapping[str, Any] | None = None, **arguments: Any) -> Any:
-    """`StereoSlam/ActiveGaze-v0`: decide where to look so that the filter knows the most about the pose in the end.
+    """`StereoSlam/ActiveGaze-v0`: decide where to look so that the estimate of the pose is as true as it can be.
 
     The head of `StereoSlam/Gaze-v0` is turned to one of nine directions (`Discrete(9)`, from the farthest left to the
     farthest right), for five steps. The observation has `belief_sigmas` (6,), `head` (2,) and `panorama` (12, 6), the
-    landmarks of the filter's map around the car, see `BeliefPanorama`; the reward is the decrease of the log
-    determinant of the covariance of the pose (`InformationGain`), or with `reward="error"` minus the squared true error
-    of the position (`TrueError`). `info` is that of `StereoSlam/Gaze-v0` and of these
+    landmarks of the filter's map around the car, see `BeliefPanorama`; the reward is minus the squared true error of
+    the position after the decision (`TrueError`), or with `reward="information"` the decrease of the log determinant of
+    the covariance of the pose (`InformationGain`). `info` is that of `StereoSlam/Gaze-v0` and of these
     wrappers.
 
     Parameters

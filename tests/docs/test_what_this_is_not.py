@@ -112,16 +112,24 @@ def each_sentence_is_a_test():
 
 @says("No inertial sensor in the environments.")
 @says(
-    "A filter takes inertial samples, a recording keeps them, and the readers of EuRoC, KITTI raw and KITTI 00 read "
-    "them, but no environment simulates them."
+    "A filter takes inertial samples, a recording keeps them, the readers of EuRoC, KITTI raw and KITTI 00 read them, "
+    "and the problems inertial_drive and inertial_flight simulate them, but no environment does."
 )
 def readers_make_inertial_samples_and_no_environment_does():
     assert "inertial" in inspect.signature(StereoFilter.predict).parameters
     assert "inertial" in fields(Frame) & fields(StereoPair)
     makes = {path.name for path in SOURCES if re.search(r"InertialSamples\(", path.read_text(encoding="utf-8"))}
-    assert makes == {"inertial.py", "drives.py", "motions.py", "archive.py"}  # its own module, checks, archives
+    assert makes == {
+        "inertial.py",
+        "drives.py",
+        "motions.py",
+        "archive.py",
+        "imu.py",
+    }  # its own module, checks, archives
     reads = {path.name for path in SOURCES if re.search(r"samples_of_steps\(", path.read_text(encoding="utf-8"))}
     assert reads == {"inertial.py", "euroc.py", "kitti_raw.py", "kitti00_stereo_tracks.py"}
+    simulates = {path.name for path in SOURCES if re.search(r"\bImu\(", path.read_text(encoding="utf-8"))}
+    assert simulates == {"inertial_problem.py"}
 
 
 @says("Samples and odometry are not fused in one filter.")

@@ -11,17 +11,15 @@ from filters.checks.part_contracts.comparison import TURN, assert_close, moved_w
 from filters.checks.part_contracts.motions import a_camera
 from filters.contract.observation import StereoObservation
 from filters.contract.start import Start
-from filters.engine.new_landmarks import start_landmarks
+from filters.engine.stereo_ekf import StereoEKF
 from filters.errors.model import ErrorDefinition
 from filters.geometry import differences, rotations
 from filters.landmarks.euclidean import Euclidean
 from filters.landmarks.inverse_depth import InverseDepth
 from filters.landmarks.model import LandmarkModel
-from filters.measurements.rectified_pair import RangeBearing
 from filters.motions.model import ROTATION
 from filters.state import symmetric
 from filters.state.joint_state import JointState, world_rotation_of_variables
-from filters.state.layout import Layout
 from filters.validation import FloatArray
 
 
@@ -30,10 +28,11 @@ def _state(model: LandmarkModel) -> JointState:
     root = 0.1 * np.random.default_rng(0).standard_normal((12, 12))
     at = a_camera({})
     start = Start(at.position - [0.5, 0.1, 0.3], at.orientation, at.linear_velocity, at.angular_velocity, root @ root.T)
-    state = JointState.at(start, Layout(), model)
+    slam = StereoEKF(REFERENCE_CAMERA, REFERENCE_NOISE, landmark=model)
+    slam.reset(start)
     uvd = np.array([[600.0, 200.0, 30.0], [300.0, 100.0, 20.0], [900.0, 250.0, 10.0], [800.0, 180.0, 1.0]])
-    R = np.broadcast_to(REFERENCE_NOISE.R, (4, 3, 3))
-    state.augment(start_landmarks(RangeBearing(), REFERENCE_CAMERA, state, StereoObservation(np.arange(4), uvd), R))
+    slam.update(StereoObservation(np.arange(4), uvd))
+    state = slam.state
     state.camera = state.predicted = at
     return state
 

@@ -55,7 +55,7 @@ def identity(F: FloatArray) -> None:
 
 @njit(**KERNEL)
 def transform_leading(P: FloatArray, n: int, s: Scratch) -> None:
-    """P <- blockdiag(F, I) P blockdiag(F, I)^T, with F of the scratch (`symmetric.transform_leading`)."""
+    """P <- blockdiag(F, I) P blockdiag(F, I)^T, with F of the scratch."""
     F, old, half, changed, lead = s.F, s.old, s.half, s.changed, s.lead
     leading = len(F)
     for i in range(leading):

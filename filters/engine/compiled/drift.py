@@ -1,19 +1,21 @@
-"""Kernels of the drift of landmarks: the steps of `filters.contract.drift`."""
+"""Kernels of the drift of landmarks: the steps of `LandmarkDrift`."""
 
 from __future__ import annotations
 
 from numba import njit
 
-from filters.contract.drift import SMALLEST_DETERMINANT
 from filters.engine.compiled.blas import KERNEL
 from filters.engine.compiled.recipe import Plan
 from filters.engine.compiled.scratch import Scratch
 from filters.validation import FloatArray, IntArray
 
+SMALLEST_DETERMINANT = 1e-3
+"""Of d(u, v, d) / d(own numbers): below, a landmark is so far that a step in the image has no place in the map."""
+
 
 @njit(**KERNEL)
 def step_covariance(part: FloatArray, R: FloatArray, Q: FloatArray) -> None:
-    """`drift.step_covariances` of one landmark: Q = share^2 R + diag(pixels^2)."""
+    """Covariance of a step in (u, v, d): Q = share^2 R + diag(pixels^2)."""
     for a in range(3):
         for b in range(3):
             Q[a, b] = part[0] * R[a, b]

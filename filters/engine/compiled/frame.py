@@ -37,6 +37,7 @@ from filters.engine.compiled.progress import counted
 from filters.engine.compiled.recipe import Plan, Recipe
 from filters.engine.compiled.retraction import move, retract, retract_by_numbers, scales_blocks
 from filters.engine.compiled.scratch import Scratch
+from filters.engine.compiled.sigma_points import fit
 from filters.engine.compiled.storage import BEHIND, BLOCKS, FAILED, GATED, LANDMARKS, OWN, USED, Frame, Storage
 from filters.engine.compiled.units import (
     ADDRESSES,
@@ -134,8 +135,8 @@ def _steps(
     if plan.by_numbers:
         if not _ask(routines, TO_DRIFT, b, s, part, count):
             return False
-        return part > 0 or _linearise(routines, plan, variant, stage, S, b, x, blocks, s, count, AGAIN)
-    _linearise(routines, plan, variant, whole, S, b, x, blocks, s, count, AGAIN)
+    else:
+        _linearise(routines, plan, variant, whole, S, b, x, blocks, s, count, AGAIN)
     take_steps(plan, plan.drift[part], S.P[b], s, s.select, count)
     return _linearise(routines, plan, variant, stage, S, b, x, blocks, s, count, AGAIN)
 
@@ -606,7 +607,7 @@ def kernels(recipe: Recipe, fuses: bool) -> tuple[Any, ...]:
     needed: dict[int, tuple[Unit, bool]] = {
         PREDICT: (predict, True),
         FUSE: (fuse, fuses),
-        LINEARISE: (linearise, not plan.by_numbers),
+        LINEARISE: (fit if len(plan.sigma_points) else linearise, not plan.by_numbers),
         GATE: (squared_distances, gated or plan.tail_dof < np.inf),
         AGREE: (largest_agreement, gated and plan.consensus),
         ITERATE: (iterate, plan.iterations > 1),

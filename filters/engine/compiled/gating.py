@@ -78,6 +78,8 @@ def reweight(plan: Plan, s: Scratch, select: IntArray, count: int, size: int) ->
         for a in range(size):
             for b in range(size):
                 s.R[m, a, b] /= weight
+                if len(plan.sigma_points) > 0:
+                    s.added[m, a, b] /= weight
 
 
 @njit(**KERNEL)

@@ -90,7 +90,7 @@ def from_camera(plan: Plan, x: FloatArray, blocks: FloatArray, anchor: int) -> t
 
 
 @njit(**KERNEL)
-def _see(
+def see(
     routines: Routines, plan: Plan, x: FloatArray, blocks: FloatArray, S: Storage, b: int, s: Scratch, count: int
 ) -> None:
     """The selected landmarks in the camera frame, and the numbers of the sensor there."""
@@ -111,7 +111,7 @@ def _see(
 
 
 @njit(**KERNEL)
-def _compare(T: FloatArray, s: Scratch, count: int, size: int) -> None:
+def compare(T: FloatArray, s: Scratch, count: int, size: int) -> None:
     """Innovations of the selected measurements, and whether they can be seen at all."""
     for i in range(count):
         m = s.select[i]
@@ -125,10 +125,10 @@ def _compare(T: FloatArray, s: Scratch, count: int, size: int) -> None:
 
 
 @njit(**KERNEL)
-def _chain(
+def chain(
     plan: Plan, T: FloatArray, x: FloatArray, blocks: FloatArray, S: Storage, b: int, s: Scratch, count: int, size: int
 ) -> None:
-    """H and first rows of the selected measurements, linearised where `_see` has been."""
+    """H and first rows of the selected measurements, linearised where `see` has been."""
     measured, others = plan.measured, s.by_values.shape[2]
     R = orientation(x)
     for i in range(count):
@@ -197,12 +197,12 @@ def linearise(
             if S.kind[b, S.own[b, i]] == OWN:
                 for a in plan.follows:
                     at[S.own[b, i], a] = blocks[S.own[b, i], a]
-        _see(routines, plan, point, at, S, b, s, count)
-        _chain(plan, T, point, at, S, b, s, count, size)
-    _see(routines, plan, x, blocks, S, b, s, count)
-    _compare(T, s, count, size)
+        see(routines, plan, point, at, S, b, s, count)
+        chain(plan, T, point, at, S, b, s, count, size)
+    see(routines, plan, x, blocks, S, b, s, count)
+    compare(T, s, count, size)
     if not plan.first_estimates:
-        _chain(plan, T, x, blocks, S, b, s, count, size)
+        chain(plan, T, x, blocks, S, b, s, count, size)
 
 
 @njit(**KERNEL)
@@ -211,8 +211,8 @@ def expect(routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch, count
     for i in range(count):
         s.land[i] = s.select[i] = i
     x, blocks = S.x[b], S.blocks[b]
-    _see(routines, plan, x, blocks, S, b, s, count)
-    _chain(plan, plan.T[0, -1], x, blocks, S, b, s, count, 3)
+    see(routines, plan, x, blocks, S, b, s, count)
+    chain(plan, plan.T[0, -1], x, blocks, S, b, s, count, 3)
 
 
 @njit(**KERNEL)
@@ -241,6 +241,8 @@ def prepare(
                     for q in range(3):
                         total += T[a, p] * noise[p, q] * T[b, q]
                 s.R[m, a, b] = total
+                if len(plan.sigma_points) > 0:
+                    s.added[m, a, b] = 0.0
         if right_row >= 0:
             s.z[m, right_row] = v_right[i]
         if apart >= 0:

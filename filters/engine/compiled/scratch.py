@@ -101,6 +101,14 @@ class Scratch(NamedTuple):
     gate_HP: FloatArray
     inverse_R: FloatArray
     small: FloatArray
+    root: FloatArray
+    """Cholesky factor of what a measurement depends on, pose first, and what is drawn and fitted along it."""
+    sigma_positions: FloatArray
+    sigma_rotations: FloatArray
+    sigma_z: FloatArray
+    sigma_along: FloatArray
+    added: FloatArray
+    """What sigma points have added to R, (M, 4, 4)."""
     result: FloatArray
     """What a unit gives back, (2,)."""
     noise: FloatArray
@@ -126,13 +134,21 @@ def scratch(
     recipe: Recipe, storage: Storage, measurements: int, rows: int = 0, columns: int = 0, thread: int = 0
 ) -> Scratch:
     """Room for a frame of so many measurements, and for one measurement of so many rows by so many errors."""
-    n, blocks, leading, M = storage.P.shape[1], storage.blocks.shape[1], recipe.leading, max(1, measurements)
-    at_once = recipe.consensus or recipe.iterations > 1
+    plan = recipe.plan
+    n, blocks, leading, M = storage.P.shape[1], storage.blocks.shape[1], plan.leading, max(1, measurements)
+    at_once = plan.consensus or plan.iterations > 1
     used = 0 if recipe.motion is None else recipe.motion.rows
     rows = max(8, max(rows, used) + MOST_ROWS, M * MOST_ROWS if at_once else min(M * MOST_ROWS, CHUNK_ROWS + MOST_ROWS))
-    size, seen = recipe.size, recipe.seen_size
-    width, others, most = recipe.measured + 3 * recipe.anchors + size, recipe.measured - POSE_SIZE, max(MOST_ROWS, size)
-    K, v, numbers, moved = max(M, blocks), recipe.value_size, recipe.sensor_size, len(recipe.moved_rows)
+    size, seen = plan.size, recipe.seen_size
+    width, others, most = plan.measured + 3 * plan.anchors + size, plan.measured - POSE_SIZE, max(MOST_ROWS, size)
+    drawn, lines = (2 * width + 1, M) if len(plan.sigma_points) else (1, 0)
+    N, K, v, numbers, moved = (
+        max(M, drawn),
+        max(M, blocks, drawn),
+        recipe.value_size,
+        recipe.sensor_size,
+        len(plan.moved_rows),
+    )
     integers = {name: np.zeros(M, dtype=np.int64) for name in ("where", "place", "land", "select", "core")}
     return Scratch(
         F=np.zeros((leading, leading)),
@@ -158,19 +174,19 @@ def scratch(
         distances=np.zeros(M),
         ahead=np.zeros(M, dtype=np.bool_),
         used=np.zeros(M, dtype=np.bool_),
-        support=np.zeros((M, M) if recipe.consensus else (1, 1), dtype=np.bool_),
+        support=np.zeros((M, M) if plan.consensus else (1, 1), dtype=np.bool_),
         HP=aligned(rows, n + 16),  # rows of 512 numbers, 8 more than 504, would fall on the same lines of a cache
         S=aligned(rows, rows + 8),
         shared=aligned(width, rows + 8),
         delta=np.zeros(n),
-        kept=np.zeros((max(1, len(recipe.considered)),) * 2),
+        kept=np.zeros((max(1, len(plan.considered)),) * 2),
         W=np.zeros((n, 3)),
         D=np.zeros((blocks, size, size)),
-        by_position=np.zeros((n if recipe.carries else 1, 3)),
-        copy=np.zeros((n, n) if recipe.iterations > 1 else (1, 1)),
+        by_position=np.zeros((n if plan.carries else 1, 3)),
+        copy=np.zeros((n, n) if plan.iterations > 1 else (1, 1)),
         leading=np.arange(leading),
-        state=np.zeros(len(recipe.moved)),
-        after=np.zeros(len(recipe.moved)),
+        state=np.zeros(len(plan.moved)),
+        after=np.zeros(len(plan.moved)),
         F_part=np.zeros((moved, moved)),
         Q=np.zeros((moved, moved)),
         odometry_nu=np.zeros(used),
@@ -186,29 +202,35 @@ def scratch(
         by_correction=np.zeros((K, size, size)),
         by_theta=np.zeros((K, size, 3)),
         effect=np.zeros((K, size, 3)),
-        sensed=np.zeros(len(recipe.sensed) + (6 if recipe.measured > recipe.velocity else 0)),
+        sensed=np.zeros(len(plan.sensed) + (6 if plan.measured > plan.velocity else 0)),
         points_c=np.zeros((M, seen)),
-        numbers=np.zeros((M, numbers)),
-        by_point=np.zeros((M, numbers, seen)),
-        by_values=np.zeros((M, numbers, others)),
-        in_front=np.zeros(M, dtype=np.bool_),
+        numbers=np.zeros((N, numbers)),
+        by_point=np.zeros((N, numbers, seen)),
+        by_values=np.zeros((N, numbers, others)),
+        in_front=np.zeros(N, dtype=np.bool_),
         uvd=np.zeros((M, 3)),
         by_uvd=np.zeros((M, seen, 3)),
-        back_by_values=np.zeros((M, seen, others)),
+        back_by_values=np.zeros((N, seen, others)),
         by_start=np.zeros((M, size, seen)),
         possible=np.zeros(M, dtype=np.bool_),
         gate_rows=np.zeros(width, dtype=np.int64),
         gate_P=np.zeros((width, width + 8)),
         gate_HP=np.zeros((MOST_ROWS, width + 8)),
-        inverse_R=np.zeros((M if recipe.consensus else 1, MOST_ROWS, MOST_ROWS)),
+        inverse_R=np.zeros((M if plan.consensus else 1, MOST_ROWS, MOST_ROWS)),
         small=np.zeros((3, most, most)),
+        root=np.zeros((width, width) if lines else (1, 1)),
+        sigma_positions=np.zeros((2 * POSE_SIZE + 1, 3)),
+        sigma_rotations=np.zeros((3 * (2 * POSE_SIZE + 1), 3)),
+        sigma_z=np.zeros((drawn, MOST_ROWS)),
+        sigma_along=np.zeros((MOST_ROWS, width)),
+        added=np.zeros((max(1, lines), MOST_ROWS, MOST_ROWS)),
         result=np.zeros(2),
         noise=np.zeros((M, 3, 3)),
         gone=np.zeros(blocks, dtype=np.bool_),
         values=np.zeros((M, recipe.value_size)),
         values_noise=np.zeros((M, size, size)),
         anchored=np.zeros(M, dtype=np.bool_),
-        by_anchor=np.zeros((3 * max(1, recipe.anchors), recipe.measured)),
+        by_anchor=np.zeros((3 * max(1, plan.anchors), plan.measured)),
         door=np.array([thread, 0]),
         letters=np.array((ord("L"),), dtype=np.uint8),
         sizes=np.zeros(3, dtype=np.int32),

@@ -124,7 +124,7 @@ def aligned(*shape: int) -> FloatArray:
 
 def empty_storage(recipe: Recipe, filters: int, blocks: int) -> Storage:
     """Storage of filters without a map, with room for so many blocks."""
-    rows = padded(recipe.leading + recipe.size * blocks)
+    rows = padded(recipe.plan.leading + recipe.plan.size * blocks)
     return Storage(
         P=aligned(filters, rows, rows),
         x=np.zeros((filters, recipe.values)),
@@ -184,9 +184,9 @@ def empty_frame(
     recipe: Recipe, filters: int, blocks: int, measurements: int, rows: int = 1, odometry: tuple[int, int] = (1, 1)
 ) -> Frame:
     """A frame that brings nothing, with room for odometry (K, w), and for so many rows of it by numbers."""
-    M, leading = measurements, recipe.leading
+    M, leading = measurements, recipe.plan.leading
     driven = filters if recipe.motion is None else 1
-    stages, numbers = (MOST_STAGES, M) if recipe.by_numbers else (1, 1)
+    stages, numbers = (MOST_STAGES, M) if recipe.plan.by_numbers else (1, 1)
     return Frame(
         dt=np.zeros(filters),
         fused=np.zeros(filters, dtype=np.bool_),
@@ -223,7 +223,7 @@ def empty_frame(
 def exported(storage: Storage, recipe: Recipe, filter_index: int) -> FilterState:
     """A copy of the state of one filter."""
     b, (landmarks, blocks) = filter_index, storage.counts[filter_index]
-    n = recipe.leading + recipe.size * blocks
+    n = recipe.plan.leading + recipe.plan.size * blocks
     held = storage.held[b]
     return FilterState(
         x=storage.x[b].copy(),

@@ -81,7 +81,7 @@ def _words(kind: Any) -> int:
     return 1 + 2 * kind.ndim if isinstance(kind, types.Array) else 1
 
 
-_RECIPE = Recipe((1.0, 1.0, 0.0, 0.0, 1.0), None, None, None, None, (), ())
+_RECIPE = Recipe()
 _STORAGE = empty_storage(_RECIPE, 1, 1)
 PLAN, STORAGE = Reference(_RECIPE.plan), Reference(_STORAGE)
 SCRATCH, FRAME = Reference(scratch(_RECIPE, _STORAGE, 1)), Reference(empty_frame(_RECIPE, 1, 1, 1))

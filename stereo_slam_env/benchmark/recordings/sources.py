@@ -141,8 +141,8 @@ class ReferenceSource(Source, frozen=True, tag="reference"):
 
     has_rig: ClassVar[bool] = True
 
-    name: Literal["long_drive", "short_turn", "relative_noise_loop"]
-    """The problem: a function of `reference_problem`."""
+    name: Literal["long_drive", "short_turn", "relative_noise_loop", "inertial_drive", "inertial_flight"]
+    """The problem: a function of `reference_problem` or `inertial_problem`."""
     arguments: dict[str, Any] = msgspec.field(default_factory=dict)
     """Its arguments."""
 
@@ -161,9 +161,10 @@ class ReferenceSource(Source, frozen=True, tag="reference"):
 
     @property
     def _problem(self) -> Callable[..., Recording]:
-        from stereo_slam_env.benchmark.recordings import reference_problem
+        from stereo_slam_env.benchmark.recordings import inertial_problem, reference_problem
 
-        problem: Callable[..., Recording] = getattr(reference_problem, self.name)
+        module = inertial_problem if self.name.startswith("inertial") else reference_problem
+        problem: Callable[..., Recording] = getattr(module, self.name)
         return problem
 
 

@@ -100,7 +100,7 @@ def plot_claim_and_truth(runs: Sequence[FilterRun]) -> Chart:
 def plot_learning(runs: Sequence[Sequence[Mapping[str, float]]], straight_ahead: Mapping[str, float]) -> Chart:
     """Claimed uncertainty and true error on the validation episodes against the decisions made; a curve a training."""
     rows = [row for run in runs for row in run]
-    kept = min(rows, key=lambda row: row["final_pose_logdet"])
+    kept = min(rows, key=lambda row: row["final_position_error_m"])
     x = Axis(0, max(row["decisions"] for row in rows) / 1000.0 or 1.0, "decisions, thousands")
     panels = []
     for name, title in _LEARNT.items():

@@ -42,7 +42,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
 }
 DRIFTS = (0.4, {"pixels": (1.2, 1.0, 0.5), "gate_pixels": (0.4, 0.4, 0.2)}, {"share": 0.2, "pixels": (0.5, 0.5, 0.1)})
 CALIBRATED = (
-    CalibratedPair(0.25, 3e-3, 2e-3, 5e-3, 2e-3, 1e-3),
+    CalibratedPair(0.25, 3e-3, 2e-3, 5e-3),
     CalibratedPair(0.25, 3e-3, 2e-3, 5e-3, considered=True),
     CalibratedPair(offset_sigma=0.25),
 )

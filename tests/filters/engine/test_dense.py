@@ -27,18 +27,22 @@ def recipe_with(landmark: str, calibrated: bool = True, **options: object) -> Re
     pair = CalibratedPair(1.0, 1.0, 1.0, 1.0) if calibrated else "joint"
     given = {"error": "so3", "gate": None, "landmark": landmark, "measurement": pair, **given}
     recipe = StereoEKF(CAMERA, StereoNoise(R), **given).engine.recipe
-    return replace(recipe, **options)
+    return with_plan(recipe, **options)
+
+
+def with_plan(recipe: Recipe, **options: object) -> Recipe:
+    return replace(recipe, plan=recipe.plan._replace(**options))
 
 
 def started(recipe: Recipe) -> Engine:
     """A filter in general position with four landmarks."""
     rng = np.random.default_rng(3)
-    engine, L = Engine(recipe), recipe.leading
+    engine, L = Engine(recipe), recipe.plan.leading
     x = np.zeros(recipe.values)
     x[:3], x[3:7] = (1.0, 2.0, 3.0), Rotation.from_rotvec([0.2, -0.5, 0.1]).as_quat()
-    if recipe.sensed:
+    if len(recipe.plan.sensed):
         x[7:13] = 0.7, 0.02, -0.03, 0.01, -0.02, 0.015
-    v = recipe.velocity
+    v = recipe.plan.velocity
     x[v + 1 : v + 7] = 0.5, 0.1, 4.0, 0.02, 0.1, -0.01
     root = 0.01 * rng.standard_normal((v + 6, v + 6))
     P = np.zeros((L, L))
@@ -66,8 +70,8 @@ def plus(recipe: Recipe, state: FilterState, e: np.ndarray) -> FilterState:
     x = state.x.copy()
     x[:3] += e[:3]
     x[3:7] = (Rotation.from_quat(x[3:7]) * Rotation.from_rotvec(e[3:6])).as_quat()
-    x[7:] += e[6 : recipe.leading]
-    return replace(state, x=x, blocks=state.blocks + e[recipe.leading :].reshape(-1, 3))
+    x[7:] += e[6 : recipe.plan.leading]
+    return replace(state, x=x, blocks=state.blocks + e[recipe.plan.leading :].reshape(-1, 3))
 
 
 def minus(recipe: Recipe, other: FilterState, state: FilterState) -> np.ndarray:
@@ -84,7 +88,7 @@ def jacobian(function, size: int, step: float = 1e-6) -> np.ndarray:
 
 
 def calibration_of(recipe: Recipe, x: np.ndarray) -> np.ndarray:
-    return x[7:13] if recipe.sensed else np.zeros(6)
+    return x[7:13] if len(recipe.plan.sensed) else np.zeros(6)
 
 
 def directions(angles: np.ndarray) -> np.ndarray:
@@ -95,7 +99,7 @@ def directions(angles: np.ndarray) -> np.ndarray:
 def project(recipe: Recipe, state: FilterState) -> np.ndarray:
     """(u, v, d) of all landmarks, one after the other."""
     own, rotation = state.blocks[state.own], Rotation.from_quat(state.x[3:7]).as_matrix()
-    if not recipe.anchors:
+    if not recipe.plan.anchors:
         h, rho = own - state.x[:3], np.ones(len(own))
     else:
         rho = own[:, 2]
@@ -125,9 +129,9 @@ def start_blocks(recipe: Recipe, state: FilterState, uvd: np.ndarray) -> np.ndar
     )
     scale = (uvd[:, 2] - o) / ((1 + focal) * (1 + baseline) * CAMERA.disparity_constant)
     h = rays @ Rotation.from_rotvec(turn).as_matrix() @ Rotation.from_quat(state.x[3:7]).as_matrix().T
-    if not recipe.anchors:
+    if not recipe.plan.anchors:
         return state.x[:3] + h / scale[:, None]
-    anchors = np.tile(state.x[:3], (1 if recipe.shares_anchors else len(uvd), 1))
+    anchors = np.tile(state.x[:3], (1 if recipe.plan.shares_anchors else len(uvd), 1))
     angles = [np.arctan2(h[:, 0], h[:, 2]), np.arctan2(-h[:, 1], np.hypot(h[:, 0], h[:, 2]))]
     return np.vstack([anchors, np.column_stack([*angles, scale / np.linalg.norm(rays, axis=1)])])
 
@@ -137,7 +141,7 @@ def start_blocks(recipe: Recipe, state: FilterState, uvd: np.ndarray) -> np.ndar
 def test_new_landmarks_inherit_the_uncertainty_of_pose_and_calibration(landmark: str, calibrated: bool) -> None:
     recipe = recipe_with(landmark, calibrated)
     engine = started(recipe)
-    before, L = exported(engine), recipe.leading
+    before, L = exported(engine), recipe.plan.leading
     engine.step(0.0, observed(UVD))
     after = exported(engine)
     np.testing.assert_allclose(after.blocks, start_blocks(recipe, before, UVD), rtol=1e-12)
@@ -153,7 +157,7 @@ def test_new_landmarks_inherit_the_uncertainty_of_pose_and_calibration(landmark:
 @pytest.mark.parametrize("considered", [(), (6, 7, 8, 9, 10, 11), (0, 7, 13)])
 @pytest.mark.parametrize("landmark", LANDMARKS)
 def test_an_update_is_the_dense_one_and_schmidts_for_considered_rows(landmark: str, considered: tuple) -> None:
-    recipe = recipe_with(landmark, considered=considered)
+    recipe = recipe_with(landmark, considered=np.array(considered, dtype=np.int64))
     engine = started(recipe)
     engine.step(0.0, observed(UVD))
     before, uvd = exported(engine), UVD + np.random.default_rng(5).standard_normal(UVD.shape)
@@ -188,11 +192,11 @@ def invariant_plus(recipe: Recipe, state: FilterState, delta: np.ndarray) -> Fil
     moved = plus(recipe, state, delta)
     theta = Rotation.from_quat(state.x[3:7]).apply(delta[3:6])
     J, turn = _right_jacobian(-theta), Rotation.from_rotvec(theta)
-    v = recipe.velocity
+    v = recipe.plan.velocity
     moved.x[:3] = state.x[:3] + J @ delta[:3]
     moved.x[v + 1 : v + 4] = state.x[v + 1 : v + 4] + J @ delta[v : v + 3]
-    by_block = delta[recipe.leading :].reshape(-1, 3)
-    rays = set() if not recipe.anchors else set(state.own.tolist())
+    by_block = delta[recipe.plan.leading :].reshape(-1, 3)
+    rays = set() if not recipe.plan.anchors else set(state.own.tolist())
     for c, (block, d) in enumerate(zip(state.blocks, by_block, strict=True)):
         if c not in rays:
             moved.blocks[c] = block + J @ d
@@ -254,11 +258,11 @@ def test_passes_with_the_prior_held_end_at_the_most_probable_state(landmark: str
 
 def test_a_random_walk_adds_its_variance() -> None:
     recipe = recipe_with("inverse-depth")
-    walking = replace(recipe, walk=tuple(np.linspace(0.0, 1.0, recipe.leading)))
+    walking = with_plan(recipe, walk=np.linspace(0.0, 1.0, recipe.plan.leading))
     still, moving = started(recipe), started(walking)
     for engine in (still, moving):
         engine.step(0.1, None)
-    added = np.diag(0.1 * np.linspace(0.0, 1.0, recipe.leading))
+    added = np.diag(0.1 * np.linspace(0.0, 1.0, recipe.plan.leading))
     np.testing.assert_allclose(exported(moving).P - exported(still).P, added, atol=1e-15)
 
 
@@ -274,7 +278,7 @@ def test_a_measurement_without_a_cholesky_factor_is_left_out_alone(iterations: i
     others = [0, 1, 3]
     outcome = broken.step(0.0, replace(seen, R=noise))
     kept = replace(seen, ids=seen.ids[others], uvd=seen.uvd[others], offsets=np.array([0, 3]))
-    expected = Engine(replace(recipe, drop_unseen=False))
+    expected = Engine(with_plan(recipe, drop_unseen=False))
     expected.load(0, without.export(0))
     expected.step(0.0, kept)
     np.testing.assert_array_equal(outcome.fates == FAILED, [False, False, True, False])

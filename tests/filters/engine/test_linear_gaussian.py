@@ -14,7 +14,7 @@ from filters.motions.model import CAMERA_SIZE, POSE_SIZE
 from filters.state import symmetric
 
 from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, SPEED, drive, finish
-from ..state.states import camera_at, new_landmarks, transform_variables, without_map
+from ..state.states import augment, camera_at, new_landmarks, remove, transform_variables, without_map
 from .linear_problems import assert_covariances_equal, dense, lower, random_covariance, random_measurements, update
 
 
@@ -97,7 +97,7 @@ def test_a_map_that_grows_and_shrinks_equals_filterpy_with_every_landmark_ever_s
             x_camera = x_camera + delta[:CAMERA_SIZE]
             state.blocks = state.blocks + delta[CAMERA_SIZE:].reshape(-1, 3)
 
-        state.remove(rng.uniform(size=len(state)) < 0.2)
+        remove(state, rng.uniform(size=len(state)) < 0.2)
 
         new = int(rng.integers(0, 4))
         ids = list(range(10 * frame, 10 * frame + new))
@@ -105,7 +105,7 @@ def test_a_map_that_grows_and_shrinks_equals_filterpy_with_every_landmark_ever_s
         R = np.tile(np.diag([0.5, 1.0, 2.0]), (new, 1, 1))
         if new:
             noise = by_noise @ R @ by_noise.transpose(0, 2, 1)
-            state.augment(new_landmarks(np.array(ids), by_pose @ x_camera[:POSE_SIZE], by_pose, noise, False))
+            augment(state, new_landmarks(np.array(ids), by_pose @ x_camera[:POSE_SIZE], by_pose, noise, False))
             _grow(reference, by_pose.reshape(-1, POSE_SIZE), noise)
             everyone += ids
 

@@ -14,7 +14,7 @@ from filters.state import symmetric
 
 from ..drives import CAMERA, INDEPENDENT_PIXELS, drive, finish, run, start
 from ..slots import LANDMARKS
-from ..state.states import transform_variables
+from ..state.states import augment, transform_variables
 from .linear_problems import update
 
 COUNT = 12
@@ -55,7 +55,7 @@ def test_what_is_foreseen_is_what_happens(landmark: str) -> None:
     foreseen = pose_covariance(candidates(slam, known, new), np.ones(5 + len(new), dtype=bool))
     ids = slam.state.ids[known]
     state = slam.state
-    state.augment(start_landmarks(SENSOR, CAMERA, state, new, noise(len(new))))
+    augment(state, start_landmarks(SENSOR, CAMERA, state, new, noise(len(new))))
     step = np.zeros((12, 12))
     step[:6, :6] = selection.STEP
     transform_variables(state, np.eye(12), step)

@@ -33,7 +33,7 @@ def test_what_lies_outside_the_upper_triangle_in_use_plays_no_part(landmark: str
         engine = soiled.engine
         P = engine.storage.P[0]
         row, column = np.indices(P.shape)
-        used = engine.recipe.leading + 3 * engine.storage.counts[0, 1]
+        used = engine.recipe.plan.leading + 3 * engine.storage.counts[0, 1]
         P[(column < row) | (column >= used)] = np.nan
         for slam in (clean, soiled):
             slam.predict(DT)

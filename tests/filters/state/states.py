@@ -8,11 +8,11 @@ import numpy as np
 
 from filters import Start
 from filters.landmarks.model import LandmarkModel, StartedLandmarks
-from filters.motions.model import CameraState
+from filters.motions.model import POSE_SIZE, CameraState
 from filters.state import symmetric
-from filters.state.joint_state import JointState, NewLandmarks
+from filters.state.joint_state import Clone, JointState, NewLandmarks
 from filters.state.layout import Layout
-from filters.validation import FloatArray, IntArray
+from filters.validation import BoolArray, FloatArray, IntArray
 
 
 def camera_at(position: FloatArray) -> CameraState:
@@ -28,7 +28,10 @@ def without_map(camera: CameraState, P: FloatArray, model: LandmarkModel, layout
 
 def transform_variables(state: JointState, F: FloatArray, added: FloatArray | None = None) -> None:
     """P of the named variables becomes F P F^T + added."""
-    symmetric.transform_leading(state.P, F, np.zeros_like(F) if added is None else added)
+    size, P = len(F), state.P
+    moved = F @ symmetric.full(P[:size, :size]) @ F.T + (0.0 if added is None else added)
+    P[:size, :size] = 0.5 * (moved + moved.T)
+    P[size:, :size] = P[size:, :size] @ F.T
 
 
 def new_landmarks(
@@ -39,3 +42,44 @@ def new_landmarks(
     nothing = np.zeros((count, 3, 3))
     flags = np.broadcast_to(np.asarray(anchored, dtype=bool), count)
     return NewLandmarks(ids, StartedLandmarks(parameters, nothing, nothing, nothing[:, :, 0], flags), by_pose, noise)
+
+
+def augment(state: JointState, new: NewLandmarks) -> None:
+    """Add landmarks, with what they have in common with everything else: the errors of the pose (Eq. 19-25)."""
+    started, model, count = new.started, state.model, len(new.ids)
+    anchors = int(started.anchored.sum())
+    which = np.cumsum(started.anchored) - 1
+    if model.shares_anchors:
+        anchors, which = min(anchors, 1), np.zeros_like(which)
+    values = np.zeros((anchors + count, model.value_size))
+    values[:anchors, :3], values[anchors:] = state.camera.position, started.parameters
+    J = np.zeros((anchors + count, state.size, new.by_leading.shape[2]))
+    J[:anchors, :3, :3], J[anchors:] = np.eye(3), new.by_leading
+    J = J.reshape(-1, J.shape[2])
+    cross = J @ symmetric.full(state.P)[: J.shape[1]]
+    own = cross[:, : J.shape[1]] @ J.T
+    for i, noise in enumerate(new.noise, anchors):
+        rows = slice(state.size * i, state.size * (i + 1))
+        own[rows, rows] += noise
+    held, made = state.held, state.append(values, values, cross, own)
+    state.held = held
+    anchor = np.where(started.anchored, made[np.where(started.anchored, which, 0)], -1)
+    state.adopt(new.ids, made[anchors:], anchor)
+
+
+def remove(state: JointState, gone: BoolArray) -> None:
+    """Marginalise landmarks out."""
+    state.rest(gone, state.held)
+
+
+def clone_pose(state: JointState, name: str) -> None:
+    """Keep the present pose as a variable of that name."""
+    size, pose = state.size, np.arange(POSE_SIZE)
+    cross = np.zeros((2 * size, len(state.P)))
+    used = np.concatenate([np.arange(3), size + np.arange(3)])
+    cross[used] = symmetric.rows(state.P, pose)
+    own = np.zeros((2 * size, 2 * size))
+    own[np.ix_(used, used)] = cross[used][:, pose]
+    nothing = np.zeros((2, state.blocks.shape[1]))
+    clone = Clone(state.camera.position, state.camera.orientation, state.append(nothing, nothing, cross, own))
+    state.clones = {**state.clones, name: clone}

@@ -35,7 +35,7 @@ def driven(frames: list, clone_at: int | None = None, forget_at: int | None = No
 def test_a_clone_is_the_pose_of_its_instant() -> None:
     """P becomes J P J^T, where J repeats the rows of the pose."""
     slam = driven(drive(40, 5))
-    pose, P, used = slam.pose, symmetric.full(slam.state.P), slam.state.rows_in_use
+    pose, P, used = slam.pose, symmetric.full(slam.state.P), np.arange(len(slam.state.P))
     slam.clone_pose("here")
     belief = slam.belief("here")
     np.testing.assert_array_equal(belief.value, np.concatenate([pose.position, pose.orientation]))

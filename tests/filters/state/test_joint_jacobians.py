@@ -37,7 +37,7 @@ from ..jacobians import (
 from ..numeric import numeric_jacobian
 from ..slots import ERRORS, MEASUREMENTS, UPDATES
 from ..third_party import BiasedOdometry, ShearedPair
-from .states import without_map
+from .states import augment, clone_pose, without_map
 
 CASES = Cases()
 case = CASES.case
@@ -57,10 +57,10 @@ def seen_state(model: LandmarkModel, sensor: MeasurementModel, s: Situation, lay
     state = without_map(there, np.eye(layout.size), model, layout)
     observation, R = sight(sensor, s), np.broadcast_to(np.eye(3), (COUNT, 3, 3))
     half = COUNT // 2
-    state.augment(start_landmarks(sensor, CAMERA, state, observation.select(np.arange(half)), R[:half]))
-    state.clone_pose("clone")
+    augment(state, start_landmarks(sensor, CAMERA, state, observation.select(np.arange(half)), R[:half]))
+    clone_pose(state, "clone")
     state.camera = here
-    state.augment(start_landmarks(sensor, CAMERA, state, observation.select(np.arange(half, COUNT)), R[half:]))
+    augment(state, start_landmarks(sensor, CAMERA, state, observation.select(np.arange(half, COUNT)), R[half:]))
     state.camera = replace(here, position=here.position + 0.5 * s.anchor_offset[1])
     # First-estimates Jacobians are those of the state where the state is the first estimate.
     return replace(state, predicted=state.camera, first_blocks=state.blocks)

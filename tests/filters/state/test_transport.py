@@ -1,4 +1,4 @@
-"""The transport of the covariance and of measurements, against dense algebra."""
+"""The transport of measurements, against dense algebra."""
 
 from __future__ import annotations
 
@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from filters.motions.model import ROTATION
-from filters.state import symmetric
 from filters.state.transport import Transport
 
-from ..engine.linear_problems import assert_covariances_equal, dense, lower, random_covariance, random_measurements
+from ..engine.linear_problems import dense, random_measurements
 
 LEADING, BLOCKS = 12, 9
 SIZE = LEADING + 3 * BLOCKS
@@ -31,17 +30,6 @@ def random_transport(rng: np.random.Generator, by_rotation: bool, own: bool) -> 
     for where, block in zip(rows, blocks, strict=True):
         whole[np.ix_(where, where)] = block
     return Transport(leading, turned, rows, blocks), whole
-
-
-@pytest.mark.parametrize("by_rotation", [False, True])
-@pytest.mark.parametrize("own", [False, True])
-def test_the_covariance_becomes_j_p_j_transposed(by_rotation: bool, own: bool) -> None:
-    rng = np.random.default_rng(3)
-    transport, J = random_transport(rng, by_rotation, own)
-    P = random_covariance(rng, SIZE)
-    moved = lower(P)
-    transport.apply(moved)
-    assert_covariances_equal(symmetric.full(moved), J @ P @ J.T, 1e-11)
 
 
 @pytest.mark.parametrize("by_rotation", [False, True])

@@ -15,7 +15,7 @@ from filters.submaps.chain import SubmapChain
 
 from ..engine.linear_problems import update
 from ..slots import ERRORS, LANDMARKS
-from ..state.states import camera_at, new_landmarks, transform_variables, without_map
+from ..state.states import augment, camera_at, new_landmarks, transform_variables, without_map
 
 DT, IN_VIEW = 0.5, 6
 STATIONS = 24  # landmarks, two at each of twelve stations of a ring
@@ -57,7 +57,7 @@ class LinearSlam:
         count = int((~known).sum())
         by_pose, noise = np.tile(np.eye(3, 6), (count, 1, 1)), np.tile(0.01 * np.eye(3), (count, 1, 1))
         position = self.state.camera.position
-        self.state.augment(new_landmarks(ids[~known], position + z[~known], by_pose, noise, False))
+        augment(self.state, new_landmarks(ids[~known], position + z[~known], by_pose, noise, False))
 
 
 @dataclass

@@ -12,6 +12,8 @@ from filters.checks.conformance import REFERENCE_CAMERA as CAMERA
 from filters.checks.conformance import REFERENCE_NOISE as NOISE
 from filters.state import symmetric
 
+from ..engine.combinations import Case, figures, run_case
+
 COUNT = 6
 LANDMARKS = ("inverse-depth", "shared-anchor", "euclidean", "hybrid")
 
@@ -63,13 +65,9 @@ def test_it_is_the_unscented_transform_of_filterpy(landmark: str) -> None:
     state, P = slam.state, symmetric.full(slam.state.P)
     S = fitted.innovation_covariances(state.P)
 
-    def root(covariance: np.ndarray) -> np.ndarray:
-        values, vectors = np.linalg.eigh(covariance)
-        return vectors * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
-
     for i in range(COUNT):
         rows = rows_of(state, i)
-        points = MerweScaledSigmaPoints(len(rows), 0.5, 2.0, 3.0 - len(rows), sqrt_method=root)
+        points = MerweScaledSigmaPoints(len(rows), 0.5, 2.0, 3.0 - len(rows))
         z = measured_at(state, i, points.sigma_points(np.zeros(len(rows)), P[np.ix_(rows, rows)]))
         mean, covariance = unscented_transform(z, points.Wm, points.Wc, NOISE.R)
         sigma = np.sqrt(np.diag(covariance))
@@ -116,6 +114,27 @@ def test_mean_and_covariance_are_nearer_to_monte_carlo_where_it_is_not(landmark:
 @pytest.mark.parametrize("landmark", LANDMARKS)
 def test_it_conforms(landmark: str) -> None:
     check_filter(lambda camera, noise: StereoEKF(camera, noise, landmark=landmark, update="unscented"))
+
+
+class ByNumbers(Unscented):
+    """Sigma points by NumPy: what holds for a class that states kernels does not for its subclasses."""
+
+
+@pytest.mark.parametrize("landmark", LANDMARKS)
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"error": "so3", "measurement": "sequential", "consensus": True},
+        {"error": "right-invariant", "measurement": "stacked", "iterations": 3, "drop_unseen": False},
+        {"error": "quaternion", "tail_dof": 4.0, "drift": 0.4},
+    ],
+)
+def test_the_kernels_say_what_numpy_says(landmark: str, options: dict) -> None:
+    compiled, by_numbers = (
+        figures(*run_case(Case("", {"landmark": landmark, "update": update, **options}, 3)), False)
+        for update in (Unscented(), ByNumbers())
+    )
+    np.testing.assert_allclose(compiled, by_numbers, rtol=1e-9, atol=1e-9)
 
 
 def test_first_estimates_have_no_place_in_it() -> None:

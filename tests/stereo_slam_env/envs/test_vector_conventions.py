@@ -362,3 +362,11 @@ def test_names_and_closing():
     vector.close()
     vector.close()
     assert vector.closed
+
+
+def test_a_step_after_close_gets_one_clear_line():
+    vector = vector_of(IDS[2])
+    vector.reset(seed=0)
+    vector.close()
+    with pytest.raises(RuntimeError, match="the environments are closed: make them again"):
+        vector.step(np.zeros((2, 2), dtype=np.float32))

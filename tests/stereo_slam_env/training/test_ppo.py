@@ -29,7 +29,7 @@ def rows(out):
 def quick(monkeypatch):
     pytest.importorskip("stable_baselines3", reason="needs the extra rl")
     looks = iter(range(100))
-    monkeypatch.setattr(ppo, "evaluate", lambda *_, **__: Evaluation(0.5, -40.0 - next(looks), 0.2, 0.3, 1.0))
+    monkeypatch.setattr(ppo, "evaluate", lambda *_, **__: Evaluation(0.5, -40.0, 0.2, 9.0 - next(looks), 1.0))
 
 
 @pytest.mark.parametrize(("made", "says_stopped"), [(0, True), (2000, True), (4000, False)])
@@ -41,7 +41,9 @@ def test_the_command_says_how_far_the_training_came_and_which_network_is_kept(
     def trained(task, settings, out, **_):
         curve = LearningCurve(out / "learning_curve.csv")
         for decisions in range(0, made + 1, 1000):
-            curve.add(decisions, 60.0 + decisions, 1.0, Evaluation(0.5, -40.0 - (decisions == 1000), 0.2, 0.3, 1.0))
+            curve.add(
+                decisions, 60.0 + decisions, 1.0, Evaluation(0.5, -40.0, 0.2, 0.3 - 0.1 * (decisions == 1000), 1.0)
+            )
         return out / "policy.npz"
 
     monkeypatch.setattr(ppo, "train", trained)
@@ -67,6 +69,29 @@ def test_a_run_leaves_a_network_a_curve_and_what_it_was_made_with(quick, tmp_pat
     assert [float(row["decisions"]) for row in rows(tmp_path)] == [0, 20, 40, 60]
     with pytest.raises(ValueError, match=r"holds a run with seed = 0, not 1: give another directory"):
         train(TASK, dataclasses.replace(SETTINGS, seed=1), tmp_path)
+
+
+@pytest.mark.slow
+def test_a_resumed_training_has_the_bits_of_an_unbroken_one(tmp_path):
+    pytest.importorskip("stable_baselines3", reason="needs the extra rl")
+    settings = dataclasses.replace(SETTINGS, decisions=60, validation=2)
+    unbroken, resumed = tmp_path / "unbroken", tmp_path / "resumed"
+    train(TASK, settings, unbroken)
+    for decisions in (20, 40, 60):
+        train(TASK, dataclasses.replace(settings, decisions=decisions), resumed)
+    clock = ("seconds", "decisions_per_second")
+    curves = [[{k: v for k, v in row.items() if k not in clock} for row in rows(out)] for out in (unbroken, resumed)]
+    assert curves[0] == curves[1]
+    assert len(curves[0]) == 4
+    one, other = (Network.load(out / "policy.npz") for out in (unbroken, resumed))
+    for a, b in zip(one.weights, other.weights, strict=True):
+        np.testing.assert_array_equal(a, b)
+    last = {name: float(value) for name, value in curves[0][-1].items()}
+    assert all(np.isfinite(last[name]) for name in ppo.DIAGNOSTICS)
+    assert last["final_position_nees"] > 0.0
+    made_with = json.loads((resumed / "run.json").read_text())
+    assert {"python", "numpy", "torch", "stable-baselines3"} <= made_with["versions"].keys()
+    assert "commit" in made_with
 
 
 @pytest.mark.slow

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stereo_slam_env.world.routes import loop, right_turn, straight, town
+from stereo_slam_env.world.routes import RANDOM_ROUTES, loop, right_turn, straight, town
 
 
 def test_town_is_the_reference_drive():
@@ -53,3 +53,21 @@ def test_where_a_route_repeats_itself_the_nearest_frame_is_that_of_the_same_pass
     there = route.positions[10]
     assert route.nearest(there, around=5) == 10
     assert route.nearest(there, around=735) == pytest.approx(750, abs=1)
+
+
+@pytest.mark.parametrize("name", sorted(RANDOM_ROUTES))
+def test_a_random_route_is_that_of_its_generator_and_one_a_car_can_drive(name):
+    lengths, turns = [], []
+    for seed in range(40):
+        route, again = (RANDOM_ROUTES[name](np.random.default_rng(seed)) for _ in range(2))
+        np.testing.assert_array_equal(route.positions, again.positions)
+        assert np.abs(route.speeds * route.yaw_rates).max() < 3.0  # m/s^2: it asks for no more grip than a driver
+        assert np.abs(np.diff(route.speeds)).max() < 0.3
+        assert route.duration < 120.0
+        lengths.append(route.length)
+        turns.append(len(route.turns(0.3)))
+    assert max(lengths) > 1.4 * min(lengths)
+    assert set(turns) == ({4} if name == "random-loop" else {1, 2, 3, 4})
+    if name == "random-loop":
+        ends = [np.linalg.norm(RANDOM_ROUTES[name](np.random.default_rng(s)).positions, axis=1) for s in range(40)]
+        assert all(away[len(away) // 2 :].min() < 3.0 for away in ends)

@@ -69,8 +69,8 @@ def test_a_policy_whose_runs_failed_leaves_the_others_their_curves():
 
 def test_a_learning_curve_marks_what_is_kept_and_what_it_is_held_against():
     values_of = {"final_position_sigma_m": 2.0, "position_rmse_m": 1.0}
-    determinants = enumerate((-1.0, -5.0, -3.0))
-    rows = [{"decisions": 1000.0 * k, "final_pose_logdet": found, **values_of} for k, found in determinants]
+    errors = enumerate((1.0, 0.5, 0.7))
+    rows = [{"decisions": 1000.0 * k, "final_position_error_m": found, **values_of} for k, found in errors]
     for panel in panels(plot_learning([rows], {"final_position_sigma_m": 1.0, "position_rmse_m": 2.0})):
         assert values(panel.curves("dots")["learnt"], "x").tolist() == [1.0]
         assert {"kept", "straight ahead"} <= set(panel.words())

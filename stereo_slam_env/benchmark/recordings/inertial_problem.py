@@ -1,0 +1,230 @@
+"""Reference problems with an inertial unit: smooth drives and flights past a cloud of points, in closed form.
+
+A car on a winding road with changing speed: its body pitches and rolls with the accelerations, and follows the
+unevenness of the road. A camera that is carried through a hall, in all six degrees of freedom. Both are sums of waves
+with phases of the seed, so that accelerations are continuous; samples, odometry and measurements are all of one path.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from filters import BodyVelocity, Pose, Start, StereoCamera, StereoObservation
+from filters.validation import FloatArray, IntArray
+from stereo_slam_env.recording.recording import SIMULATION, Frame, LandmarkTruth, Recording, Velocity
+from stereo_slam_env.sensing.imu import GRAVITY, Imu, Path
+from stereo_slam_env.sensing.pixel_noise import NOISE_MODELS
+from stereo_slam_env.sensing.rigs import Rig, camera_of
+
+PERIOD = 0.1
+"""s between two frames."""
+DOWN = np.array([0.0, 1.0, 0.0])
+START_SIGMAS = np.repeat([1e-6, 1e-6, 0.5, 0.05], 3)
+"""Of what filters are told of the start: position, rotation, velocities."""
+ODOMETRY_SIGMAS = np.repeat([0.1, 0.01], 3)
+"""Of wheels and a yaw-rate sensor: m/s, rad/s."""
+NEAREST, FARTHEST = 2.0, 60.0
+"""Depth of measured points, m."""
+LOST = 0.1
+"""Share of the tracks that end in a frame, as those of KLT do."""
+_SUSPENSION = 0.007
+"""Roll and pitch of a car's body by the acceleration, rad per m/s^2."""
+
+
+def inertial_drive(
+    seed: int,
+    noise: str = "pixels",
+    sigma: float = 1.0,
+    frames: int = 200,
+    landmarks: int = 40,
+    rig: Rig = "reference",
+    imu: str = "adis16448",
+    imu_rate: float = 200.0,
+    time_offset: float = 0.0,
+) -> Recording:
+    """20 s of a car at some 8 m/s on a winding, uneven road.
+
+    Parameters
+    ----------
+    seed : int
+        Of the path, the points and all errors.
+    noise, sigma, rig : str, float, str or StereoCamera or mapping
+        As of `long_drive`.
+    frames : int
+        Length, 0.1 s each.
+    landmarks : int
+        Tracks in a frame.
+    imu : str
+        Data sheet of the unit, see `sensing.imu.DATA_SHEETS`.
+    imu_rate, time_offset : float
+        Samples a second, and the error of its clock, s.
+
+    Raises
+    ------
+    ValueError
+        No such noise, rig or data sheet, or numbers that are too small.
+    """
+    unit = Imu(imu, rate=imu_rate, time_offset=time_offset)
+    return _recorded("inertial-drive", _driven, (15.0, 5.0, 40.0), seed, noise, sigma, frames, landmarks, rig, unit)
+
+
+def inertial_flight(
+    seed: int,
+    noise: str = "pixels",
+    sigma: float = 1.0,
+    frames: int = 200,
+    landmarks: int = 40,
+    rig: Rig = "reference",
+    imu: str = "adis16448",
+    imu_rate: float = 200.0,
+    time_offset: float = 0.0,
+) -> Recording:
+    """20 s with a camera in the hand or on a drone; arguments as for `inertial_drive`."""
+    unit = Imu(imu, rate=imu_rate, time_offset=time_offset)
+    return _recorded("inertial-flight", _flown, (15.0, 5.0, 30.0), seed, noise, sigma, frames, landmarks, rig, unit)
+
+
+def _recorded(
+    name: str,
+    along: Callable[[np.random.Generator], Path],
+    box: tuple[float, float, float],
+    seed: int,
+    noise: str,
+    sigma: float,
+    frames: int,
+    most: int,
+    rig: Rig,
+    imu: Imu,
+) -> Recording:
+    if noise not in NOISE_MODELS:
+        raise ValueError(f"noise must be one of {', '.join(NOISE_MODELS)}, got {noise!r}")
+    for what, value in (("frames", frames), ("landmarks", most)):
+        if type(value) is not int or value < 2:
+            raise ValueError(f"{what} must be an integer >= 2, got {value!r}")
+    camera, pixels = camera_of(rig), NOISE_MODELS[noise](sigma)
+    path_rng, point_rng, imu_rng, sensor_rng, start_rng = np.random.default_rng(seed).spawn(5)
+    level, times = along(path_rng), PERIOD * np.arange(frames, dtype=np.float64)
+    (origin,), R_0 = level(np.zeros(1))
+
+    def path(t: FloatArray) -> tuple[FloatArray, Rotation]:
+        """In W, the first camera."""
+        at, R = level(t)
+        return R_0.inv().apply(at - origin), R_0.inv() * R
+
+    samples, _ = imu.measure(path, times, GRAVITY * R_0.inv().apply(DOWN)[0], imu_rng)
+    positions, R = path(times)
+    velocities = np.array([_velocity(path, t) for t in times])
+    width, height, depth = box
+    spread = point_rng.uniform([-width, -height, NEAREST], [width, height, depth], (60 * frames, 3))
+    points = positions[point_rng.integers(0, frames, 60 * frames)] + spread
+    taken, seen = [], np.zeros(0, dtype=np.int64)
+    for k in range(frames):
+        points_c = R[k].inv().apply(points - positions[k])
+        seen = _tracked(camera, points_c, seen, most, sensor_rng)
+        uvd, v_right = pixels.corrupt(camera.project(points_c[seen]), sensor_rng)
+        odometry = None
+        if k:
+            moved, turn = positions[k] - positions[k - 1], (R[k - 1].inv() * R[k]).as_rotvec()
+            half_way = R[k - 1] * Rotation.from_rotvec(0.5 * turn)
+            mean = np.concatenate([half_way.inv().apply(moved), turn]) / PERIOD
+            mean += ODOMETRY_SIGMAS * sensor_rng.standard_normal(6)
+            odometry = BodyVelocity(mean[:3], mean[3:], np.diag(ODOMETRY_SIGMAS**2))
+        frame = Frame(
+            float(times[k]),
+            StereoObservation(seen, uvd, v_right),
+            odometry,
+            Pose(positions[k], R[k].as_quat()),
+            Velocity(velocities[k, :3], velocities[k, 3:]),
+            inertial=samples[k],
+        )
+        taken.append(frame)
+    told = velocities[0] + START_SIGMAS[6:] * start_rng.standard_normal(6)
+    start = Start(linear_velocity=told[:3], angular_velocity=told[3:], covariance=np.diag(START_SIGMAS**2))
+    source = {"problem": name, "seed": seed, "noise": noise, "sigma": sigma, "frames": frames, "landmarks": most}
+    source |= {"rig": rig if isinstance(rig, str) else str(rig), "imu": imu.name, "imu_rate": imu.rate}
+    truth = LandmarkTruth(np.arange(len(points)), points)
+    return Recording(
+        name,
+        camera,
+        tuple(taken),
+        pixels.stereo_noise,
+        start,
+        truth,
+        source | {"time_offset": imu.time_offset},
+        SIMULATION,
+    )
+
+
+def _tracked(
+    camera: StereoCamera, points_c: FloatArray, seen: IntArray, most: int, rng: np.random.Generator
+) -> IntArray:
+    """Ids of the points that are tracked on, less those that are lost, and of new ones up to `most`."""
+    ahead = points_c[:, 2] > NEAREST
+    in_view = ahead & camera.in_view(camera.project(np.where(ahead[:, None], points_c, [0.0, 0.0, 1.0])))
+    visible = np.flatnonzero(in_view & (points_c[:, 2] < FARTHEST))
+    kept = seen[np.isin(seen, visible) & (rng.random(len(seen)) >= LOST)]
+    fresh = rng.permutation(np.setdiff1d(visible, seen))[: max(most - len(kept), 0)]
+    return np.sort(np.concatenate([kept, fresh]))
+
+
+def _velocity(path: Path, t: float) -> FloatArray:
+    """Linear velocity in W and angular velocity in the camera frame, (6,)."""
+    h = 1e-4
+    at, R = path(np.array([t - h, t + h]))
+    return np.concatenate([(at[1] - at[0]) / (2.0 * h), (R[0].inv() * R[1]).as_rotvec() / (2.0 * h)])
+
+
+@dataclass(frozen=True, eq=False)
+class _Waves:
+    """A sum of sines: amplitudes, angular frequencies and phases, (N,) each."""
+
+    amplitudes: FloatArray
+    frequencies: FloatArray
+    phases: FloatArray
+
+    @classmethod
+    def drawn(cls, amplitudes: Sequence[float], frequencies: Sequence[float], rng: np.random.Generator) -> _Waves:
+        """With random phases, and amplitudes and frequencies up to a fifth off."""
+        a, f = (np.array(values) * rng.uniform(0.8, 1.2, len(values)) for values in (amplitudes, frequencies))
+        return cls(a, f, rng.uniform(0.0, 2.0 * np.pi, len(a)))
+
+    def __call__(self, t: FloatArray, derivative: int = 0) -> FloatArray:
+        """The sum, or a derivative of it, at t (N,)."""
+        angle = np.multiply.outer(t, self.frequencies) + self.phases + 0.5 * np.pi * derivative
+        return np.asarray(np.sin(angle) @ (self.amplitudes * self.frequencies**derivative))
+
+
+def _driven(rng: np.random.Generator) -> Path:
+    """A car: the road winds, the speed changes, the body leans with both and follows the road's unevenness."""
+    side, ahead = _Waves.drawn([4.0, 1.0], [0.5, 0.9], rng), _Waves.drawn([1.6, 0.8], [0.6, 1.1], rng)
+    # As a road of class B of ISO 8608 is after the suspension: amplitudes grow with the length of the waves.
+    road = _Waves.drawn([0.02, 0.008, 0.003], [1.0, 3.0, 9.0], rng)
+    pitching, rolling = (_Waves.drawn([2e-3, 2e-3], [4.0, 9.0], rng) for _ in range(2))
+    speed = rng.uniform(6.0, 10.0)
+
+    def path(t: FloatArray) -> tuple[FloatArray, Rotation]:
+        vx, vz = side(t, 1), speed + ahead(t, 1)
+        heading, fast = np.arctan2(vx, vz), np.hypot(vx, vz)
+        along, across = (vx * side(t, 2) + vz * ahead(t, 2)) / fast, (vz * side(t, 2) - vx * ahead(t, 2)) / fast
+        angles = [heading, _SUSPENSION * along + pitching(t), -_SUSPENSION * across + rolling(t)]
+        return np.column_stack([side(t), road(t), speed * t + ahead(t)]), Rotation.from_euler(
+            "YXZ", np.column_stack(angles)
+        )
+
+    return path
+
+
+def _flown(rng: np.random.Generator) -> Path:
+    """A camera in the hand: slow ways, faster turns."""
+    ways = [_Waves.drawn(a, [0.5, 1.3], rng) for a in ([2.0, 0.3], [0.5, 0.2], [1.5, 0.3])]
+    turns = [_Waves.drawn(a, [0.7, 1.9], rng) for a in ([0.5, 0.1], [0.05, 0.03], [0.05, 0.03])]
+
+    def path(t: FloatArray) -> tuple[FloatArray, Rotation]:
+        angles = np.column_stack([turn(t) for turn in turns])
+        return np.column_stack([way(t) for way in ways]), Rotation.from_euler("YXZ", angles)
+
+    return path
