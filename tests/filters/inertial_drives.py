@@ -77,7 +77,7 @@ class Journey:
     def along(
         cls, path: Path, seed: int, seconds: float, sigmas: np.ndarray = START_SIGMAS, tracked: int = VISIBLE
     ) -> Journey:
-        """Along a path past points that are drawn from the seed, `tracked` in a frame; the start is wrong by `sigmas`."""
+        """Along a path past points that are drawn from the seed, `tracked` in a frame; the start is off by `sigmas`."""
         rng = np.random.default_rng(seed)
         count = round(seconds / DT)
         h, times = DT / SAMPLES, DT * np.arange(count + 1)

@@ -121,7 +121,7 @@ def scores(path: Path, runs: int, filter_name: str, **options: object) -> tuple[
 )
 @pytest.mark.parametrize("path", [driven, flown], ids=["drives", "flights"])
 def test_it_is_consistent_and_about_as_exact_as_slam(path: Path, runs: int) -> None:
-    """With an inertial unit, 40 tracks, 30 landmarks in the map. 8 runs: NEES / 6 1.1, error 1.05 and 1.14 of the EKF's."""
+    """40 tracks, 30 landmarks in the map. 8 runs: NEES / 6 1.1, error 1.05 and 1.14 of the EKF's."""
     nees, error = scores(path, runs, "msckf", **INERTIAL)
     _, of_slam = scores(path, runs, "inertial", **INERTIAL)
     assert (0.8 < nees.mean() < 1.2) if runs == 8 else (0.4 < nees.mean() < 2.0)
