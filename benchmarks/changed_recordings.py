@@ -3,6 +3,7 @@
     python benchmarks/changed_recordings.py DATA                                  # some minutes
     python benchmarks/changed_recordings.py DATA --recordings kitti07_tracks --changes "as it is" "every 2nd frame"
     python benchmarks/changed_recordings.py DATA --look 0                         # no future: what is assumed
+    python benchmarks/changed_recordings.py DATA --causal                         # no future: measured on the way
     python benchmarks/changed_recordings.py --rendered 6 --renderer gl            # right turns, all changes
     python benchmarks/changed_recordings.py --wrong-rigs 5 --rigs 4               # rendered drives, wrong rigs of each
 
@@ -29,6 +30,7 @@ from harness import arguments, show
 from stereo_slam_env.evaluation.trajectory_metrics import ate_rigid
 from stereo_slam_env.evaluation.windows import window_ends
 from stereo_slam_env.frontend import with_measured_noise
+from stereo_slam_env.frontend.causal_noise import CausalNoiseEKF
 from stereo_slam_env.recording.recording import GIVEN_TRUTH, Recording
 from stereo_slam_env.recording.trajectory import pose_errors
 
@@ -172,7 +174,7 @@ class Row:
 HEADS = ("", "NEES/6", "1 s", "10 s", "score 1 s", "10 s", "ATE, m", "NIS", "gated, %")
 
 
-def scored(recording: Recording, name: str = "coloured-noise", **options: Any) -> Row:
+def scored(recording: Recording, slam: str | type = "coloured-noise", **options: Any) -> Row:
     """A filter on a recording, vision only."""
     reference, frames = recording.reference, recording.frames
     times = np.array([frame.timestamp for frame in frames])
@@ -180,8 +182,8 @@ def scored(recording: Recording, name: str = "coloured-noise", **options: Any) -
     ends = {s: {int(scored_at[j]): int(scored_at[i]) for i, j in window_ends(times[scored_at], s)} for s in WINDOWS}
     found: dict[float, list[tuple[float, float]]] = {seconds: [] for seconds in WINDOWS}
     pose, estimates, nis, dof, gated, measured = [], [], 0.0, 0, 0, 0
-    for moment in sse.run(name, recording, use_odometry=False, **options):
-        k, slam = moment.number, moment.slam
+    for moment in sse.run(slam, recording, use_odometry=False, **options):
+        k, running = moment.number, moment.slam
         nis, dof = nis + moment.report.nis, dof + moment.report.nis_dof
         gated, measured = gated + len(moment.report.gated), measured + len(moment.observation)
         if k not in scored_at:
@@ -191,16 +193,16 @@ def scored(recording: Recording, name: str = "coloured-noise", **options: Any) -
         for seconds, first_of in ends.items():
             label = f"window-{seconds:g}"
             if k in first_of:
-                moved, start = slam.relative_pose(label), frames[first_of[k]].truth
+                moved, start = running.relative_pose(label), frames[first_of[k]].truth
                 true = start.inverse() @ moment.truth
                 parts = (moved.position, moved.orientation, true.position, true.orientation)
                 error = pose_errors("position-rotation", *(part[None] for part in parts))
                 P = moved.covariance + reference.relative_covariance(start, moment.truth)
                 value = float(nees(error, P[None])[0])
                 found[seconds].append((value, 0.5 * (value + np.linalg.slogdet(2.0 * np.pi * P)[1])))
-                slam.forget_clone(label)
+                running.forget_clone(label)
             if k in first_of.values():
-                slam.clone_pose(label)
+                running.clone_pose(label)
     means = [np.mean(found[s], axis=0) if found[s] else np.full(2, np.nan) for s in WINDOWS]
     estimated, true_positions = (np.array(part) for part in zip(*estimates, strict=True))
     return Row(
@@ -221,9 +223,12 @@ def changed(drive: Recording, name: str, look: int | None = None) -> Recording:
     return measured_again(change, look)
 
 
-def show_changes(title: str, drives: Sequence[Recording], changes: Sequence[str], look: int | None) -> None:
+def show_changes(
+    title: str, drives: Sequence[Recording], changes: Sequence[str], look: int | None, causal: bool
+) -> None:
     """A row for each change; means over the drives."""
-    rows = [(name, *_mean([scored(changed(drive, name, look)) for drive in drives]).cells) for name in changes]
+    slam = CausalNoiseEKF if causal else "coloured-noise"
+    rows = [(name, *_mean([scored(changed(drive, name, look), slam) for drive in drives]).cells) for name in changes]
     show(title, HEADS, rows)
 
 
@@ -263,6 +268,7 @@ def main() -> None:
         recordings=list(RECORDINGS),
         changes=list(CHANGES),
         look=int,
+        causal=False,
         rendered=0,
         wrong_rigs=0,
         rigs=1,
@@ -270,15 +276,16 @@ def main() -> None:
         renderer="gl",
         route="right-turn",
     )
+    look = 0 if given.causal else given.look
     if given.data is not None:
         for name in given.recordings:
             if (given.data / name).is_dir():
                 drive = sse.load(given.data / name)[: RECORDINGS[name]]
-                show_changes(f"{name}, {len(drive)} frames", [drive], given.changes, given.look)
+                show_changes(f"{name}, {len(drive)} frames", [drive], given.changes, look, given.causal)
     if given.rendered:
         seeds = range(given.first_seed, given.first_seed + given.rendered)
         drives = list(rendered(seeds, given.renderer, given.route))
-        show_changes(f"{given.route} by {given.renderer}", drives, given.changes, given.look)
+        show_changes(f"{given.route} by {given.renderer}", drives, given.changes, look, given.causal)
     if given.wrong_rigs:
         seeds = range(given.first_seed, given.first_seed + given.wrong_rigs)
         show_wrong_rigs(rendered(seeds, given.renderer, given.route, rig=WRONG_RIG), seeds, given.rigs)

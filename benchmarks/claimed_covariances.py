@@ -83,12 +83,14 @@ def halved(drives: Sequence[Drive], halvings: int) -> list[Found]:
     return found
 
 
-def left_out(drives: Sequence[Drive]) -> list[Found]:
-    """Each drive by the model of the others."""
+def left_out(drives: Sequence[Drive]) -> list[tuple[Found, str]]:
+    """Each drive by the model of the others, and where that expects the NEES / 6 of a new drive."""
     found = []
     for k in range(len(drives)):
         others = [drive for j, drive in enumerate(drives) if j != k]
-        found.append(judged(drives[k], sse.calibrate([one[0] for one in others], [one[1] for one in others])))
+        model = sse.calibrate([one[0] for one in others], [one[1] for one in others])
+        expected = "" if model.drive_range is None else "{:.2g} to {:.2g}".format(*model.drive_range)
+        found.append((judged(drives[k], model), expected))
     return found
 
 
@@ -170,12 +172,17 @@ def main() -> None:
     }
     rows = []
     for group, members in groups.items():
-        for name, found in zip(members, left_out(list(members.values())), strict=True):
+        for name, (found, expected) in zip(members, left_out(list(members.values())), strict=True):
             cells = []
             for length in LENGTHS:
                 cells += [f"{found[length][0]:.2f}", f"{100.0 * found[length][1]:.0f}"] if length in found else ["", ""]
-            rows.append((group, name, *cells))
-    heads = ("group", "held out", *chain(*((f"NEES / 6, {s:g} s", f"inside, {s:g} s, %") for s in LENGTHS)))
+            rows.append((group, name, expected, *cells))
+    heads = (
+        "group",
+        "held out",
+        "NEES / 6 expected",
+        *chain(*((f"NEES / 6, {s:g} s", f"inside, {s:g} s, %") for s in LENGTHS)),
+    )
     show("each by the model of the others of its group", heads, rows)
 
 

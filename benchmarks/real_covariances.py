@@ -38,7 +38,7 @@ from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
 from stereo_slam_env.evaluation.run_figures import figures_of, summarise_all
 from stereo_slam_env.frontend.ego_motion import Pairs, Step, chained, robust_step
-from stereo_slam_env.frontend.track_noise import FIRST_GUESS, flow_residuals, track_noise
+from stereo_slam_env.frontend.track_noise import FIRST_GUESS, track_noise
 from stereo_slam_env.recording.recording import Recording
 
 RECORDINGS = ("kitti07_tracks", "kitti00_stereo_tracks", "kitti06_stereo51", "starry_night_a")
@@ -134,7 +134,7 @@ def show_estimates(recordings: Sequence[Recording]) -> None:
     halves = ("at random", "left, right", "near, far")
     rows = []
     for recording in recordings:
-        slide = track_noise(flow_residuals(recording), recording.camera.fx).slide
+        slide = track_noise(recording).slide
         figures = [slide, *half_differences(recording), consistent_walk(recording)]
         rows.append((recording.name, *(f"{1e3 * figure:.1f}" for figure in figures)))
     show("errors common to all tracks, mrad per root of a radian", ("", "slide", *halves, "NEES/6 = 1"), rows)

@@ -24,6 +24,7 @@ from stereo_slam_env.benchmark.statistics.verdict import Verdict, judge
 from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
 from stereo_slam_env.evaluation.run_figures import Figures, figures_of, summarise_all
+from stereo_slam_env.files import notebook_html as html
 from stereo_slam_env.recording.recording import Recording
 from stereo_slam_env.report.console import show_results
 
@@ -117,6 +118,9 @@ class Evaluation:
     def __str__(self) -> str:
         return _table([self.figures])
 
+    def _repr_html_(self) -> str:
+        return html.fixed_width(str(self))
+
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
@@ -145,6 +149,13 @@ class Comparison:
 
     def __str__(self) -> str:
         return f"{self.title}\n\n{self.table}\n{self.verdict.headline}"
+
+    def _repr_html_(self) -> str:
+        seen = {run.filter_name: run for run in self.runs if run.seed == self.runs[0].seed}
+        chart = html.lines_chart(
+            {label: (run.timestamps, run.pose_nees / 6.0) for label, run in seen.items()}, "s", "NEES / 6"
+        )
+        return html.heading(self.title) + html.fixed_width(self.table) + self.verdict._repr_html_() + chart
 
     def report(self, folder: str | Path) -> Path:
         """Write the report with its figures into `folder`; returns the page to open."""
@@ -285,5 +296,5 @@ def compare(
 
 def _table(summaries: Sequence[FilterSummary]) -> str:
     text = io.StringIO()
-    show_results(Console(file=text, width=120), summaries)
+    show_results(Console(file=text, width=120, force_jupyter=False, force_terminal=False), summaries)
     return text.getvalue()

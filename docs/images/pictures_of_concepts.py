@@ -6,6 +6,7 @@ Everything in them is computed by the package: its camera, its filters, its gate
 from __future__ import annotations
 
 import copy
+import csv
 import io
 from collections.abc import Callable
 from functools import cache
@@ -273,12 +274,39 @@ def runs(seeds: int = 12, frames: int = 240, landmarks: int = 30) -> tuple[Filte
     return tuple(made)
 
 
+@style_context()
+def claimed_and_true() -> Figure:
+    """What policies of gaze claim to gain against a fixed gaze, and what they gain by the truth.
+
+    `active_policies.csv` is what `benchmarks/active_policies.py` has written.
+    """
+    figure = Figure(figsize=(WIDTH_INCHES, 3.8))
+    ax = figure.subplots()
+    figure.subplots_adjust(left=0.11, right=0.97, bottom=0.14, top=0.9)
+    with (Path(__file__).parent / "active_policies.csv").open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    for row in rows:
+        x, y = float(row["claimed"]), float(row["true"])
+        spread = [[x - float(row["claimed_low"])], [float(row["claimed_high"]) - x]]
+        height = [[y - float(row["true_low"])], [float(row["true_high"]) - y]]
+        colour = ORANGE if row["policy"] == "oracle" else BLUE
+        ax.errorbar(x, y, xerr=spread, yerr=height, fmt="o", color=colour, capsize=2)
+        words = f"{row['policy']}, {row['drives']} drives"
+        ax.annotate(words, (x, y), (10, -14), textcoords="offset points", color=colour)
+    ax.axline((0, 0), slope=1, color=MUTED, linestyle="--")
+    ax.annotate("as claimed", (-52, -52), (0, -16), textcoords="offset points", color=MUTED)
+    ax.set(title="Change against a fixed gaze, white errors, %", xlabel="claimed sigma", ylabel="true end error")
+    ax.set(xlim=(-60, 2), ylim=(-92, 2))
+    return figure
+
+
 FIGURES: tuple[Callable[[], Figure | Chart], ...] = (
     stereo_geometry,
     depth_not_gaussian,
     inverse_depth,
     anchors,
     gate,
+    claimed_and_true,
     information_gain,
     nees,
     error_bounds_consistent,

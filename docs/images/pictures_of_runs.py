@@ -101,7 +101,7 @@ def learning_curve(path: Path, work: Path, *, small: bool) -> None:
     """Learning curves of some trainings of the task `ActiveGaze`."""
     task, curves = GazeTask(), []
     for seed in TRAININGS[:1] if small else TRAININGS:
-        settings = PPOSettings(seed=seed, **({"decisions": 2048, "environments": 4} if small else {}))
+        settings = PPOSettings(seed=seed, **({"decisions": 2048, "environments": 4, "validation": 2} if small else {}))
         train(task, settings, work / f"training-{seed}")
         curves.append(LearningCurve(work / f"training-{seed}" / "learning_curve.csv").rows)
     seeds = VALIDATION_SEEDS[:2] if small else VALIDATION_SEEDS

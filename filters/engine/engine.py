@@ -72,6 +72,14 @@ class Engine:
         self._pool: ThreadPoolExecutor | None = None
         self._make_room(_ROOM, 8)
 
+    def assume(self, recipe: Recipe, parts: Parts) -> None:
+        """Go on with a recipe of the same parts and sizes: another drift, another gauge walk."""
+        self.recipe, self.parts = recipe, parts
+        if self._doors is not None:
+            self._doors = Doors(parts, weakref.proxy(self))
+        self._kernels = self._addresses()
+        self._plan = Packed(recipe.plan)
+
     def __getstate__(self) -> dict[str, Any]:
         """What a copy needs: it packs arrays of its own."""
         own = ("recipe", "count", "threads", "parts", "storage")

@@ -147,6 +147,11 @@ class Row:
         """A filter with an engine of its own."""
         return cls(Engine(recipe_of(camera, options), parts=Parts(camera, options)), options)
 
+    def assume(self, camera: StereoCamera, options: Options) -> None:
+        """Go on with another drift and gauge walk; of an engine with this filter alone."""
+        self.engine.assume(recipe_of(camera, options), Parts(camera, options))
+        self.options = options
+
     def predict(self, dt: float, odometry: StepInput | None) -> None:
         """Move the belief forward by dt, then fuse what odometry adds."""
         steps = np.zeros(self.engine.count)

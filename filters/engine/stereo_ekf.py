@@ -6,6 +6,7 @@ The named filters are choices of these parts; this module only says in which ord
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -165,6 +166,18 @@ class StereoEKF(StereoFilter):
             raise ValueError(f"observation must be a StereoObservation, got {type(observation).__name__}")
         # One order for everything below, so that the result cannot depend on the order of the measurements.
         return self._row.update(observation.ordered(), self.noise)
+
+    def assume(self, noise: StereoNoise, drift: LandmarkDrift | None, gauge_walk: float) -> None:
+        """Go on with another noise of the measurements, as one that is measured while the drive goes.
+
+        Raises
+        ------
+        ValueError
+            `gauge_walk` is negative or not finite, or the error of the filter does not allow it.
+        """
+        options = replace(self.options, drift=drift, gauge_walk=gauge_walk)
+        self._row.assume(self.camera, options)
+        self.noise, self.options = noise, options
 
     def correct(
         self, innovation: ArrayLike, H: Mapping[Any, ArrayLike], R: ArrayLike, gate: float | None = None

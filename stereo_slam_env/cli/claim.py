@@ -71,6 +71,10 @@ def claim(
     typer.echo(f"trajectory: {path.resolve()}")
 
 
+_UNLIKE = 20.0
+"""An interval of the NEES of a new drive that is so many times as high as low says little: deviations off by 4.5."""
+
+
 def _show(model: DriftModel) -> None:
     """Print how the drives are covered by the model of the others."""
     from rich.box import SIMPLE_HEAD
@@ -92,3 +96,9 @@ def _show(model: DriftModel) -> None:
         f"± {100.0 * model.coverage_error:.0f} % by their number, after the variances were multiplied by "
         f"{model.factor:.3g}"
     )
+    if model.drive_range is not None:
+        low, high = model.drive_range
+        typer.echo(
+            f"of one new drive, NEES / 6 is expected between {low:.2g} and {high:.2g} (90 %), by how these differ"
+            + (": they are too few or too unlike for a claim on a single drive" if high > _UNLIKE * low else "")
+        )

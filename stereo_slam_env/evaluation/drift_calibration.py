@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.stats import chi2, t
 
 from filters import Pose, nees
 from filters.geometry import rotations
@@ -41,6 +41,8 @@ _FREEDOM = 30.0
 """Degrees of freedom of Student's t."""
 _ROUNDS = 80
 """Of the iteration; more change no covariance by a percent."""
+_FEWEST_DRIVES = 3
+"""With less there is no spread between drives to be known."""
 _TURNED, _APART = np.deg2rad(10.0), 1.0
 """rad and m: an offset of the body below both is learned as part of the drift."""
 _LEAST = 1e-12
@@ -104,6 +106,8 @@ def calibrate(
     loaded = [_loaded(one) for one in estimates]
     truths = [_loaded(one) for one in references] * (len(loaded) if len(references) == 1 else 1)
     drives = [_windows_of(one, truth, body, max_gap) for one, truth in zip(loaded, truths, strict=True)]
+    if len({one.tracks is None for one in loaded}) > 1:
+        raise ValueError("some estimates have numbers of tracks and some have none: give them of all, or of none")
     names = tuple(one.name for one in loaded)
     variances = _fitted(drives)
     if len(drives) == 1:
@@ -121,6 +125,7 @@ def calibrate(
         names,
         float(np.std(covered, ddof=1) / np.sqrt(len(drives))),
         _checks(drives, [score / factor for score in scores]),
+        _drive_range(drives, [score / factor for score in scores]),
     )
 
 
@@ -179,7 +184,7 @@ def _ends(times: FloatArray | None) -> tuple[IntArray, IntArray, FloatArray]:
 
 
 def _fitted(drives: Sequence[_Windows]) -> FloatArray:
-    """The variances (5, 6) that make the errors of these drives most likely."""
+    """The variances (6, 6) that make the errors of these drives most likely."""
     errors = np.concatenate([drive.errors for drive in drives])
     weights = np.concatenate([drive.weights for drive in drives])
     parts = np.concatenate([drive.parts for drive in drives], axis=1)
@@ -215,6 +220,18 @@ def _pooled_quantile(drives: Sequence[_Windows], scores: Sequence[FloatArray]) -
     order = np.argsort(values)
     reached = np.cumsum(shares[order]) / len(drives)
     return float(values[order][np.searchsorted(reached, COVERED)])
+
+
+def _drive_range(drives: Sequence[_Windows], scores: Sequence[FloatArray]) -> tuple[float, float] | None:
+    """Prediction interval of the mean NEES / 6 of a new drive: log-normal between drives, each by the others' model."""
+    if len(drives) < _FEWEST_DRIVES:
+        return None
+    logs = np.log(
+        [drive.weights @ score / drive.weights.sum() / 6.0 for drive, score in zip(drives, scores, strict=True)]
+    )
+    count = len(logs)
+    half = t.ppf(0.5 + 0.5 * COVERED, count - 1) * logs.std(ddof=1) * np.sqrt(1.0 + 1.0 / count)
+    return float(np.exp(logs.mean() - half)), float(np.exp(logs.mean() + half))
 
 
 def _checks(drives: Sequence[_Windows], scores: Sequence[FloatArray]) -> tuple[LengthCheck, ...]:

@@ -1,9 +1,10 @@
 """Drift model of an odometry: the covariance of any of its motions, from few numbers and the path that it took.
 
 The error of a motion is the sum of three: what the two poses have each alone ("white"); independent increments, whose
-variance is driven by distance, time and turn ("walk"); and a drift per metre that lasts all the drive ("lasting"). Each
-has a variance for every axis of the body. Errors are carried along the path by the adjoint, so an error of heading
-becomes one to the side, and every number enters a covariance linearly. `docs/derivations/drift.md` derives it.
+variance is driven by distance, time and turn, and by the inverse number of tracks where that is given ("walk"); and a
+drift per metre that lasts all the drive ("lasting"). Each has a variance for every axis of the body. Errors are carried
+along the path by the adjoint, so an error of heading becomes one to the side, and every number enters a covariance
+linearly. `docs/derivations/drift.md` derives it.
 """
 
 from __future__ import annotations
@@ -23,9 +24,9 @@ from stereo_slam_env.files.readers import read_json
 from stereo_slam_env.recording.drift import DriftParts, adjoints, distances, drift_of
 from stereo_slam_env.recording.trajectory import Trajectory
 
-FORMAT = "stereo-slam drift model 1"
-DRIVERS = ("distance", "time", "turn")
-"""What increments grow with, m, s and rad, in the order of the numbers."""
+FORMAT = "stereo-slam drift model 2"
+DRIVERS = ("distance", "time", "turn", "few_tracks")
+"""What increments grow with, m, s, rad and 1 / tracks, in the order of the numbers."""
 _AXES = ("x", "y", "z", "rx", "ry", "rz")
 _PARTS = ("white", *DRIVERS, "lasting")
 
@@ -51,8 +52,8 @@ class DriftModel:
     """How the covariance of a motion grows; `calibrate` makes it, `claim` uses it."""
 
     variances: FloatArray
-    """(5, 6): white, m^2 and rad^2; walk per m, per s and per rad; lasting, of the drift per m. By axis of the body:
-    x, y, z, rotation about x, y, z. The factor is in them."""
+    """(6, 6): white, m^2 and rad^2; walk per m, per s, per rad and per inverse track; lasting, of the drift per m. By
+    axis of the body: x, y, z, rotation about x, y, z. The factor is in them."""
     factor: float = 1.0
     """By which the fitted variances were multiplied, so that 90 % of the left-out windows are covered."""
     drives: tuple[str, ...] = ()
@@ -61,6 +62,8 @@ class DriftModel:
     """Standard error of the mean coverage over these drives; None where there was one, and nothing was left out."""
     checks: tuple[LengthCheck, ...] = ()
     """The drives, each left out of the fit."""
+    drive_range: tuple[float, float] | None = None
+    """Where the mean NEES / 6 of a new drive is expected with 90 %, by how these differ; None with less than three."""
 
     def __post_init__(self) -> None:
         variances = np.asarray(self.variances, dtype=np.float64)
@@ -89,6 +92,7 @@ class DriftModel:
             "drives": list(self.drives),
             "coverage_error": self.coverage_error,
             "checks": [vars(check) for check in self.checks],
+            "drive_range": self.drive_range,
         }
 
     def write(self, path: str | Path) -> None:
@@ -114,13 +118,14 @@ class DriftModel:
                 raise ValueError(f"its format is not {FORMAT!r}")
             numbers = [[float(content["variances"][part][axis]) for axis in _AXES] for part in _PARTS]
             checks = tuple(_check_of(check) for check in content["checks"])
-            doubt = content["coverage_error"]
+            doubt, spread = content["coverage_error"], content["drive_range"]
             return cls(
                 np.array(numbers),
                 float(content["factor"]),
                 tuple(str(name) for name in content["drives"]),
                 None if doubt is None else float(doubt),
                 checks,
+                None if spread is None else (float(spread[0]), float(spread[1])),
             )
         except (KeyError, TypeError, ValueError, OverflowError) as error:
             said = f"{error.args[0]!r} is missing" if isinstance(error, KeyError) else error
@@ -146,9 +151,11 @@ def claim(trajectory: Trajectory, model: DriftModel) -> Trajectory:
     Raises
     ------
     ValueError
-        The trajectory has no times, or stands still from its first pose to its last.
+        The trajectory has no times, or no numbers of tracks where the model was learned with some.
     """
     _require_times(trajectory)
+    if trajectory.tracks is None and model.variances[DRIVERS.index("few_tracks") + 1].any():
+        raise ValueError(f"the model was learned with numbers of tracks, and {trajectory.name} has none: give both")
     rows = np.arange(len(trajectory))
     covariances = model.covariances(trajectory, np.zeros_like(rows), rows)
     covariances[0] = 0.0
@@ -186,12 +193,14 @@ def basis(trajectory: Trajectory, first: IntArray, last: IntArray) -> Iterator[F
 
 
 def drivers(trajectory: Trajectory) -> FloatArray:
-    """What the steps of a trajectory add to the drivers (3, K): m, s, rad; 0 at the first pose."""
+    """What the steps of a trajectory add to the drivers (4, K): m, s, rad, 1 / tracks; 0 at the first pose."""
     times = _require_times(trajectory)
     R = rotations.matrix(trajectory.orientations)
     turns = np.linalg.norm(rotations.log(R[:-1].swapaxes(1, 2) @ R[1:]), axis=1)
     seconds, radians = (np.concatenate([[0.0], steps]) for steps in (np.diff(times), turns))
-    return np.stack([distances(trajectory.positions), seconds, radians])
+    few = np.zeros(len(times)) if trajectory.tracks is None else 1.0 / trajectory.tracks
+    few[0] = 0.0
+    return np.stack([distances(trajectory.positions), seconds, radians, few])
 
 
 def _require_times(trajectory: Trajectory) -> FloatArray:

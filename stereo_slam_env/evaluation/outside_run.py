@@ -20,13 +20,11 @@ from filters.validation import FloatArray, IntArray
 from stereo_slam_env.evaluation.filter_run import failed_run
 from stereo_slam_env.evaluation.gauges import Alignment, carried, correlation_of, is_zero_at_start
 from stereo_slam_env.evaluation.results import FilterRun
+from stereo_slam_env.evaluation.synchronisation import MAX_GAP
 from stereo_slam_env.evaluation.trajectory_windows import motion_covariances, motions
 from stereo_slam_env.evaluation.windows import WINDOWS, nees_floor, series_of, window_ends
 from stereo_slam_env.recording.recording import Recording
 from stereo_slam_env.recording.trajectory import Trajectory, pose_errors, tangent_jacobian, transformed
-
-_NEAREST = 0.5
-"""A pose belongs to a frame that is nearer than this share of the time between two frames."""
 
 
 def outside_run(
@@ -106,7 +104,7 @@ def _paired(trajectory: Trajectory, times: FloatArray) -> tuple[IntArray, IntArr
         before = after - 1
         nearest = np.where(trajectory.timestamps - times[before] <= times[after] - trajectory.timestamps, before, after)
         gaps = np.abs(trajectory.timestamps - times[nearest])
-        near = np.flatnonzero(gaps <= _NEAREST * np.median(np.diff(times)))
+        near = np.flatnonzero(gaps <= MAX_GAP)
         order = near[np.lexsort((gaps[near], nearest[near]))]
         frames, first = np.unique(nearest[order], return_index=True)
         rows = order[first]

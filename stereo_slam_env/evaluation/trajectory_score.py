@@ -116,6 +116,25 @@ class TrajectoryScore:
         dof, others = self.gauges[0].dof, (f"{one.nees / one.dof:.3g} ({one.alignment})" for one in self.gauges)
         return f"{verdict}; but it depends on the alignment, which no header says: NEES / {dof} is {', '.join(others)}"
 
+    def _repr_html_(self) -> str:
+        from stereo_slam_env.files import notebook_html as html
+
+        drift = "" if self.end_drift_percent is None else f", {self.end_drift_percent:.3g} % at the end"
+        rows = {
+            "poses": f"{self.frames} scored, {self.unmatched} without a reference",
+            "alignment": f"{self.alignment} by {self.aligned_by} poses, scale {self.scale:.4g}",
+            "position error": f"{self.position_rmse_m:.4g} m of {self.path_m:.4g} m{drift}",
+            "rotation error": f"{self.rotation_rmse_deg:.3g} degrees",
+            "claim": self.verdict,
+        }
+        for name, claim in self.claims.items():
+            rows[f"NEES / {claim.dof}, {name}"] = f"{claim.nees.mean / claim.dof:.3g}"
+        chart = html.lines_chart(
+            {"position error": (self.times, np.linalg.norm(self.position_errors, axis=1))}, "s", "m"
+        )
+        said = "".join(map(html.paragraph, self.notes))
+        return html.heading(f"{self.estimate} against {self.reference}") + html.facts(rows) + chart + said
+
     def as_dict(self) -> dict[str, Any]:
         """All figures as plain data for JSON, without the series; `docs/evaluate.md` has what they are."""
         series = {"times", "poses", "reference_poses", "nees", "log_scores"}

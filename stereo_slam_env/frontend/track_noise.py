@@ -16,14 +16,15 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2
 
-from filters import ColouredNoise, LandmarkDrift, StereoNoise
+from filters import ColouredNoise, LandmarkDrift, StereoCamera, StereoNoise, StereoObservation
 from filters.validation import FloatArray, IntArray
-from stereo_slam_env.frontend.ego_motion import Pairs, robust_step, squared_distances, transfer
+from stereo_slam_env.frontend.ego_motion import MIN_POINTS, Pairs, Step, robust_step, squared_distances, transfer
 from stereo_slam_env.frontend.settings import DRIFT_SHARE
 from stereo_slam_env.recording.recording import Recording
 
 LAGS = 10
 """Frames over which errors are followed: a slide lasts about as long."""
+_LAGS = LAGS + 1
 LEAST_FLOW = 0.3
 """Points that move less between two frames, px, do not slide, and are left out."""
 OUTLIER = 8.0
@@ -55,26 +56,6 @@ SCALE = 0.01
 """Share by which a stranger's rig makes the world larger than it is: that of a baseline stated to 1 %."""
 
 _log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True, eq=False)
-class FlowResiduals:
-    """What the most likely motion between two frames leaves of the flow of each track, in order of track and frame."""
-
-    ids: IntArray
-    """(N,), of the track."""
-    frames: IntArray
-    """(N,): number of the second frame."""
-    residuals: FloatArray
-    """(N, 3): measured minus predicted (u, v, d), px."""
-    flow: FloatArray
-    """(N,): how far the point moved in the left image, px."""
-    squared: FloatArray
-    """(N,): squared residual by the covariance that the measurements claim for it; chi-square with 3 if they are white
-    and right, less if they last."""
-
-    def __len__(self) -> int:
-        return len(self.ids)
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,69 +104,153 @@ class TrackNoise:
         return float(np.clip(self.lasting_share / (1.0 + self.lasting_share_error**2), 0.0, 1.0))
 
 
-def flow_residuals(recording: Recording) -> FlowResiduals:
-    """Residuals of the flow between the frames of a recording, with robust motions between them."""
-    rows, step, before = [], None, None
-    for number, frame in enumerate(recording.frames):
+class TrackStatistics:
+    """Running sums of what the motion between frames leaves of the flow of each track, and of what lasts of it.
+
+    Sums of products of residuals 0, 1, ... `LAGS` frames apart, and the squares of what each track adds to them, for
+    standard errors; the rest is forgotten when a track ends. It needs no future: see `noise` at any time.
+    """
+
+    def __init__(self, camera: StereoCamera) -> None:
+        self._camera = camera
+        self._ids = np.zeros(0, dtype=np.int64)
+        self._tracks = _Tracks.none(0)
+        self._absolute = np.zeros(3)  # sum over frames of the median size of a residual, px
+        self._squared = 0.0  # of the median squared one
+        self._frames = 0
+        self._counts = np.zeros(_LAGS)
+        self._products = np.zeros((_LAGS, 3))
+        self._slides = np.zeros(_LAGS)
+        self._scatter = np.zeros((2, _LAGS, _LAGS))  # of the sums of tracks that have ended
+
+    def add(self, before: StereoObservation, now: StereoObservation, step: Step | None, *, fits: bool = True) -> None:
+        """Take in a frame, its camera at `step` from that of the frame before, which came in before.
+
+        A step that is not the one that fits these tracks best, as that of a filter, is corrected by least squares.
+        Where none is known, tracks go on without residuals.
+        """
+        ids, i, j = np.intersect1d(before.ids, now.ids, assume_unique=True, return_indices=True)
+        tracks = self._followed(ids)
+        if step is None:
+            return
+        first, second = before.uvd[i], now.uvd[j]
+        expected = transfer(self._camera, first, step)
+        residuals = second - expected.uvd
+        if not fits:
+            residuals = _fitted(residuals, expected.by_step)
+        flow = np.sqrt(np.sum((second - first)[:, :2] ** 2, axis=1))
+        there = np.isfinite(residuals).all(axis=1) & (flow >= LEAST_FLOW)
+        if there.any():
+            if before.R is not None and now.R is not None:
+                pairs = Pairs(first[there], second[there], before.R[i[there]], now.R[j[there]])
+                self._squared += float(np.median(squared_distances(self._camera, pairs, step)))
+            self._absolute += 1.4826 * np.median(np.abs(residuals[there]), axis=0)
+            self._frames += 1
+        there &= np.all(np.abs(residuals) <= OUTLIER * self._absolute / max(self._frames, 1), axis=1)
+        tracks.residuals[:, 0] = np.where(there[:, None], residuals, np.nan)
+        tracks.by_flow[:, 0] = tracks.residuals[:, 0, :2] / np.sqrt(flow * self._camera.fx + TINY)[:, None]
+        products = tracks.residuals * tracks.residuals[:, :1]
+        known = np.isfinite(products[:, :, 0])
+        products[~known] = 0.0
+        slid = tracks.by_flow * tracks.by_flow[:, :1]
+        slid[~known] = 0.0
+        slid = 0.5 * (slid[:, :, 0] + slid[:, :, 1])
+        self._counts += known.sum(axis=0)
+        self._products += products.sum(axis=0)
+        self._slides += slid.sum(axis=0)
+        tracks.sums[0] += products[:, :, 0] + products[:, :, 1]
+        tracks.sums[1] += slid
+
+    def pause(self) -> None:
+        """All tracks end here: the next frame to come in is a later one."""
+        self._followed(np.zeros(0, dtype=np.int64))
+
+    def _followed(self, ids: IntArray) -> _Tracks:
+        """Tracks with these ids, one frame later; those that have ended leave their scatter."""
+        goes_on, old, new = np.intersect1d(self._ids, ids, assume_unique=True, return_indices=True)
+        if len(goes_on) < len(self._ids):
+            ended = np.delete(self._tracks.sums, old, axis=1)
+            self._scatter += ended.transpose(0, 2, 1) @ ended
+        tracks = _Tracks.none(len(ids))
+        for name in ("residuals", "by_flow"):
+            getattr(tracks, name)[new, 1:] = getattr(self._tracks, name)[old, :-1]
+        tracks.sums[:, new] = self._tracks.sums[:, old]
+        self._ids, self._tracks = ids, tracks
+        return tracks
+
+    @property
+    def noise(self) -> TrackNoise:
+        """Noise of the tracks so far."""
+        counts, sums = np.maximum(self._counts, 1.0), self._tracks.sums
+        covariances, slides = self._products / counts[:, None], self._slides / counts
+        scatter = (self._scatter + sums.transpose(0, 2, 1) @ sums) / np.outer(counts, counts)
+        lasting = covariances[0] + 2.0 * covariances[1:].sum(axis=0)
+        correlation = covariances / np.where(covariances[0] > 0, covariances[0], 1.0)
+        variance = float(covariances[0, :2].sum())
+        share = float(lasting[:2].sum()) / variance if variance > 0.0 else 0.0
+        of_share, of_slide = np.array([1.0 - share] + [2.0] * LAGS), np.array([0.0] + [2.0] * LAGS)
+        if slides[1] < slides[2]:
+            of_slide[1:3] = 0.0, 4.0
+        # A covariance that nobody has measured may be as large as the variance.
+        doubt = 2.0 * np.sqrt(np.sum(self._counts == 0)) if variance > 0.0 else np.inf
+        share_error, slide_error = (
+            float(np.sqrt(weights @ scatter[k] @ weights)) for k, weights in enumerate((of_share, of_slide))
+        )
+        return TrackNoise(
+            np.sqrt(covariances[0]),
+            np.sqrt(np.maximum(lasting, 0.0)),
+            correlation,
+            share,
+            float(np.hypot(share_error / max(variance, TINY), doubt)),
+            float(of_slide @ slides),
+            float(np.hypot(slide_error, doubt * max(slides[0], TINY))),
+            max(1.0, self._squared / max(self._frames, 1) / MEDIAN),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Tracks:
+    """Recent residuals of M tracks, the newest first, NaN where there is none, and what each has added to the sums."""
+
+    residuals: FloatArray  # (M, LAGS + 1, 3), px
+    by_flow: FloatArray  # (M, LAGS + 1, 2): of u and v, by the root of the flow
+    sums: FloatArray  # (2, M, LAGS + 1): products of residuals, u and v together, and of those by the flow
+
+    @classmethod
+    def none(cls, count: int) -> _Tracks:
+        of_points, by_flow = np.full((count, _LAGS, 3), np.nan), np.full((count, _LAGS, 2), np.nan)
+        return cls(of_points, by_flow, np.zeros((2, count, _LAGS)))
+
+
+def _fitted(residuals: FloatArray, by_step: FloatArray) -> FloatArray:
+    """Residuals (M, 3) of the step that fits the tracks near it best, by least squares with equal weights."""
+    if len(residuals) == 0:
+        return residuals
+    size = np.abs(residuals)
+    near = np.all(size <= OUTLIER / 2.0 * (1.4826 * np.median(size, axis=0) + TINY), axis=1)
+    if np.sum(near) < MIN_POINTS:
+        return residuals
+    H = by_step[near].reshape(-1, 6)
+    fitted: FloatArray = residuals - by_step @ np.linalg.lstsq(H, residuals[near].ravel(), rcond=None)[0]
+    return fitted
+
+
+def _R(seen: StereoObservation, index: IntArray) -> FloatArray:
+    return seen.covariances(FIRST_GUESS)[index]
+
+
+def track_noise(recording: Recording) -> TrackNoise:
+    """Noise of the tracks of a recording, by robust motions between its frames."""
+    statistics, step, before = TrackStatistics(recording.camera), None, None
+    for frame in recording.frames:
         now = frame.observation
         if before is not None:
-            ids, i, j = np.intersect1d(before.ids, now.ids, assume_unique=True, return_indices=True)
-            R = [seen.covariances(FIRST_GUESS)[k] for seen, k in ((before, i), (now, j))]
-            pairs = Pairs(before.uvd[i], now.uvd[j], *R)
-            found = robust_step(recording.camera, pairs, step)
+            _, i, j = np.intersect1d(before.ids, now.ids, assume_unique=True, return_indices=True)
+            found = robust_step(recording.camera, Pairs(before.uvd[i], now.uvd[j], _R(before, i), _R(now, j)), step)
             step = None if found is None else found.step
-            if step is not None:
-                residuals = pairs.second - transfer(recording.camera, pairs.first, step).uvd
-                squared = squared_distances(recording.camera, pairs, step)
-                flow = np.linalg.norm((pairs.second - pairs.first)[:, :2], axis=1)
-                rows.append(np.column_stack([ids, np.full(len(ids), number), residuals, flow, squared]))
+            statistics.add(before, now, step)
         before = now
-    table = np.vstack([np.zeros((0, 7)), *rows])
-    table = table[np.isfinite(table).all(axis=1) & (table[:, 5] >= LEAST_FLOW)]
-    table = table[np.lexsort((table[:, 1], table[:, 0]))]
-    ids, frames = table[:, :2].astype(np.int64).T
-    return FlowResiduals(ids, frames, table[:, 2:5], table[:, 5], table[:, 6])
-
-
-def track_noise(flow: FlowResiduals, focal_length: float) -> TrackNoise:
-    """Noise of the tracks whose residuals these are; `focal_length` in px."""
-    scale = 1.4826 * np.median(np.abs(flow.residuals), axis=0) if len(flow) else np.zeros(3)
-    inlier = np.all(np.abs(flow.residuals) <= OUTLIER * scale, axis=1)
-    by_flow = flow.residuals[:, :2] / np.sqrt(flow.flow * focal_length)[:, None]
-    key = flow.ids * (int(flow.frames.max(initial=0)) + LAGS + 2) + flow.frames
-    tracks, track = np.unique(flow.ids, return_inverse=True)
-    covariances, slides = np.zeros((LAGS + 1, 3)), np.zeros(LAGS + 1)
-    parts, slide_parts = (np.zeros((LAGS + 1, len(tracks))) for _ in range(2))  # what each track adds to the mean
-    unknown = 0
-    for lag in range(LAGS + 1):
-        later = np.minimum(np.searchsorted(key, key + lag), len(key) - 1)
-        pairs = np.flatnonzero((key[later] == key + lag) & inlier & inlier[later])
-        unknown += len(pairs) == 0
-        if len(pairs):
-            products = flow.residuals[pairs] * flow.residuals[later[pairs]]
-            slid = np.mean(by_flow[pairs] * by_flow[later[pairs]], axis=1)
-            covariances[lag], slides[lag] = products.mean(axis=0), slid.mean()
-            parts[lag] = np.bincount(track[pairs], products[:, :2].sum(axis=1) / len(pairs), len(tracks))
-            slide_parts[lag] = np.bincount(track[pairs], slid / len(pairs), len(tracks))
-    lasting = covariances[0] + 2.0 * covariances[1:].sum(axis=0)
-    correlation = covariances / np.where(covariances[0] > 0, covariances[0], 1.0)
-    variance = float(covariances[0, :2].sum())
-    share = float(lasting[:2].sum()) / variance if variance > 0.0 else 0.0
-    of_share, of_slide = np.array([1.0 - share] + [2.0] * LAGS), np.array([0.0] + [2.0] * LAGS)
-    if slides[1] < slides[2]:
-        of_slide[1:3] = 0.0, 4.0
-    # A covariance that nobody has measured may be as large as the variance.
-    doubt = 2.0 * np.sqrt(unknown) if variance > 0.0 else np.inf
-    return TrackNoise(
-        np.sqrt(covariances[0]),
-        np.sqrt(np.maximum(lasting, 0.0)),
-        correlation,
-        share,
-        float(np.hypot(np.linalg.norm(of_share @ parts) / max(variance, TINY), doubt)),
-        float(of_slide @ slides),
-        float(np.hypot(np.linalg.norm(of_slide @ slide_parts), doubt * max(slides[0], TINY))),
-        max(1.0, float(np.median(flow.squared)) / MEDIAN) if len(flow) else 1.0,
-    )
+    return statistics.noise
 
 
 def with_measured_noise(recording: Recording) -> Recording:
@@ -196,31 +261,38 @@ def with_measured_noise(recording: Recording) -> Recording:
     known to last. The rig of a simulation is as stated; that of anybody else has the errors of the constants above, and
     its tracks have a part in common that no residual shows.
     """
-    found = track_noise(flow_residuals(recording), recording.camera.fx)
+    found = track_noise(recording)
+    brings_R = all(frame.observation.R is not None for frame in recording.frames)
+    noise = stated_noise(found, recording.noise, brings_R, stranger=recording.truth_from.kind != "simulation")
+    _log.info("%s: %s", recording.name, noise)
+    return dataclasses.replace(_with_claims_raised(recording, found.claimed_too_small), noise=noise)
+
+
+def stated_noise(found: TrackNoise, R: StereoNoise, brings_R: bool, stranger: bool) -> ColouredNoise:
+    """What tracks say of their noise, where `R` was assumed for white noise; see `with_measured_noise`."""
     white, drift = None, LandmarkDrift(share=DRIFT_SHARE)
-    if any(frame.observation.R is None for frame in recording.frames):
+    if not brings_R:
         share = found.known_to_last
         measured = StereoNoise.independent_pixels(1.0).R * WHITE**2 * float(np.mean(found.step[:2] ** 2))
-        white = (1.0 - share) * recording.noise.R + share * measured
+        white = (1.0 - share) * R.R + share * measured
         gate = GATE * np.sqrt(share) * found.step
         drift = LandmarkDrift(
             DRIFT_SHARE * found.ignorance,
             tuple(np.maximum(found.lasting, gate).tolist()),
             tuple(gate.tolist()),
         )
-    noise = ColouredNoise(recording.noise.R, white, drift)
-    if recording.truth_from.kind != "simulation":
-        noise = dataclasses.replace(
-            noise,
-            gauge_walk=float(np.hypot(COMMON_FLOOR, SLIDE_IN_COMMON * found.slide)),
-            misalignment=MISALIGNMENT,
-            disparity_offset=DISPARITY_OFFSET,
-            right_yaw=RIGHT_TURN,
-            right_roll=RIGHT_TURN,
-            scale=SCALE,
-        )
-    _log.info("%s: %s", recording.name, noise)
-    return dataclasses.replace(_with_claims_raised(recording, found.claimed_too_small), noise=noise)
+    noise = ColouredNoise(R.R, white, drift)
+    if not stranger:
+        return noise
+    return dataclasses.replace(
+        noise,
+        gauge_walk=float(np.hypot(COMMON_FLOOR, SLIDE_IN_COMMON * found.slide)),
+        misalignment=MISALIGNMENT,
+        disparity_offset=DISPARITY_OFFSET,
+        right_yaw=RIGHT_TURN,
+        right_roll=RIGHT_TURN,
+        scale=SCALE,
+    )
 
 
 def _with_claims_raised(recording: Recording, factor: float) -> Recording:

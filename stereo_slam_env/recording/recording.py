@@ -204,6 +204,29 @@ class Recording:
     def __len__(self) -> int:
         return len(self.frames)
 
+    def _repr_html_(self) -> str:
+        from stereo_slam_env.files import notebook_html as html
+
+        camera, times = self.camera, np.array([frame.timestamp for frame in self.frames])
+        counts = np.array([len(frame.observation) for frame in self.frames], dtype=np.float64)
+        if not len(times):
+            return html.heading(self.name) + html.paragraph("It has no frames.")
+        rows = {
+            "frames": f"{len(self)} over {times[-1] - times[0]:.4g} s",
+            "rig": f"{camera.width}x{camera.height} px, f {camera.fx:.5g} px, baseline {camera.baseline:.4g} m",
+            "landmarks seen": f"{counts.mean():.0f} a frame ({counts.min():.0f} to {counts.max():.0f})",
+            "odometry": "yes" if any(frame.odometry is not None for frame in self.frames) else "no",
+            "reference": str(self.reference),
+        }
+        poses = [frame.truth.position for frame in self.frames if frame.truth is not None]
+        path = np.array(poses).reshape(-1, 3)
+        above = html.lines_chart({"true path, from above": (path[:, 0], path[:, 2])}, "x, m", "z, m", equal=True)
+        seen = html.lines_chart({"landmarks seen": (times, counts)}, "s", "landmarks")
+        last = self.frames[-1].observation
+        about = [f"{i}: u {u:.1f}, v {v:.1f}, d {d:.2f}" for i, (u, v, d) in zip(last.ids, last.uvd, strict=True)]
+        picture = html.dots(last.uvd[:, :2], (camera.width, camera.height), about)
+        return html.heading(self.name) + html.facts(rows) + above + seen + html.paragraph("Last frame:") + picture
+
     def __getitem__(self, frames: slice) -> Recording:
         """The recording of some frames, such as `recording[:40]`."""
         return replace(self, frames=self.frames[frames])

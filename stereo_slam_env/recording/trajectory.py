@@ -61,6 +61,8 @@ class Trajectory:
     """(K,), ascending: which frames of the drive the rows are, where some are missing. None: not numbered."""
     notes: tuple[str, ...] = ()
     """What was left out or taken for granted where it was read, each in a sentence."""
+    tracks: FloatArray | None = None
+    """(K,), > 0: how many tracked points each pose was estimated from, for `claim`. None: not said."""
     plane: FloatArray | None = None
     """(3, 3): axes x, y, up of the plane, in W, where the covariances are of motion in a plane: of x, y and the angle
     about up. The others are then filled in, and are no claim. None: of all six numbers."""
@@ -100,6 +102,11 @@ class Trajectory:
             numbers = np.asarray(self.frame_numbers)
             if numbers.shape != (count,) or (np.diff(numbers) <= 0).any():
                 raise ValueError(f"frame_numbers must be {count} ascending numbers: sort the rows, each frame once")
+        if self.tracks is not None:
+            tracks = finite_array("tracks", self.tracks, (count,))
+            if (few := np.flatnonzero(tracks <= 0.0)).size:
+                raise ValueError(f"tracks must be > 0, row {few[0]} has {tracks[few[0]]:g}: leave that pose out")
+            object.__setattr__(self, "tracks", tracks)
         if self.covariances is not None:
             covariances = np.asarray(self.covariances, dtype=np.float64)
             if covariances.shape != (count, 6, 6):
@@ -115,7 +122,7 @@ class Trajectory:
 
     def rows(self, index: BoolArray | IntArray | slice) -> Trajectory:
         """The trajectory of some rows, by number or mask."""
-        names = ("positions", "orientations", "timestamps", "covariances", "frame_numbers")
+        names = ("positions", "orientations", "timestamps", "covariances", "frame_numbers", "tracks")
         parts = {name: part[index] for name in names if (part := getattr(self, name)) is not None}
         return replace(self, **parts, drift=None if self.drift is None else self.drift.rows(index))
 

@@ -52,6 +52,7 @@ _NAMES = {
     **{f"q{a}": rf"(.*orientation[._]|q_?|q_rs_|quat_?){a}" for a in "xyzw"},
     **{f"Pt{i}{j}": rf"pt{i}{j}|p{a}{b}" for i, a in enumerate("xyz", 1) for j, b in enumerate("xyz", 1)},
     **{f"Pr{i}{j}": rf"pr{i}{j}|q{a}{b}" for i, a in enumerate("rpy", 1) for j, b in enumerate("rpy", 1)},
+    "tracks": r"(n_?|num_?)?(tracks|inliers)",
     **{f"covariance{i}": rf"(?!.*twist).*cov(ariance)?[._\[]?{i}\]?" for i in range(36)},
 }
 """Names that columns are known by, as patterns, in small letters and without units."""
@@ -161,6 +162,7 @@ def trajectory_of(columns: Columns, about: Mapping[str, Any]) -> Trajectory:
     parts = {
         "timestamps": times,
         "covariances": covariances,
+        "tracks": values.get("tracks"),
         "frame_numbers": None if times is not None or numbers is None else numbers.astype(np.int64),
     }
     parts = {name: None if part is None else part[kept] for name, part in parts.items()}

@@ -74,8 +74,10 @@ class Journey:
     steps: tuple[Step, ...]
 
     @classmethod
-    def along(cls, path: Path, seed: int, seconds: float, sigmas: np.ndarray = START_SIGMAS) -> Journey:
-        """Along a path past points that are drawn from the seed; the start has errors of `sigmas` (12,)."""
+    def along(
+        cls, path: Path, seed: int, seconds: float, sigmas: np.ndarray = START_SIGMAS, tracked: int = VISIBLE
+    ) -> Journey:
+        """Along a path past points that are drawn from the seed, `tracked` in a frame; the start is off by `sigmas`."""
         rng = np.random.default_rng(seed)
         count = round(seconds / DT)
         h, times = DT / SAMPLES, DT * np.arange(count + 1)
@@ -95,7 +97,7 @@ class Journey:
             uvd = CAMERA.project(np.where(p_c[:, 2:] > 2.0, p_c, [0.0, 0.0, 1.0]))
             visible = np.flatnonzero((p_c[:, 2] > 2.0) & CAMERA.in_view(uvd))
             kept = seen[np.isin(seen, visible)]
-            new = rng.permutation(np.setdiff1d(visible, kept))[: max(VISIBLE - len(kept), 0)]
+            new = rng.permutation(np.setdiff1d(visible, kept))[: max(tracked - len(kept), 0)]
             seen = np.sort(np.concatenate([kept, new]))
             noisy = uvd[seen] + rng.multivariate_normal(np.zeros(3), INDEPENDENT_PIXELS.R, len(seen))
             steps.append(Step(at[k], R[k].as_quat(), StereoObservation(seen, noisy), inertial, biases))

@@ -68,6 +68,11 @@ class Verdict:
     # "best" (who, by how much, is it sure), "consistent", "limit", "cost"; what is not known is left out.
     answers: Mapping[str, str] = field(default_factory=dict)
 
+    def _repr_html_(self) -> str:
+        from stereo_slam_env.files.notebook_html import paragraph
+
+        return "".join(paragraph(answer) for answer in self.answers.values()) or paragraph(self.headline)
+
     @property
     def leaders(self) -> tuple[str, ...]:
         """The best one and those that tie with it."""

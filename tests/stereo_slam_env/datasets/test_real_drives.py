@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 import pytest
 
+from filters import StereoNoise
 from stereo_slam_env.datasets import load
 from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.evaluation.results import FilterRun
 from stereo_slam_env.evaluation.trajectory_metrics import ate_rigid
+from stereo_slam_env.frontend import with_measured_noise
 from stereo_slam_env.recording.recording import Recording
 
 from ..real_data import real_data
@@ -56,3 +59,11 @@ def test_no_filter_diverges_and_all_are_better_than_the_odometry_alone(name: str
 def test_the_joint_test_over_the_frame_lowers_the_error(name: str, options: dict, limit: float) -> None:
     """One set of settings for all; the other filters and their figures: benchmarks/real_tracks.py."""
     assert ate(run_filter(kitti07(), name, {"gate": 0.99, "consensus": True, **options})) <= limit
+
+
+def test_half_of_the_frames_are_enough() -> None:
+    """Every second frame of 600, vision only: 2.7 m; 7.2 m while repeated frames were taken for measurements."""
+    whole = kitti07()[:600]
+    half = replace(whole, frames=tuple(replace(frame, odometry=None) for frame in whole.frames[::2]))
+    bare = replace(half, noise=StereoNoise(whole.noise.R))
+    assert ate(run_filter(with_measured_noise(bare), "coloured-noise", use_odometry=False)) <= 3.0

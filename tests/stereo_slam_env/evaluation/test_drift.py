@@ -21,6 +21,7 @@ VARIANCES = 1e-6 * np.array(
         [4.0, 2.0, 9.0, 0.02, 0.04, 0.01],  # per metre
         [1.0, 1.0, 1.0, 0.01, 0.01, 0.01],  # per second
         [2.0, 2.0, 2.0, 0.30, 0.60, 0.30],  # per radian
+        [0.0, 0.0, 0.0, 0.0, 0.0, 0.0],  # per inverse track
         [0.1, 0.1, 0.4, 0.001, 0.004, 0.001],  # lasting, per metre
     ]
 )
@@ -45,12 +46,12 @@ def truth_of(estimate, seed, variances=VARIANCES):
     rng = np.random.default_rng(1000 + seed)
     A = adjoints(estimate.positions, estimate.orientations)
     driven = drivers(estimate)
-    rates = rng.normal(size=6) * np.sqrt(variances[4])
+    rates = rng.normal(size=6) * np.sqrt(variances[5])
     errors, xi = [], np.zeros(6)
     for k in range(len(estimate)):
         if k:
             xi = np.linalg.solve(A[k], A[k - 1] @ xi)
-            xi = xi + rng.normal(size=6) * np.sqrt(driven[:, k] @ variances[1:4]) + driven[0, k] * rates
+            xi = xi + rng.normal(size=6) * np.sqrt(driven[:, k] @ variances[1:5]) + driven[0, k] * rates
         errors.append(xi + rng.normal(size=6) * np.sqrt(variances[0]))
     rho, phi = np.array(errors)[:, :3], np.array(errors)[:, 3:]
     turns = np.array([rotations.exp_quaternion(angle) for angle in phi])
@@ -162,9 +163,48 @@ def test_few_bad_windows_do_not_rule(drives):
     assert after < 3.0 * before
 
 
+def test_few_tracks_make_a_claim_larger_where_they_are_given(drives):
+    """Errors by the inverse number of tracks, of which half of each drive has a twentieth: right in both halves."""
+    variances = VARIANCES * [[1.0], [0.1], [0.1], [0.1], [0.0], [1.0]]
+    variances[4] = [2e-3, 2e-3, 4e-3, 2e-5, 2e-5, 2e-5]
+    tracks = np.where(np.arange(600) < 300, 200.0, 10.0)
+    estimates = [replace(estimate, tracks=tracks) for estimate in drives[0][:20]]
+    truths = [truth_of(estimate, seed, variances) for seed, estimate in enumerate(estimates)]
+    known = sse.calibrate(estimates[:10], truths[:10])
+    unknown = sse.calibrate([replace(e, tracks=None) for e in estimates[:10]], truths[:10])
+    for model, right in ((known, True), (unknown, False)):
+        held = zip(estimates[10:], truths[10:], strict=True)
+        values = np.array([window_nees(sse.claim(e, model), t, 1) for e, t in held]) / 6.0
+        many, few = values[:, :29].mean(), values[:, 31:].mean()
+        assert bool(0.75 < many < 1.25 and 0.75 < few < 1.25) is right
+    assert few / many > 4.0  # what a model without them cannot know
+    with pytest.raises(ValueError, match="drive 3 has none: give both"):
+        sse.claim(drives[0][3], known)
+    with pytest.raises(ValueError, match="some estimates have numbers of tracks and some have none"):
+        sse.calibrate([estimates[0], drives[0][1]], truths[:2])
+
+
+@pytest.mark.slow
+def test_a_new_drive_is_where_the_spread_of_the_others_says():
+    """Drives whose variances differ by a factor drawn once a drive: 90 % of new ones in the range, which is wide."""
+    rng = np.random.default_rng(5)
+    estimates = [path(300, seed=seed, name=f"{seed}") for seed in range(48)]
+    truths = [truth_of(e, seed, VARIANCES * np.exp(rng.normal())) for seed, e in enumerate(estimates)]
+    inside = []
+    for at in range(0, 48, 8):
+        model = sse.calibrate(estimates[at : at + 8], truths[at : at + 8])
+        low, high = model.drive_range
+        assert high > 5.0 * low
+        others = [k for k in range(48) if not at <= k < at + 8]
+        for k in others:
+            nees_of_all = [window_nees(sse.claim(estimates[k], model), truths[k], s).mean() for s in (1, 3, 10)]
+            inside.append(low <= np.mean(nees_of_all) / 6.0 <= high)
+    assert 0.8 < np.mean(inside) < 0.98
+
+
 def test_one_drive_promises_no_coverage(drives):
     model = sse.calibrate(drives[0][:1], drives[1][:1])
-    assert (model.factor, model.coverage_error, model.checks) == (1.0, None, ())
+    assert (model.factor, model.coverage_error, model.checks, model.drive_range) == (1.0, None, (), None)
 
 
 def test_one_truth_may_be_that_of_all(drives):

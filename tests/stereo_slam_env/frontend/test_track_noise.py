@@ -21,7 +21,6 @@ from stereo_slam_env.frontend.track_noise import (
     RIGHT_TURN,
     SCALE,
     USUAL_SLIDE,
-    flow_residuals,
     track_noise,
     with_measured_noise,
 )
@@ -62,7 +61,7 @@ def drive(white: float = 0.0, walk: float = 0.0, slide: float = 0.0, seed: int =
 
 
 def test_white_errors_are_taken_back_in_the_next_frame() -> None:
-    found = track_noise(flow_residuals(drive(white=0.3)), CAMERA.fx)
+    found = track_noise(drive(white=0.3))
     np.testing.assert_allclose(found.step[:2], np.sqrt(2.0) * 0.3, rtol=0.05)
     np.testing.assert_allclose(found.correlation[1, :2], -0.5, atol=0.05)
     assert (np.abs(found.correlation[2:, :2]) < 0.08).all()
@@ -71,7 +70,7 @@ def test_white_errors_are_taken_back_in_the_next_frame() -> None:
 
 
 def test_a_random_walk_leaves_no_trace_in_later_frames() -> None:
-    found = track_noise(flow_residuals(drive(walk=0.3)), CAMERA.fx)
+    found = track_noise(drive(walk=0.3))
     np.testing.assert_allclose(found.step[:2], 0.3, rtol=0.05)
     np.testing.assert_allclose(found.lasting[:2], 0.3, rtol=0.25)
     assert (np.abs(found.correlation[1:, :2]) < 0.08).all()
@@ -79,7 +78,7 @@ def test_a_random_walk_leaves_no_trace_in_later_frames() -> None:
 
 
 def test_a_slide_goes_on_and_its_long_walk_is_found() -> None:
-    found = [track_noise(flow_residuals(drive(slide=0.3, seed=seed)), CAMERA.fx) for seed in range(4)]
+    found = [track_noise(drive(slide=0.3, seed=seed)) for seed in range(4)]
     np.testing.assert_allclose(np.mean([f.step[:2] for f in found], axis=0), 0.3, rtol=0.1)
     lags = np.arange(1, 6)
     correlation = np.mean([f.correlation[lags, 0] for f in found], axis=0)
@@ -162,8 +161,7 @@ def test_the_rig_of_a_simulation_is_as_it_is_stated() -> None:
 def test_white_noise_hides_no_slide() -> None:
     """White noise of variance s^2 takes s^2 from the covariance one frame apart, and nothing from the others."""
     clean, noisy = (
-        [track_noise(flow_residuals(drive(slide=0.3, white=white, seed=seed)), CAMERA.fx) for seed in range(4)]
-        for white in (0.0, 0.5)
+        [track_noise(drive(slide=0.3, white=white, seed=seed)) for seed in range(4)] for white in (0.0, 0.5)
     )
     assert np.mean([found.correlation[1, :2] for found in noisy]) < 0.0
     np.testing.assert_allclose(
@@ -195,13 +193,13 @@ def test_what_is_not_known_is_bounded(frames: int) -> None:
 
 
 def test_without_tracks_the_prior_stands() -> None:
-    found = track_noise(flow_residuals(drive()[:1]), CAMERA.fx)
+    found = track_noise(drive()[:1])
     assert (found.slide, found.known_to_last, found.ignorance) == (USUAL_SLIDE, 0.0, 1.0)
 
 
 def test_standard_errors_are_those_of_repetition() -> None:
     """20 drives; the stated error of the slide's variance and of the share that lasts is their scatter."""
-    found = [track_noise(flow_residuals(drive(walk=0.3, seed=seed)), CAMERA.fx) for seed in range(20)]
+    found = [track_noise(drive(walk=0.3, seed=seed)) for seed in range(20)]
     for value, error in (("lasting_share", "lasting_share_error"), ("slide_variance", "slide_variance_error")):
         scatter = np.std([getattr(one, value) for one in found], ddof=1)
         assert 0.5 < np.mean([getattr(one, error) for one in found]) / scatter < 2.0
@@ -249,5 +247,5 @@ def test_wrong_matches_do_not_count() -> None:
     for frame in recording.frames:
         uvd = frame.observation.uvd + 30.0 * rng.normal(size=(TRACKS, 3)) * (rng.random((TRACKS, 1)) < 0.05)
         wrong.append(StereoObservation(frame.observation.ids, uvd))
-    found = track_noise(flow_residuals(recording.with_observations(wrong)), CAMERA.fx)
+    found = track_noise(recording.with_observations(wrong))
     np.testing.assert_allclose(found.step[:2], np.sqrt(2.0) * 0.3, rtol=0.1)

@@ -1,0 +1,96 @@
+"""Small pieces of HTML by which result objects show themselves in a notebook (`_repr_html_`); nothing is fetched."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from html import escape
+
+import numpy as np
+
+from filters.contract.foreign_text import without_controls
+from filters.validation import FloatArray
+
+_CELL = "text-align:left;padding:1px 10px 1px 0;vertical-align:top"
+
+
+def heading(text: str) -> str:
+    """A heading."""
+    return f"<h4>{_plain(text)}</h4>"
+
+
+def paragraph(text: str) -> str:
+    """A paragraph."""
+    return f"<p>{_plain(text)}</p>"
+
+
+def fixed_width(text: str) -> str:
+    """Text with its columns."""
+    return f'<pre style="line-height:1.25">{_plain(text)}</pre>'
+
+
+def facts(rows: Mapping[str, str]) -> str:
+    """A table of names and values."""
+    body = "".join(
+        f'<tr><th style="{_CELL}">{_plain(k)}</th><td style="{_CELL}">{_plain(v)}</td></tr>' for k, v in rows.items()
+    )
+    return f"<table>{body}</table>"
+
+
+def lines_chart(series: Mapping[str, tuple[FloatArray, FloatArray]], x: str, y: str, *, equal: bool = False) -> str:
+    """Lines of (x, y) with their names, as SVG; a point shows its values where the pointer rests.
+
+    With `equal`, both axes have one scale, as a path seen from above needs.
+    """
+    colours = ("#1f77b4", "#d62728", "#2ca02c", "#9467bd")
+    width, height, edge = 420.0, 260.0, 36.0
+    known = [np.column_stack(pair)[np.isfinite(np.column_stack(pair)).all(axis=1)] for pair in series.values()]
+    points = np.concatenate([*known, np.zeros((0, 2))])
+    if not len(points):
+        return ""
+    low, high = points.min(axis=0), points.max(axis=0)
+    span = np.maximum(high - low, 1e-9)
+    scale = np.array([width - 2 * edge, height - 2 * edge]) / span
+    scale = np.full(2, scale.min()) if equal else scale
+    drawn = []
+    for at, (name, line) in enumerate(zip(series, known, strict=True)):
+        colour = colours[at % len(colours)]
+        pixels = np.column_stack(
+            [edge + scale[0] * (line[:, 0] - low[0]), height - edge - scale[1] * (line[:, 1] - low[1])]
+        )
+        path = " ".join(f"{u:.1f},{v:.1f}" for u, v in pixels)
+        drawn.append(f'<polyline points="{path}" fill="none" stroke="{colour}" stroke-width="1.5"/>')
+        every = max(1, len(line) // 60)
+        for (u, v), (a, b) in zip(pixels[::every].tolist(), line[::every].tolist(), strict=True):
+            about = f"<title>{_plain(name)}: {a:.4g}, {b:.4g}</title>"
+            drawn.append(
+                f'<circle cx="{u:.1f}" cy="{v:.1f}" r="3" fill="{colour}" fill-opacity="0.35">{about}</circle>'
+            )
+        drawn.append(f'<text x="{edge + 90 * at:.0f}" y="14" font-size="11" fill="{colour}">{_plain(name)}</text>')
+    ends = _ends(low, high, height, edge, x, y)
+    return f'<svg width="{width:.0f}" height="{height:.0f}" style="background:#fff">{"".join(drawn)}{ends}</svg>'
+
+
+def dots(points: FloatArray, size: tuple[int, int], about: Sequence[str]) -> str:
+    """Points (N, 2) in an image of a size, px, as SVG; each shows its text where the pointer rests."""
+    width = 420.0
+    scale = width / size[0]
+    drawn = [
+        f'<circle cx="{scale * u:.1f}" cy="{scale * v:.1f}" r="3" fill="#d62728"><title>{_plain(text)}</title></circle>'
+        for (u, v), text in zip(points.tolist(), about, strict=True)
+    ]
+    height = scale * size[1]
+    return f'<svg width="{width:.0f}" height="{height:.0f}" style="background:#eee">{"".join(drawn)}</svg>'
+
+
+def _ends(low: FloatArray, high: FloatArray, height: float, edge: float, x: str, y: str) -> str:
+    """Names of the axes with the values at their ends."""
+    style = 'font-size="11" fill="#444"'
+    below, left = height - 12, 4
+    return (
+        f'<text x="{edge:.0f}" y="{below:.0f}" {style}>{_plain(x)}: {low[0]:.4g} to {high[0]:.4g}</text>'
+        f'<text x="{left}" y="30" {style}>{_plain(y)}: {low[1]:.4g} to {high[1]:.4g}</text>'
+    )
+
+
+def _plain(text: str) -> str:
+    return escape(without_controls(text))

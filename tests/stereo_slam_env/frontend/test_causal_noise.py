@@ -1,0 +1,80 @@
+"""Noise of tracks measured as the drive goes: no future in it, and in the end what a look at the whole says."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import stereo_slam_env as sse
+from filters import ColouredNoise, StereoNoise
+from filters.catalogue.presets import ColouredNoiseEKF
+from stereo_slam_env.frontend.causal_noise import CausalNoiseEKF
+from stereo_slam_env.frontend.track_noise import with_measured_noise
+from stereo_slam_env.loop import Moment
+from stereo_slam_env.recording.recording import Recording
+
+from .test_track_noise import drive
+
+
+def last_moment(recording: Recording) -> Moment:
+    *_, last = sse.run(CausalNoiseEKF, recording, use_odometry=False)
+    return last
+
+
+def test_the_estimate_does_not_depend_on_later_frames() -> None:
+    recording = drive(slide=0.3)
+    there = next(m for m in sse.run(CausalNoiseEKF, recording, use_odometry=False) if m.number == 39)
+    expected = there.pose.position.copy(), there.pose.covariance.copy()
+    alone = last_moment(recording[:40]).pose
+    np.testing.assert_array_equal(alone.position, expected[0])
+    np.testing.assert_array_equal(alone.covariance, expected[1])
+
+
+@pytest.mark.parametrize("errors", [{"white": 0.3}, {"walk": 0.3}, {"slide": 0.3}])
+def test_in_the_end_it_assumes_what_a_look_at_the_whole_drive_says(errors: dict[str, float]) -> None:
+    recording = drive(**errors)
+    slam = last_moment(recording).slam
+    ahead = with_measured_noise(recording).noise
+    assert isinstance(slam, CausalNoiseEKF)
+    assert isinstance(ahead, ColouredNoise)
+    assert ahead.white is not None
+    assert ahead.drift is not None
+    assert slam.options.drift is not None
+    np.testing.assert_allclose(slam.options.gauge_walk, ahead.gauge_walk, rtol=0.2)
+    np.testing.assert_allclose(slam.noise.R[0, 0], ahead.white[0, 0], atol=0.4 * recording.noise.R[0, 0])
+    np.testing.assert_allclose(slam.options.drift.pixels[:2], ahead.drift.pixels[:2], rtol=0.25, atol=0.1)
+
+
+def test_it_starts_with_no_more_than_R_and_forgets_at_a_reset() -> None:
+    recording = drive(slide=0.3)
+    slam = last_moment(recording).slam
+    assert isinstance(slam, CausalNoiseEKF)
+    slam.reset(recording.start)
+    slam.update(recording.frames[0].observation)
+    unknown = with_measured_noise(recording[:0]).noise
+    assert isinstance(unknown, ColouredNoise)
+    assert slam.options.gauge_walk == unknown.gauge_walk
+    np.testing.assert_array_equal(slam.noise.R, recording.noise.R)
+
+
+def test_the_rig_of_a_simulation_is_taken_as_stated() -> None:
+    exact = ColouredNoise(StereoNoise.independent_pixels(2.0).R)
+    assert CausalNoiseEKF(drive().camera, exact).options.gauge_walk == 0.0
+
+
+def test_a_filter_goes_on_with_what_it_is_told_to_assume() -> None:
+    """Told before the first frame, it is the filter that is made so, to the last bit."""
+    recording = with_measured_noise(drive(slide=0.3)[:20])
+    noise = recording.noise
+    assert isinstance(noise, ColouredNoise)
+    assert noise.white is not None
+    made = ColouredNoiseEKF(recording.camera, noise)
+    told = ColouredNoiseEKF(recording.camera, with_measured_noise(recording[:0]).noise)
+    told.assume(StereoNoise(noise.white), noise.drift, noise.gauge_walk)
+    *_, one = sse.run(made, recording)
+    *_, other = sse.run(told, recording)
+    np.testing.assert_array_equal(one.pose.position, other.pose.position)
+    np.testing.assert_array_equal(one.pose.covariance, other.pose.covariance)
+    with pytest.raises(ValueError, match="gauge_walk"):
+        told.assume(StereoNoise(noise.white), None, -1.0)
+    assert told.options.drift == noise.drift
