@@ -173,7 +173,7 @@ class Clean:
     reach: dict[str, dict[int, set[str]]]
     """Tests that run a line of a file, or the file or folder of tests whose fixture does."""
 
-    def nearest(self, mutant: Mutant, budget: float) -> list[str]:
+    def nearest(self, mutant: Mutant, budget: float = np.inf) -> list[str]:
         """Tests that run the changed statement, in the order in which to run them; all tests, if it runs on import.
 
         Of these the quickest that together take no more than the budget, s.

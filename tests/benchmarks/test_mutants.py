@@ -52,5 +52,6 @@ def test_tests_that_reach_the_statement_are_run_the_quick_first(mutants: ModuleT
     known = mutants.Clean(seconds, {MONITOR: {line: {"slow.py", "quick.py::test_b"}, line + 1: {"quick.py::test_c"}}})
     on_call = mutants.Mutant("monitor", MONITOR, "core/NumberReplacer", line, "")
     assert known.nearest(on_call) == ["quick.py::test_b", "slow.py::test_a"]
+    assert known.nearest(on_call, budget=1.0) == ["quick.py::test_b"]
     on_import = mutants.Mutant("monitor", MONITOR, "core/NumberReplacer", 1, "")
     assert known.nearest(on_import) == ["quick.py::test_c", "quick.py::test_b", "slow.py::test_a", "far.py::test_d"]

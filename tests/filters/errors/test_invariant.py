@@ -28,6 +28,7 @@ from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, drive
 from ..engine.beliefs import assert_same_belief, make, scaled
 from ..invariant_ekf import InvariantEKF, wedge
 from ..slots import LANDMARKS
+from ..state.test_joint_jacobians import whole_matrix
 from .worlds import odometry, small_correction, some_state, standard_error, turned_world
 
 SIDES: dict[str, ErrorDefinition] = {"right": RightInvariant(reset=True), "left": LeftInvariant()}
@@ -57,10 +58,12 @@ def test_without_reset_a_correction_leaves_p_alone_in_invariant_coordinates(land
     before, error = some_state(landmark), RightInvariant(reset=False)
     delta = small_correction(before, 4)
     after = error.moved(replace(before, P=before.P.copy(order="F")), delta)
-    error.transport(before, after, delta).apply(after.P)
-    P, P_after = (to_right(s) @ symmetric.full(s.P) @ to_right(s).T for s in (before, after))
+    covariance = symmetric.full(before.P)
+    J = whole_matrix(error.transport(before, after, delta), len(covariance))
+    transported = J @ covariance @ J.T
+    P, P_after = to_right(before) @ covariance @ to_right(before).T, to_right(after) @ transported @ to_right(after).T
     np.testing.assert_allclose(P_after, P, rtol=0, atol=1e-10 * np.abs(P).max())
-    assert np.abs(symmetric.full(after.P) - symmetric.full(before.P)).max() > 1.0
+    assert np.abs(transported - covariance).max() > 1.0
 
 
 @pytest.mark.parametrize("side", SIDES)
