@@ -44,28 +44,31 @@ from stereo_slam_env.recording.recording import Recording
 RECORDINGS = ("kitti07_tracks", "kitti00_stereo_tracks", "kitti06_stereo51", "starry_night_a")
 WINDOW = 10
 """Frames over which the motions of two halves of the landmarks are compared."""
-BARE: Mapping[str, Any] = {"error": "quaternion", "gauge_walk": 0.0, "measurement": "joint"}
+EXACT_RIG = dict.fromkeys(("misalignment", "scale", "disparity_offset", "right_yaw", "right_roll"), 0.0)
 
 
 def parts(recording: Recording) -> Iterator[tuple[str, str, dict[str, Any], Recording]]:
     """What is added, the filter, its options, and the recording with what is stated of its noise."""
-    usual = {"gate": 0.99, "consensus": True}
-    yield "plain", "shared-anchor", usual, recording
+    yield "plain", "shared-anchor", {"gate": 0.99, "consensus": True}, recording
     noise = recording.noise
-    if isinstance(noise, ColouredNoise) and noise.drift is not None:
+    if not isinstance(noise, ColouredNoise):
+        yield "right-invariant errors", "coloured-noise", {}, recording
+        return
+    exact = replace(noise, **EXACT_RIG)
+    walking = replace(recording, noise=exact)
+    bare = {"error": "quaternion", "gauge_walk": 0.0}
+    if noise.drift is not None:
         if noise.drift.gate_pixels is not None:
-            long_gate = replace(noise, drift=replace(noise.drift, gate_pixels=None))
-            yield "landmark drift", "coloured-noise", {**BARE}, replace(recording, noise=long_gate)
-            yield "gate for short steps", "coloured-noise", {**BARE}, recording
+            long_gate = replace(exact, drift=replace(noise.drift, gate_pixels=None))
+            yield "landmark drift", "coloured-noise", bare, replace(recording, noise=long_gate)
+            yield "gate for short steps", "coloured-noise", bare, walking
         else:
-            yield "landmark drift", "coloured-noise", {**BARE}, recording
-    kept = {"gauge_walk": 0.0, "measurement": "joint"}
-    yield "right-invariant errors", "coloured-noise", kept, recording
-    if isinstance(noise, ColouredNoise) and noise.gauge_walk:
-        yield "gauge walk", "coloured-noise", {"measurement": "joint"}, recording
-        straight = replace(recording, noise=replace(noise, disparity_offset=0.0))
-        yield "misalignment", "coloured-noise", {}, straight
-        yield "disparity offset", "coloured-noise", {}, recording
+            yield "landmark drift", "coloured-noise", bare, walking
+    yield "right-invariant errors", "coloured-noise", {"gauge_walk": 0.0}, walking
+    yield "gauge walk", "coloured-noise", {}, walking
+    unseen = replace(exact, misalignment=noise.misalignment, scale=noise.scale)
+    yield "misalignment and scale", "coloured-noise", {}, replace(recording, noise=unseen)
+    yield "rotation and offset of the right camera", "coloured-noise", {}, recording
 
 
 def judged(recording: Recording, name: str, options: Mapping[str, Any], odometry: bool, windows: bool = True) -> Any:
