@@ -278,12 +278,12 @@ def runs(seeds: int = 12, frames: int = 240, landmarks: int = 30) -> tuple[Filte
 def claimed_and_true() -> Figure:
     """What policies of gaze claim to gain against a fixed gaze, and what they gain by the truth.
 
-    `active_policies.csv` is what `benchmarks/active_policies.py` has written.
+    `results/active_policies.csv` is what `benchmarks/active_policies.py` has written.
     """
     figure = Figure(figsize=(WIDTH_INCHES, 3.8))
     ax = figure.subplots()
     figure.subplots_adjust(left=0.11, right=0.97, bottom=0.14, top=0.9)
-    with (Path(__file__).parent / "active_policies.csv").open(newline="") as stream:
+    with (Path(__file__).resolve().parents[2] / "results" / "active_policies.csv").open(newline="") as stream:
         rows = list(csv.DictReader(stream))
     for row in rows:
         x, y = float(row["claimed"]), float(row["true"])

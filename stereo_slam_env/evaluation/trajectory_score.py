@@ -123,15 +123,14 @@ class TrajectoryScore:
         rows = {
             "poses": f"{self.frames} scored, {self.unmatched} without a reference",
             "alignment": f"{self.alignment} by {self.aligned_by} poses, scale {self.scale:.4g}",
-            "position error": f"{self.position_rmse_m:.4g} m of {self.path_m:.4g} m{drift}",
-            "rotation error": f"{self.rotation_rmse_deg:.3g} degrees",
+            "position": f"{self.position_rmse_m:.4g} m of {self.path_m:.4g} m{drift}",
+            "rotation": f"{self.rotation_rmse_deg:.3g} degrees",
             "claim": self.verdict,
         }
         for name, claim in self.claims.items():
             rows[f"NEES / {claim.dof}, {name}"] = f"{claim.nees.mean / claim.dof:.3g}"
-        chart = html.lines_chart(
-            {"position error": (self.times, np.linalg.norm(self.position_errors, axis=1))}, "s", "m"
-        )
+        distances = np.linalg.norm(self.position_errors, axis=1)
+        chart = html.lines_chart({"distance from the reference": (self.times, distances)}, "s", "m")
         said = "".join(map(html.paragraph, self.notes))
         return html.heading(f"{self.estimate} against {self.reference}") + html.facts(rows) + chart + said
 

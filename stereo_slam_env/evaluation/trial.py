@@ -107,7 +107,7 @@ class Trial:
         What the filter did after it failed is not looked at. A trajectory from outside has nothing to be watched.
         """
         run, monitor = self.run, DivergenceMonitor()
-        if not np.isfinite(run.milliseconds).any():
+        if not np.isfinite(run.linear_velocities).any():  # poses from outside: no filter has run
             return None
         for k, dt in enumerate(np.diff(run.timestamps, prepend=run.timestamps[:1])):
             if not np.isfinite(run.positions[k]).all():

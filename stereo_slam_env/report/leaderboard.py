@@ -14,9 +14,13 @@ from typing import Any
 import numpy as np
 
 from stereo_slam_env.benchmark.packets import read_packet
+from stereo_slam_env.evaluation.figures import FIGURES
 from stereo_slam_env.files.folders import write_atomically
 
-_HEADS = ("system", "recordings", "position error, m", "NEES / 6", "k", "inside 90 %, %", "log score", "diverged")
+_HEADS = (
+    *("system", "recordings", FIGURES["position_rmse_m"].title),
+    *("NEES / 6", "k", "inside 90 %, %", "log score", "diverged"),
+)
 _UNKNOWN = "–"
 
 

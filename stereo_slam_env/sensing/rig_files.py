@@ -148,7 +148,7 @@ def _table(path: Path) -> dict[str, Any]:
     else:
         text = re.sub(r"^%YAML.*$|!!opencv-\w+", "", read_text(path, most_bytes=MOST_BYTES), flags=re.MULTILINE)
         try:
-            found = yaml.load(text, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+            found = yaml.safe_load(text)
         except (yaml.YAMLError, ValueError, TypeError, RecursionError) as error:
             why = " ".join(str(error).split()) if isinstance(error, yaml.YAMLError) else first_line(error)
             raise ValueError(f"{path} is no YAML ({plain(why)[:200]}): take the calibration again") from error

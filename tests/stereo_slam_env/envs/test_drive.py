@@ -164,7 +164,7 @@ def test_memory_is_flat_over_resets(make):
             {"route": "moon"},
             r"route must be one of 'straight', 'right-turn', 'town', .*'random-loop' or a KITTI pose file, got 'moon'",
         ),
-        ({"rig": "imax"}, r"rig must be one of 'reference', 'vga', 'qvga', got 'imax'"),
+        ({"rig": "imax"}, r"rig must be one of 'reference', 'vga', .*'oak-d' or a calibration file .*, got 'imax'"),
         ({"noise": "cauchy"}, r"noise must be one of 'pixels', 'uvd', 'heavy-tailed', 'quantised', got 'cauchy'"),
         ({"policy": "me"}, r"policy must be one of 'agent', 'route', got 'me'"),
         ({"sensor": "lidar"}, r"sensor must be one of 'landmarks', 'images', got 'lidar'"),

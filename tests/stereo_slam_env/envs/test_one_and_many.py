@@ -101,7 +101,7 @@ def test_other_arguments_give_the_same_bits(case):
 def test_episodes_go_on_to_their_ends():
     """Crashes, the end of the route, and what comes after."""
     ended, crashed = compare("StereoSlam/Drive-v0", range(4), 100, lane=50.0, **QUICK)
-    assert ended == crashed > 0
+    assert 0 < crashed <= ended
     assert compare("StereoSlam/Drive-v0", range(2), 90, policy="route", **QUICK) == (2, 0)
     assert compare("StereoSlam/Gaze-v0", range(2), 90, **QUICK) == (2, 0)
 

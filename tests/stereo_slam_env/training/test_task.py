@@ -49,7 +49,7 @@ def test_benchmark_and_training_have_the_same_filter_in_the_loop():
 
 
 def test_a_decision_holds_and_its_rewards_add_up_to_what_was_learnt():
-    task = GazeTask(arguments=QUICK, hold=4, pans=None)
+    task = GazeTask(arguments=QUICK, hold=4, pans=None, reward="information")
     env = task.make_for_learning()
     try:
         observation, info = env.reset(seed=0)

@@ -116,7 +116,7 @@ def test_rows_that_begin_leave_the_others_as_they_are():
 
 
 def test_the_information_of_an_episode_adds_up_to_the_loss_of_potential():
-    vector = GazeTask(arguments=WORLD).make_vector(3, autoreset_mode="Disabled")
+    vector = GazeTask(arguments=WORLD, reward="information").make_vector(3, autoreset_mode="Disabled")
     _, info = vector.reset(seed=0)
     first, total, over = info["information_potential"], 0.0, False
     while not over:
