@@ -2,7 +2,7 @@
 
 import sys
 
-from stereo_slam_env.cli.app import main
+from stereo_slam_env.cli.__main__ import main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -17,6 +17,7 @@ import numpy as np
 from filters import StereoCamera
 from filters.contract.foreign_text import first_line, plain
 from filters.validation import FloatArray
+from stereo_slam_env.files.opening import open_regular
 from stereo_slam_env.files.paths import is_there
 from stereo_slam_env.files.readers import read_json, read_text
 from stereo_slam_env.sensing.lenses import Lens, LensModel, Rectification, rectification, stated_rectification
@@ -229,7 +230,7 @@ def _kitti(path: Path, size: Size | None) -> StereoCamera:
 
 
 def _png_size(path: Path) -> Size | None:
-    with path.open("rb") as stream:
+    with open_regular(path) as stream:
         head = stream.read(24)
     return (int.from_bytes(head[16:20], "big"), int.from_bytes(head[20:24], "big")) if len(head) == 24 else None
 

@@ -184,6 +184,11 @@ def shows_vector(names, printed):
     assert names["learner_env"].num_envs == 16
 
 
+def shows_msckf(names, printed):
+    assert names["plain"].clones == ()  # before the first frame
+    assert [slam.camera for slam in (names["hybrid"], names["inertial"], names["monocular"])] == 3 * [names["camera"]]
+
+
 def shows_covariances(names, printed):
     median = float(printed.rsplit(maxsplit=1)[1])
     assert 0.3 < median < 2.0  # one drive; errors are white and independent here
@@ -294,6 +299,7 @@ SHOWS = {
     "docs/claim.md": shows_claim,
     "docs/faults.md": shows_faults,
     "docs/filters/inertial.md": shows_inertial,
+    "docs/filters/msckf.md": shows_msckf,
     "docs/front_end.md": shows_front_end,
     "docs/index.md": shows_index,
     "docs/nees.md": shows_nees,

@@ -99,10 +99,10 @@ def test_a_terminated_run_says_what_is_kept_as_an_interrupted_one_does(run, by):
 
 
 @pytest.mark.parametrize(
-    "seconds", [pytest.param(1.0, marks=pytest.mark.slow), pytest.param(2.0, marks=pytest.mark.slow), 4.0]
+    "seconds", [pytest.param(2.5, marks=pytest.mark.slow), pytest.param(3.5, marks=pytest.mark.slow), 5.0]
 )
 def test_an_early_interruption_shows_no_traceback(run, seconds):
-    """While modules are imported, and while the processes start."""
+    """While the command is imported, and while the processes start."""
     time.sleep(seconds)
     told = run.end_by(signal.SIGINT, group=True)
     assert run.process.returncode in (130, -signal.SIGINT), told  # the latter before the interpreter listens
