@@ -22,15 +22,14 @@ REFERENCE_RETURNS: Mapping[str, tuple[float, float]] = MappingProxyType(
     {
         "StereoSlam/Drive-v0": (-9.4, 31.4),
         "StereoSlam/ActiveGaze-v0": (-5.35, -0.59),
-        "StereoSlam/Explore-v0": (0.07, 8.90),
-        "StereoSlam/Revisit-v0": (-0.73, 10.12),
+        "StereoSlam/Explore-v0": (0.08, 8.34),
+        "StereoSlam/Revisit-v0": (-0.77, 8.28),
         "StereoSlam/ClosedLoop-v0": (-10.1, 20.8),
     }
 )
 """Mean returns of actions at random and of the best policy known, by id, with default arguments; measured by
 `python benchmarks/task_scores.py`. Of `ActiveGaze-v0` a fixed gaze in 500 drives, and the oracle by its ratio to
-that in 16 of them (0.11); measured by `python benchmarks/active_policies.py`. `Explore-v0` and `Revisit-v0` are from
-the fixed route "loop"."""
+that in 16 of them (0.11); measured by `python benchmarks/active_policies.py`."""
 
 
 def normalised_score(environment: str, returns: ArrayLike) -> FloatArray:
