@@ -63,7 +63,7 @@ def available_filters() -> dict[str, str]:
             lines[f"{entry_point.name} of {entry_point.module}"] = NOT_AVAILABLE + ": hidden by the built-in one"
             continue
         try:
-            lines[entry_point.name] = _first_line(_load(entry_point))
+            lines[entry_point.name] = _first_line(load_factory("filter", entry_point))
         except ValueError as error:
             lines[entry_point.name] = f"{NOT_AVAILABLE}: {error}"
     return lines
@@ -93,7 +93,8 @@ def filter_factory(name: str | FilterFactory) -> FilterFactory:
         return PRESETS[name]
     entry_point = plugin_of(name)
     if entry_point is not None:
-        return _load(entry_point)
+        loaded: FilterFactory = load_factory("filter", entry_point)
+        return loaded
     names = sorted({*PRESETS, *_plugins()})
     raise ValueError(f"filter must be one of {', '.join(names)}, got {name!r}{did_you_mean(name, names)}")
 
@@ -102,16 +103,16 @@ def _plugins() -> dict[str, EntryPoint]:
     return {point.name: point for point in entry_points(group=ENTRY_POINT_GROUP) if point.name not in PRESETS}
 
 
-def _load(entry_point: EntryPoint) -> FilterFactory:
+def load_factory(kind: str, entry_point: EntryPoint) -> Any:
+    """What an entry point names, of any kind of plug-in; raises a `ValueError` that names the kind and the plug-in."""
     try:
         factory = entry_point.load()
     except Exception as error:  # whatever a stranger's module does at import must not take the run down
         why = f"{type_name(error)}: {first_line(error)}"
-        raise ValueError(f"filter {entry_point.name!r} ({entry_point.value}) cannot be loaded: {why}") from error
+        raise ValueError(f"{kind} {entry_point.name!r} ({entry_point.value}) cannot be loaded: {why}") from error
     if not callable(factory):
-        raise ValueError(f"filter {entry_point.name!r} ({entry_point.value}) is not callable")
-    made: FilterFactory = factory
-    return made
+        raise ValueError(f"{kind} {entry_point.name!r} ({entry_point.value}) is not callable")
+    return factory
 
 
 def _refuse_unknown_options(name: str, factory: FilterFactory, options: dict[str, Any]) -> None:

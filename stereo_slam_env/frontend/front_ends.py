@@ -13,10 +13,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from importlib.metadata import EntryPoint, entry_points
 from inspect import getdoc
-from typing import Any, Protocol
+from typing import Protocol
 
 from filters import Forecast, StereoCamera
-from filters.contract.foreign_text import first_line, plain, type_name
+from filters.catalogue.registry import load_factory
+from filters.contract.foreign_text import plain
 from filters.contract.known_names import did_you_mean
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.frontend.tracks import TrackedPair
@@ -85,7 +86,8 @@ def front_end_factory(name: str) -> FrontEndFactory:
     if name not in points:
         known = ", ".join(points)
         raise ValueError(f"front end must be one of {known}, got {name!r}{did_you_mean(name, points)}")
-    return _load(points[name])
+    factory: FrontEndFactory = load_factory("front end", points[name])
+    return factory
 
 
 def available_front_ends() -> dict[str, str]:
@@ -93,7 +95,7 @@ def available_front_ends() -> dict[str, str]:
     lines = {}
     for name, point in _points().items():
         try:
-            lines[name] = plain((getdoc(_load(point)) or "no description").splitlines()[0])
+            lines[name] = plain((getdoc(load_factory("front end", point)) or "no description").splitlines()[0])
         except ValueError as error:
             lines[name] = f"{NOT_AVAILABLE}: {error}"
     return lines
@@ -102,15 +104,3 @@ def available_front_ends() -> dict[str, str]:
 def _points() -> dict[str, EntryPoint]:
     ours = {name: EntryPoint(name, value, ENTRY_POINT_GROUP) for name, value in _OURS.items()}
     return {**{point.name: point for point in entry_points(group=ENTRY_POINT_GROUP)}, **ours}
-
-
-def _load(point: EntryPoint) -> FrontEndFactory:
-    try:
-        factory: Any = point.load()
-    except Exception as error:  # whatever a stranger's module does at import must not take the run down
-        why = f"{type_name(error)}: {first_line(error)}"
-        raise ValueError(f"front end {point.name!r} ({point.value}) cannot be loaded: {why}") from error
-    if not callable(factory):
-        raise ValueError(f"front end {point.name!r} ({point.value}) is not callable")
-    made: FrontEndFactory = factory
-    return made
