@@ -13,9 +13,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from filters.extras import install_command
+from filters.contract.extras import install_command
+from filters.geometry.arrays import BoolArray, FloatArray
 from filters.geometry.camera import StereoCamera
-from filters.validation import BoolArray, FloatArray
 from stereo_slam_env.rendering import pinhole
 from stereo_slam_env.rendering.images import StereoImages
 from stereo_slam_env.world.meshes import Mesh
