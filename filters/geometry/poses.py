@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import overload
@@ -10,7 +11,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from filters.geometry import rotations
-from filters.validation import FloatArray
+from filters.validation import FloatArray, finite_array, unit_quaternion
+
+_ROUNDING = 1e-6
+"""Of the squared norm of a quaternion that is taken as it is."""
+
+
+def _is_vector(value: object, size: int) -> bool:
+    return type(value) is np.ndarray and value.dtype.char == "d" and value.shape == (size,)
 
 
 def _origin() -> FloatArray:
@@ -27,6 +35,11 @@ class Pose:
 
     `T_wc @ T_cb` composes poses, `T_wc @ p_c` takes points (..., 3) into W, `T_wc.inverse()` is T_cw.
 
+    Raises
+    ------
+    ValueError
+        A wrong shape, NaN or infinity, a quaternion that is not a unit one.
+
     References
     ----------
     Sola, Deray and Atchuthan, "A micro Lie theory for state estimation in robotics", 2018, section IV and appendix D.
@@ -36,6 +49,14 @@ class Pose:
     """(3,): origin of B in A, m."""
     orientation: FloatArray = field(default_factory=_unturned)
     """(4,): unit quaternion xyzw of R_ab."""
+
+    def __post_init__(self) -> None:
+        r, q = self.position, self.orientation
+        if not _is_vector(r, 3) or not math.isfinite(r.dot(r)):
+            object.__setattr__(self, "position", finite_array("position", r, (3,)))
+        # What the engine computed keeps its bits; `unit_quaternion` normalises.
+        if not _is_vector(q, 4) or not abs(q.dot(q) - 1.0) < _ROUNDING:
+            object.__setattr__(self, "orientation", unit_quaternion("orientation", q))
 
     @classmethod
     def exp(cls, tangent: ArrayLike) -> Pose:
@@ -62,8 +83,11 @@ class Pose:
         if isinstance(other, Pose):
             orientation = rotations.multiply(self.orientation, other.orientation)
             return Pose(self.position + self.R_wc @ other.position, orientation)
-        points: FloatArray = np.asarray(other) @ self.R_wc.T + self.position
-        return points
+        points = np.asarray(other, dtype=np.float64)
+        if points.shape[-1:] != (3,):
+            raise ValueError(f"points must have shape (..., 3), got {points.shape}")
+        moved: FloatArray = points @ self.R_wc.T + self.position
+        return moved
 
     def inverse(self) -> Pose:
         """T_ba, the pose of A in B."""

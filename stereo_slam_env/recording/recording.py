@@ -241,6 +241,14 @@ GreyImage = NDArray[np.uint8]
 """(H, W) uint8."""
 
 
+def require_frames(recording: object) -> None:
+    """Refuse what is no recording, and one without frames."""
+    if not isinstance(recording, Recording):
+        raise ValueError(f"recording must be a Recording, as load and record give it, got {recording!r}")
+    if len(recording) == 0:
+        raise ValueError(f"recording {recording.name!r} has no frames")
+
+
 @dataclass(frozen=True, eq=False)
 class StereoPair:
     """Both images of one instant, rectified."""
