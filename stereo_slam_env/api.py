@@ -16,7 +16,7 @@ from rich.console import Console
 
 from filters import StereoNoise
 from filters.catalogue.registry import filter_factory, label_of
-from filters.validation import whole_number
+from filters.contract.validation import whole_number
 from stereo_slam_env.benchmark.head_to_head import FilterLike, HeadToHead, which_seeds
 from stereo_slam_env.benchmark.scenarios import streams
 from stereo_slam_env.benchmark.scenarios.scenario import Scenario, filter_choice

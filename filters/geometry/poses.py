@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import overload
@@ -11,14 +10,23 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from filters.geometry import rotations
-from filters.validation import FloatArray, finite_array, unit_quaternion
+from filters.geometry.arrays import FloatArray
 
 _ROUNDING = 1e-6
-"""Of the squared norm of a quaternion that is taken as it is."""
+\"\"\"Of the squared norm of a unit quaternion.\"\"\"
 
 
-def _is_vector(value: object, size: int) -> bool:
-    return type(value) is np.ndarray and value.dtype.char == "d" and value.shape == (size,)
+def _vector(name: str, value: ArrayLike, size: int) -> FloatArray:
+    \"\"\"`value` as float64 of shape (size,); what is so already stays the same object.\"\"\"
+    if type(value) is np.ndarray and value.dtype.char == "d" and value.shape == (size,):
+        return value
+    try:
+        array = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{name} must be {size} numbers, got {value!r}") from error
+    if array.shape != (size,):
+        raise ValueError(f"{name} must have shape ({size},), got {array.shape}")
+    return array
 
 
 def _origin() -> FloatArray:
@@ -51,12 +59,13 @@ class Pose:
     """(4,): unit quaternion xyzw of R_ab."""
 
     def __post_init__(self) -> None:
-        r, q = self.position, self.orientation
-        if not _is_vector(r, 3) or not math.isfinite(r.dot(r)):
-            object.__setattr__(self, "position", finite_array("position", r, (3,)))
-        # What the engine computed keeps its bits; `unit_quaternion` normalises.
-        if not _is_vector(q, 4) or not abs(q.dot(q) - 1.0) < _ROUNDING:
-            object.__setattr__(self, "orientation", unit_quaternion("orientation", q))
+        position, orientation = _vector("position", self.position, 3), _vector("orientation", self.orientation, 4)
+        if not np.isfinite(position).all():
+            raise ValueError(f"position must be finite, got {position}")
+        if not abs(orientation.dot(orientation) - 1.0) < _ROUNDING:
+            raise ValueError(f"orientation must be a unit quaternion (xyzw), got {orientation}: normalise it")
+        object.__setattr__(self, "position", position)
+        object.__setattr__(self, "orientation", orientation)
 
     @classmethod
     def exp(cls, tangent: ArrayLike) -> Pose:
