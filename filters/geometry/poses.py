@@ -12,12 +12,12 @@ from numpy.typing import ArrayLike
 from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray
 
-_ROUNDING = 1e-6
-\"\"\"Of the squared norm of a unit quaternion.\"\"\"
+_ROUNDING, _ROUGHLY = 1e-6, 2e-3
+"""Of the squared norm of a quaternion that keeps its bits, and of one that is normalised."""
 
 
 def _vector(name: str, value: ArrayLike, size: int) -> FloatArray:
-    \"\"\"`value` as float64 of shape (size,); what is so already stays the same object.\"\"\"
+    """`value` as float64 of shape (size,); what is so already stays the same object."""
     if type(value) is np.ndarray and value.dtype.char == "d" and value.shape == (size,):
         return value
     try:
@@ -62,8 +62,11 @@ class Pose:
         position, orientation = _vector("position", self.position, 3), _vector("orientation", self.orientation, 4)
         if not np.isfinite(position).all():
             raise ValueError(f"position must be finite, got {position}")
-        if not abs(orientation.dot(orientation) - 1.0) < _ROUNDING:
+        square = orientation.dot(orientation)
+        if not abs(square - 1.0) < _ROUGHLY:
             raise ValueError(f"orientation must be a unit quaternion (xyzw), got {orientation}: normalise it")
+        if abs(square - 1.0) > _ROUNDING:
+            orientation = orientation / np.sqrt(square)
         object.__setattr__(self, "position", position)
         object.__setattr__(self, "orientation", orientation)
 

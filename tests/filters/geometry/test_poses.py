@@ -59,6 +59,7 @@ def test_lists_are_taken_as_arrays_and_computed_values_keep_their_bits():
     assert (listed @ [1.0, 0.0, 0.0]).tolist() == [2.0, 2.0, 3.0]
     nearly = np.array([0.0, 0.0, 0.0, 1.0 + 1e-8])
     assert Pose(np.zeros(3), nearly).orientation is nearly
+    assert Pose([0, 0, 0], [0, 0, 0, 1.0005]).orientation.tolist() == [0.0, 0.0, 0.0, 1.0]
 
 
 @pytest.mark.parametrize(
