@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import overload
@@ -60,15 +61,14 @@ class Pose:
 
     def __post_init__(self) -> None:
         position, orientation = _vector("position", self.position, 3), _vector("orientation", self.orientation, 4)
-        if not np.isfinite(position).all():
+        if not (math.isfinite(position.dot(position)) or np.isfinite(position).all()):  # the first is the quicker one
             raise ValueError(f"position must be finite, got {position}")
-        square = orientation.dot(orientation)
+        square = float(orientation.dot(orientation))
         if not abs(square - 1.0) < _ROUGHLY:
             raise ValueError(f"orientation must be a unit quaternion (xyzw), got {orientation}: normalise it")
         if abs(square - 1.0) > _ROUNDING:
             orientation = orientation / np.sqrt(square)
-        object.__setattr__(self, "position", position)
-        object.__setattr__(self, "orientation", orientation)
+        vars(self).update(position=position, orientation=orientation)
 
     @classmethod
     def exp(cls, tangent: ArrayLike) -> Pose:

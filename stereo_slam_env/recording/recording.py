@@ -33,7 +33,7 @@ class Frame:
     """One instant of a recording."""
 
     timestamp: float
-    """s."""
+    """Time of the images, s."""
     observation: StereoObservation
     """What the stereo sensor saw; may be empty."""
     odometry: BodyVelocity | None = None
