@@ -16,7 +16,6 @@ from filters import BodyVelocity, StereoCamera, StereoObservation
 from .textbook import complex_step_jacobian, triangulate
 
 
-
 def cross(a: np.ndarray) -> np.ndarray:
     """[a]x of one vector."""
     return np.array([[0.0, -a[2], a[1]], [a[2], 0.0, -a[0]], [-a[1], a[0], 0.0]], dtype=np.asarray(a).dtype)
