@@ -6,8 +6,8 @@ import numpy as np
 
 from filters.contract.odometry import BodyVelocity
 from filters.geometry import rotations
+from filters.geometry.arrays import FloatArray
 from filters.geometry.poses import Pose
-from filters.validation import FloatArray
 
 
 def moved_by(odometry: BodyVelocity, dt: float, moved: Pose) -> tuple[FloatArray, FloatArray]:

@@ -7,10 +7,11 @@ import math
 import numpy as np
 from numba import njit
 
-from filters.validation import FloatArray, IntArray
+from filters.geometry.arrays import FloatArray, IntArray
 from stereo_slam_env.simulator.contacts import collides
 from stereo_slam_env.simulator.motion import (
     MOTION,
+    ODOMETRY,
     measure_odometry,
     move,
     nearest_frame,
@@ -50,7 +51,7 @@ def _begin(rules: Rules, fleet: Fleet, b: int) -> None:
         fleet.used[b, MOTION] = used + 6
         route_velocity(rules, fleet, b, 0)
     if rules.smooth:
-        begin_ride(rules, fleet, b, MOTION)
+        begin_ride(rules, fleet, b, ODOMETRY)  # the car stays that of the steps
 
 
 @njit(**KERNEL)

@@ -12,8 +12,8 @@ import math
 
 from numba import njit
 
+from filters.geometry.arrays import FloatArray
 from filters.geometry.rotations import Nine, Three
-from filters.validation import FloatArray
 from stereo_slam_env.simulator.motion import (
     back,
     matrix_of,
