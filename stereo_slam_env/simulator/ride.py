@@ -35,7 +35,7 @@ _SUSPENSION, _STIFFNESS, _DAMPING = 0.007, 60.0, 7.0
 _AMPLITUDES = (0.02, 0.008, 0.003, 2e-3, 2e-3, 2e-3, 2e-3)
 """Of the road's waves: height, m; pitch and roll, rad. After the suspension, as of class B of ISO 8608."""
 _WAVES = (0.125, 0.375, 1.1, 0.5, 1.1, 0.5, 1.1)
-"""rad/m."""
+"""Wave numbers of those waves along the way, rad/m."""
 _GRAVITY = 9.81
 _V, _A, _W, _ALPHA, _LEAN, _RATE, _WAY, _POSE, _PHASES = 0, 3, 6, 9, 12, 14, 16, 17, 24
 """Columns of `Fleet.ride`: linear velocity and acceleration, W; angular ones; pitch and roll and their rates; distance;
