@@ -69,7 +69,8 @@ class StereoGazeEnv(StereoEnv):
 
     ## Arguments
 
-    Those of `StereoSlam/Drive-v0` without `policy`, `lane`, `progress_weight`, `collision_weight`, `goal_weight` and
+    Those of `StereoSlam/Drive-v0` without `policy`, `lane`, `vehicle`, `roughness`, `imu`, `progress_weight`,
+    `collision_weight`, `goal_weight` and
     `time_weight`, but for:
 
     | Argument | Default | Meaning |
