@@ -34,6 +34,8 @@ from stereo_slam_env.benchmark.statistics.verdict import judge, pose_nees
 from stereo_slam_env.benchmark.storage.tables import CellResult
 from stereo_slam_env.evaluation.figures import FIGURES, UNKNOWN, Figure
 from stereo_slam_env.evaluation.results import FilterSummary
+from stereo_slam_env.evaluation.rig_errors import rig_errors
+from stereo_slam_env.frontend.reference_audit import audit_of
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.recording.recording import Recording
 
@@ -115,8 +117,10 @@ def show_recording(console: Console, recording: Recording) -> None:
         "recording": f"{recording.name}: {len(frames)} frames, {frames[-1].timestamp - frames[0].timestamp:.1f} s, "
         f"{observed / len(frames):.0f} landmarks a frame, {referenced} with a reference pose",
         "reference": str(recording.reference),
+        **_audit(recording),
         "its noise": noise,
         **({"that lasts": _lasting(recording.noise)} if isinstance(recording.noise, ColouredNoise) else {}),
+        **_rig_found(recording),
         "read as": _listed(source),
     }
     if front_end is not None:
@@ -145,6 +149,25 @@ def _lasting(noise: ColouredNoise) -> str:
     if noise.scale:
         said.append(f"the scale is known to {100 * noise.scale:.1f} %")
     return "; ".join(said) or "nothing"
+
+
+def _audit(recording: Recording) -> dict[str, str]:
+    """Whether the images contradict the reference; nothing where there is none, or an exact one."""
+    reference = recording.reference
+    if not reference.counts_as_truth or reference.kind == "simulation":
+        return {}
+    return {"its steps": str(audit_of(recording))}
+
+
+def _rig_found(recording: Recording) -> dict[str, str]:
+    """Errors of the rig that the drive shows, with standard errors."""
+    units = {"disparity_offset": (1.0, "px"), "right_yaw": (1e3, "mrad"), "right_roll": (1e3, "mrad")}
+    found = {name: (units[name], *value) for name, value in rig_errors(recording).items()}
+    said = [
+        f"{name.replace('_', ' ')} {scale * value:+.2f} ± {scale * sigma:.2f} {unit}"
+        for name, ((scale, unit), value, sigma) in found.items()
+    ]
+    return {"rig found": ", ".join(said)} if said else {}
 
 
 def show_noise(console: Console, name: str, found: MeasurementErrors) -> None:
