@@ -195,9 +195,8 @@ def active_gaze(render_mode: str | None = None, *, many: Mapping[str, Any] | Non
         There is no argument of that name.
     """
     task = GazeTask(**arguments)
-    if many is not None:
-        return task.make_rows(**many)
-    return replace(task, arguments={**task.arguments, "render_mode": render_mode}).make_for_learning()
+    task = replace(task, arguments={**task.arguments, "render_mode": render_mode})
+    return task.make_for_learning() if many is None else task.make_rows(**many)
 
 
 active_gaze_vector = vector_of(active_gaze)

@@ -79,12 +79,11 @@ def test_a_run_leaves_a_network_a_curve_and_what_it_was_made_with(quick, tmp_pat
     "task",
     [
         TASK,
-        RegisteredTask("StereoSlam/Revisit-v0"),
         RegisteredTask("StereoSlam/ClosedLoop-v0", {"arguments": {"route": "right-turn"}}),
         RegisteredTask("StereoSlam/Drive-v0", {"route": "right-turn", "max_landmarks": 8}),
         RegisteredTask("StereoSlam/Explore-v0", {"max_episode_steps": 30}),
     ],
-    ids=["looks", "Revisit", "ClosedLoop", "Drive", "Explore"],
+    ids=["looks", "ClosedLoop", "Drive", "Explore"],
 )
 def test_a_resumed_training_has_the_bits_of_an_unbroken_one(tmp_path, task):
     pytest.importorskip("stable_baselines3", reason="needs the extra rl")
