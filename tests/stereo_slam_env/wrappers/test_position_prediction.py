@@ -38,7 +38,7 @@ def test_the_target_is_where_the_camera_was_when_the_prediction_was_made():
     _, info = env.reset(seed=3)
     for _ in range(5):
         before = info["truth_position"]
-        _, reward, *_, info = env.step(saying(before + [0.0, 0.3, 0.4]))
+        _, reward, *_, info = env.step(saying(before + np.array([0.0, 0.3, 0.4])))
         np.testing.assert_allclose(info["prediction"]["target"], before, atol=1e-5)
         assert reward == pytest.approx(-0.25, abs=1e-5)
         assert np.linalg.norm(info["truth_position"] - before) > 0.05
