@@ -25,7 +25,7 @@ import numpy as np
 
 import stereo_slam_env as sse
 from filters import StereoCamera, StereoNoise, StereoObservation, nees
-from filters.validation import FloatArray
+from filters.geometry.arrays import FloatArray
 from harness import arguments, show
 from stereo_slam_env.evaluation.trajectory_metrics import ate_rigid
 from stereo_slam_env.evaluation.windows import window_ends

@@ -26,8 +26,7 @@ from threadpoolctl import threadpool_limits
 
 from filters import ConstantVelocity, Start, StereoEKF, StereoNoise, StereoObservation
 from filters.checks.conformance import REFERENCE_CAMERA as CAMERA
-from filters.geometry import rotations
-from filters.state import symmetric
+from filters.geometry import rotations, symmetric
 from harness import arguments, show
 
 LANDMARKS = 12

@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from filters import StereoEKF
-from filters.consistency import nees
+from filters.checks.consistency import nees
 from filters.landmarks.hybrid import Hybrid
 from harness import arguments, by_seed, show
 from stereo_slam_env.benchmark.recordings.reference_problem import long_drive

@@ -21,7 +21,7 @@ import numpy as np
 
 import stereo_slam_env as sse
 from filters import StereoCamera
-from filters.validation import FloatArray
+from filters.geometry.arrays import FloatArray
 from harness import arguments, show
 from stereo_slam_env.frontend.finding import PairFinder
 from stereo_slam_env.frontend.matching import search

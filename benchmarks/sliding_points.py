@@ -21,7 +21,7 @@ import math
 
 import numpy as np
 
-from filters.validation import FloatArray
+from filters.geometry.arrays import FloatArray
 from harness import show
 
 POINTS, FRAMES, SEEDS, LIFE = 70, 300, 40, 12

@@ -4,6 +4,6 @@
 programs want to wait for `--help`.
 """
 
-from filters.extras import public_names
+from filters.contract.extras import public_names
 
 __getattr__, __dir__, __all__ = public_names(__name__, __file__)

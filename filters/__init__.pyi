@@ -18,10 +18,10 @@ from .checks.conformance import ConformanceReport as ConformanceReport
 from .checks.conformance import assert_healthy as assert_healthy
 from .checks.conformance import check_filter as check_filter
 from .checks.conformance import shown_arrays as shown_arrays
+from .checks.consistency import nees as nees
 from .checks.part_checks import check_part as check_part
 from .checks.pytest_cases import parametrize_with_checks as parametrize_with_checks
 from .checks.pytest_cases import parametrize_with_part_checks as parametrize_with_part_checks
-from .consistency import nees as nees
 from .contract.beliefs import Forecast as Forecast
 from .contract.beliefs import LandmarkBelief as LandmarkBelief
 from .contract.beliefs import PoseBelief as PoseBelief

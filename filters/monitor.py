@@ -18,7 +18,7 @@ import numpy as np
 
 from filters.contract.beliefs import PoseBelief
 from filters.contract.update_report import UpdateReport
-from filters.validation import positive
+from filters.contract.validation import positive
 
 _TOLERATED, _LOST = 0.5, 0.9
 """Shares of known landmarks refused: the most that gross outliers are blamed for, and with a pose that is wrong."""

@@ -30,7 +30,7 @@ from rich.table import Table
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from filters.extras import install_command  # noqa: E402
+from filters.contract.extras import install_command  # noqa: E402
 from fuzz.harness import Harness, limited_memory  # noqa: E402 (the folder of a script is not that of its package)
 from fuzz.mutations import mutated  # noqa: E402
 from fuzz.targets import targets  # noqa: E402

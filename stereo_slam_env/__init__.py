@@ -68,6 +68,6 @@ def __getattr__(name: str) -> _Any:
     try:
         return _load(name)
     except ModuleNotFoundError as error:
-        from filters.extras import explained
+        from filters.contract.extras import explained
 
         raise explained(error) from None

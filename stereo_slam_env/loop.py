@@ -27,7 +27,7 @@ from filters import (
 )
 from filters.catalogue.registry import FilterFactory, label_of
 from filters.geometry import rotations
-from filters.validation import FloatArray
+from filters.geometry.arrays import FloatArray
 from stereo_slam_env.recording.recording import SIMULATION, Frame, Recording, Reference
 
 Observe = Callable[[int, StereoFilter], StereoObservation]

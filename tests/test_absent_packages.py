@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 import stereo_slam_env as sse
-from filters.extras import CORE, install_command
+from filters.contract.extras import CORE, install_command
 from stereo_slam_env.cli.app import main
 
 if sys.version_info >= (3, 11):

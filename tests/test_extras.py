@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from filters.extras import DISTRIBUTION, install_command
+from filters.contract.extras import DISTRIBUTION, install_command
 
 from .newcomer import install, make_environment, run
 
@@ -68,7 +68,8 @@ def test_the_command_leaves_an_editable_installation_editable(tmp_path):
     install(home, source, "--no-build-isolation", "--editable")
     python = home / "bin" / "python"
 
-    command = run(python, "-c", "from filters.extras import install_command as c; print(c('gl'))", cwd=tmp_path)
+    ask = "from filters.contract.extras import install_command as c; print(c('gl'))"
+    command = run(python, "-c", ask, cwd=tmp_path)
     printed = run(*shlex.split(command), "--no-index", cwd=source)  # in the checkout: where people stand
     assert f"Requirement already satisfied: {DISTRIBUTION}[gl]" in printed
     for package in PROJECT_PACKAGES:

@@ -21,13 +21,14 @@ from filters.contract.observation import StereoObservation
 from filters.contract.start import Start
 from filters.contract.stereo_filter import AT_ORIGIN
 from filters.contract.update_report import Correction, UpdateReport
+from filters.contract.validation import unique_ids
 from filters.engine.gating import gate_limit
 from filters.engine.stereo_ekf import StereoEKF
+from filters.geometry.arrays import FloatArray, IntArray
 from filters.geometry.camera import StereoCamera
 from filters.geometry.rotations import matrix_of
 from filters.geometry.three_by_three import cross_matrix, multiply, put, times, transposed
 from filters.measurements.rectified_pair import LeftOnly, RangeBearing
-from filters.validation import FloatArray, IntArray, unique_ids
 
 _LEAST = 3
 """Frames of a track that is used: with two, little is left beside the landmark."""

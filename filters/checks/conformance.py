@@ -19,8 +19,8 @@ import numpy as np
 
 from filters.catalogue.common_options import USUAL, make_with_common_options
 from filters.catalogue.registry import FilterFactory, filter_factory, label_of
+from filters.checks.consistency import fault_of
 from filters.checks.drives import DT, SPEED, StraightDrive, WindingDrive
-from filters.consistency import fault_of
 from filters.contract.beliefs import Forecast, PoseBelief
 from filters.contract.foreign_text import first_line, type_name
 from filters.contract.inertial import InertialSamples
@@ -30,8 +30,8 @@ from filters.contract.odometry import BodyVelocity
 from filters.contract.start import Start
 from filters.contract.stereo_filter import StereoFilter
 from filters.contract.update_report import UpdateReport
+from filters.geometry.arrays import FloatArray
 from filters.geometry.camera import StereoCamera
-from filters.validation import FloatArray
 
 REFERENCE_CAMERA = StereoCamera(721.5, 721.5, 672.0, 195.5, 0.571, 1344, 391)
 REFERENCE_NOISE = StereoNoise.independent_pixels(1.0)

@@ -14,8 +14,8 @@ from filters.contract.observation import StereoObservation
 from filters.contract.odometry import BodyVelocity
 from filters.contract.stereo_filter import StereoFilter
 from filters.geometry import rotations
+from filters.geometry.arrays import FloatArray, IntArray
 from filters.geometry.camera import StereoCamera
-from filters.validation import FloatArray, IntArray
 
 DT = 0.1
 SPEED = 5.0

@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from filters.validation import FloatArray, positive
+from filters.contract.validation import positive
+from filters.geometry.arrays import FloatArray
 
 
 @dataclass(frozen=True)

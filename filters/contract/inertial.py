@@ -8,7 +8,8 @@ from functools import cached_property
 import numpy as np
 
 from filters.contract.odometry import FASTEST
-from filters.validation import FloatArray, at_most, finite_array, positive, unit_quaternion
+from filters.contract.validation import at_most, finite_array, positive, unit_quaternion
+from filters.geometry.arrays import FloatArray
 
 _CLOCK = 1e-6
 """Rounding of differences of time stamps, s."""

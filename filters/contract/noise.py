@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from filters.contract.drift import LandmarkDrift
-from filters.validation import FloatArray, at_most, covariance_matrix, positive
+from filters.contract.validation import at_most, covariance_matrix, positive
+from filters.geometry.arrays import FloatArray
 
 LARGEST_VARIANCE = 1e18
 """Of a measurement, px^2: up to it filters are tested."""

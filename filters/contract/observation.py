@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from filters.contract.noise import LARGEST_VARIANCE, StereoNoise
-from filters.validation import FloatArray, IntArray, at_most, covariance_matrix, finite_array, unique_ids
+from filters.contract.validation import at_most, covariance_matrix, finite_array, unique_ids
+from filters.geometry.arrays import FloatArray, IntArray
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from filters.validation import FloatArray, at_most, covariance_matrix, finite_array
+from filters.contract.validation import at_most, covariance_matrix, finite_array
+from filters.geometry.arrays import FloatArray
 
 FASTEST, LARGEST_VARIANCE = 1e6, 1e12
 """Numbers up to which filters are tested: m/s or rad/s, and their squares."""

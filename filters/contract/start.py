@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from filters.validation import FloatArray, covariance_matrix, finite_array, unit_quaternion
+from filters.contract.validation import covariance_matrix, finite_array, unit_quaternion
+from filters.geometry.arrays import FloatArray
 
 # Standard deviations where no covariance is given: a known pose (m, rad), a broad velocity (m/s, rad/s).
 KNOWN_POSE = 1e-6

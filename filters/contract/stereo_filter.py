@@ -22,8 +22,9 @@ from filters.contract.observation import StereoObservation
 from filters.contract.odometry import BodyVelocity
 from filters.contract.start import Start
 from filters.contract.update_report import UpdateReport
+from filters.contract.validation import positive, unique_ids
+from filters.geometry.arrays import FloatArray, IntArray
 from filters.geometry.camera import StereoCamera
-from filters.validation import FloatArray, IntArray, positive, unique_ids
 
 _log = logging.getLogger(__name__)
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from filters.validation import IntArray
+from filters.geometry.arrays import IntArray
 
 _NO_IDS: IntArray = np.zeros(0, dtype=np.int64)
 _NO_IDS.flags.writeable = False

@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from filters.contract.validation import covariance_matrix, finite_array
 from filters.geometry import differences, rotations
+from filters.geometry.arrays import FloatArray
 from filters.geometry.retractions import ADDITIVE, Retraction
-from filters.validation import FloatArray, covariance_matrix, finite_array
 
 POSE, VELOCITY = "pose", "velocity"
 """The variables that every filter has."""

@@ -16,6 +16,7 @@ from filters.contract.odometry import BodyVelocity
 from filters.contract.start import Start
 from filters.contract.stereo_filter import AT_ORIGIN, LONGEST_STEP, check_start, check_step, time_step
 from filters.contract.update_report import UpdateReport
+from filters.contract.validation import whole_number
 from filters.engine.compiled.readout import points_at, relative_landmarks
 from filters.engine.compiled.units import of_part
 from filters.engine.doors import Parts
@@ -23,8 +24,8 @@ from filters.engine.engine import Engine
 from filters.engine.frames import Observations, Odometry, Outcome
 from filters.engine.row import Row, report
 from filters.engine.stereo_ekf import StereoEKF
+from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.motions.model import input_of
-from filters.validation import BoolArray, FloatArray, IntArray, whole_number
 
 
 @dataclass(frozen=True, eq=False)

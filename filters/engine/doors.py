@@ -13,6 +13,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from filters.contract.observation import StereoObservation
+from filters.contract.validation import unchecked
 from filters.engine import selection
 from filters.engine.compiled.blas import PLAIN
 from filters.engine.compiled.frame import FIRST, MOVED, SETTLED
@@ -24,6 +25,7 @@ from filters.engine.new_landmarks import can_start, start_landmarks
 from filters.engine.options import Options
 from filters.engine.values import ValuePlaces
 from filters.geometry import rotations
+from filters.geometry.arrays import FloatArray, IntArray
 from filters.geometry.camera import StereoCamera
 from filters.measurements.model import Stage
 from filters.motions.model import ROTATION, StepInput, measure_odometry, predict_camera
@@ -32,7 +34,6 @@ from filters.state.linearised import LinearisedMeasurements
 from filters.state.transport import Transport
 from filters.updates.extended import Extended
 from filters.updates.model import points_in_camera
-from filters.validation import FloatArray, IntArray, unchecked
 
 _DOOR = ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * 5)
 

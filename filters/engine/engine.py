@@ -27,8 +27,8 @@ from filters.engine.compiled.storage import (
 from filters.engine.compiled.units import Packed
 from filters.engine.doors import Doors, Parts
 from filters.engine.frames import Observations, Odometry, Outcome
+from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.motions.model import MotionModel
-from filters.validation import BoolArray, FloatArray, IntArray
 
 _ROOM = 32  # blocks, at first
 

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from filters.contract.odometry import BodyVelocity
+from filters.contract.validation import unchecked
+from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.motions.model import StepInput
-from filters.validation import BoolArray, FloatArray, IntArray, unchecked
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,16 +6,15 @@ import numpy as np
 
 from filters.contract.beliefs import Forecast, LandmarkBelief
 from filters.contract.noise import StereoNoise
-from filters.geometry import rotations
+from filters.geometry import rotations, symmetric
+from filters.geometry.arrays import FloatArray, IntArray
 from filters.geometry.camera import StereoCamera
 from filters.landmarks.model import Points
 from filters.measurements.model import MeasurementModel, Stage
 from filters.motions.model import POSE_SIZE
-from filters.state import symmetric
 from filters.state.joint_state import JointState
 from filters.updates.extended import Extended
 from filters.updates.model import points_in_camera
-from filters.validation import FloatArray, IntArray
 
 
 def landmark_belief(state: JointState) -> LandmarkBelief:

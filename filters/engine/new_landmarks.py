@@ -6,11 +6,11 @@ import numpy as np
 
 from filters.contract.observation import StereoObservation
 from filters.geometry import rotations
+from filters.geometry.arrays import BoolArray, FloatArray
 from filters.geometry.camera import StereoCamera
 from filters.measurements.model import MeasurementModel
 from filters.state.joint_state import JointState, NewLandmarks
 from filters.updates.extended import chain_rule
-from filters.validation import BoolArray, FloatArray
 
 FARTHEST = 1e6
 """No camera measures a pixel or a disparity as large, px; squares of what would come of 1e300 overflow."""

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from filters.contract.drift import LandmarkDrift
+from filters.contract.validation import covariance_matrix, gate_probability, positive
 from filters.errors.model import ErrorDefinition
 from filters.landmarks.model import LandmarkModel
 from filters.measurements.model import MeasurementModel
@@ -17,7 +18,6 @@ from filters.motions.model import MotionModel
 from filters.parts import kernels_of, make_part
 from filters.state.layout import Layout
 from filters.updates.model import Linearisation
-from filters.validation import covariance_matrix, gate_probability, positive
 
 
 @dataclass(frozen=True)

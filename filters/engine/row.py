@@ -22,6 +22,7 @@ from filters.engine.frames import Observations, Odometry, Outcome
 from filters.engine.options import Options
 from filters.engine.values import ValuePlaces
 from filters.errors.model import ErrorKernels
+from filters.geometry.arrays import FloatArray, IntArray
 from filters.geometry.camera import StereoCamera
 from filters.geometry.machine_code import settings_of
 from filters.geometry.retractions import ADDITIVE
@@ -29,7 +30,6 @@ from filters.measurements.model import MeasurementModel
 from filters.motions.model import CameraState, StepInput
 from filters.parts import SLOTS, kernels_of
 from filters.state.joint_state import JointState
-from filters.validation import FloatArray, IntArray
 
 _FATES = {
     "updated": fates.USED,

@@ -11,14 +11,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from filters.geometry import symmetric
+from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.geometry.camera import StereoCamera
 from filters.measurements.model import MeasurementModel, Stage
 from filters.motions.model import POSE_SIZE, POSITION
-from filters.state import symmetric
 from filters.state.joint_state import JointState
 from filters.state.linearised import LinearisedMeasurements
 from filters.updates.extended import Extended, chain_rule
-from filters.validation import BoolArray, FloatArray, IntArray
 
 STEP = np.diag(np.repeat([1.0, 0.1], 3) ** 2)
 """Covariance of the step, m and rad: as good as unknown, so that the landmarks have to tell it."""

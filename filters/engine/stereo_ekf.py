@@ -22,11 +22,13 @@ from filters.contract.odometry import BodyVelocity
 from filters.contract.start import Start
 from filters.contract.stereo_filter import AT_ORIGIN, StereoFilter, check_rig, check_start, check_step
 from filters.contract.update_report import Correction, UpdateReport
+from filters.contract.validation import covariance_matrix, finite_array, gate_probability, unique_ids, unit_quaternion
 from filters.contract.variables import POSE, VELOCITY, VariableBelief
 from filters.engine.gating import gate_limit
 from filters.engine.marginals import forecast, joint_covariance, landmark_belief, pose_landmark_covariances
 from filters.engine.options import Options
 from filters.errors.model import ErrorDefinition
+from filters.geometry.arrays import FloatArray, IntArray
 from filters.geometry.camera import StereoCamera
 from filters.geometry.poses import Pose, relative_jacobian
 from filters.landmarks.model import LandmarkModel
@@ -35,15 +37,6 @@ from filters.motions.model import CameraState, MotionModel, input_of
 from filters.parts import Named
 from filters.state.joint_state import JointState
 from filters.updates.model import Linearisation
-from filters.validation import (
-    FloatArray,
-    IntArray,
-    covariance_matrix,
-    finite_array,
-    gate_probability,
-    unique_ids,
-    unit_quaternion,
-)
 
 if TYPE_CHECKING:
     from filters.engine.engine import Engine

@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 
 from filters.contract.variables import VELOCITY
+from filters.geometry.arrays import FloatArray
 from filters.motions.model import CameraState
 from filters.state.layout import Layout
-from filters.validation import FloatArray
 
 
 class ValuePlaces:

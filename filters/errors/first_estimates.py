@@ -18,10 +18,10 @@ from typing import ClassVar
 import numpy as np
 
 from filters.errors.model import ErrorDefinition, ErrorKernels
+from filters.geometry.arrays import FloatArray
 from filters.motions.model import ROTATION
 from filters.state.joint_state import JointState, world_rotation_of_variables
 from filters.state.transport import Transport
-from filters.validation import FloatArray
 
 
 class FirstEstimates(ErrorDefinition):

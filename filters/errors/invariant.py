@@ -23,10 +23,10 @@ import numpy as np
 
 from filters.errors.model import ErrorDefinition, ErrorKernels
 from filters.geometry import rotations
+from filters.geometry.arrays import FloatArray
 from filters.motions.model import POSITION, ROTATION, CameraState
 from filters.state.joint_state import JointState
 from filters.state.transport import Transport
-from filters.validation import FloatArray
 
 
 class _InvariantError(ErrorDefinition):

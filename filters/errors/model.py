@@ -14,11 +14,11 @@ from typing import ClassVar
 
 import numpy as np
 
+from filters.geometry.arrays import FloatArray, IntArray
 from filters.geometry.retractions import Retraction, RotationVector
 from filters.motions.model import CameraState
 from filters.state.joint_state import Clone, JointState
 from filters.state.transport import Transport
-from filters.validation import FloatArray, IntArray
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from filters.validation import BoolArray, FloatArray, positive
+from filters.geometry.arrays import BoolArray, FloatArray
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,9 @@ class StereoCamera:
 
     def __post_init__(self) -> None:
         for name in ("fx", "fy", "baseline", "width", "height"):
-            positive(f"camera.{name}", getattr(self, name))
+            size = getattr(self, name)
+            if not isinstance(size, float | int | np.number) or not np.isfinite(size) or size <= 0:
+                raise ValueError(f"camera.{name} must be a finite number > 0, got {size!r}")
         for name in ("cx", "cy"):
             if not np.isfinite(getattr(self, name)):
                 raise ValueError(f"camera.{name} must be finite, got {getattr(self, name)!r}")

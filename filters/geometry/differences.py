@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from filters.validation import FloatArray
+from filters.geometry.arrays import FloatArray
 
 STEP = 1e-4
 """Where truncation (STEP^4) and rounding (1e-16 / STEP) are both about 1e-12 of a function of size one."""

@@ -11,7 +11,7 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 
-from filters.validation import FloatArray
+from filters.geometry.arrays import FloatArray
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 _compilers: list[Callable[[Callable[..., Any]], Any]] = []

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from filters.geometry import rotations
-from filters.validation import FloatArray
+from filters.geometry.arrays import FloatArray
 
 
 def _origin() -> FloatArray:

@@ -14,8 +14,8 @@ from typing import Protocol
 import numpy as np
 
 from filters.geometry import rotations
+from filters.geometry.arrays import FloatArray
 from filters.geometry.machine_code import compiled
-from filters.validation import FloatArray
 
 _EYE = np.eye(3)
 

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
+from filters.geometry.arrays import FloatArray
 from filters.geometry.machine_code import compiled
-from filters.validation import FloatArray
 
 Three = tuple[float, float, float]
 Four = tuple[float, float, float, float]

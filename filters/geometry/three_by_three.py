@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from filters.geometry.arrays import FloatArray
 from filters.geometry.machine_code import compiled
 from filters.geometry.rotations import Nine, Three
-from filters.validation import FloatArray
 
 IDENTITY: Nine = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 

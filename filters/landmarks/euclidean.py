@@ -11,8 +11,8 @@ from typing import ClassVar
 import numpy as np
 
 from filters.geometry import rotations
+from filters.geometry.arrays import BoolArray, FloatArray
 from filters.landmarks.model import LandmarkKernels, LandmarkModel, ScaledPoints, StartedLandmarks
-from filters.validation import BoolArray, FloatArray
 
 
 def _point(settings: FloatArray, values: FloatArray, points: FloatArray, J: FloatArray) -> None:

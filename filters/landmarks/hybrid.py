@@ -15,10 +15,11 @@ from typing import ClassVar
 
 import numpy as np
 
+from filters.contract.validation import positive
+from filters.geometry.arrays import BoolArray, FloatArray
 from filters.landmarks.euclidean import Euclidean
 from filters.landmarks.inverse_depth import KERNELS, InverseDepth, ray, ray_direction
 from filters.landmarks.model import LandmarkKernels, LandmarkModel, ScaledPoints, StartedLandmarks
-from filters.validation import BoolArray, FloatArray, positive
 
 _INVERSE_DEPTH, _EUCLIDEAN = InverseDepth(), Euclidean()
 

@@ -15,11 +15,11 @@ from typing import ClassVar
 import numpy as np
 
 from filters.geometry import rotations
+from filters.geometry.arrays import BoolArray, FloatArray
 from filters.geometry.machine_code import compiled
 from filters.geometry.rotations import matrix_of, quaternion_of, right_jacobian_of
 from filters.geometry.three_by_three import times
 from filters.landmarks.model import LandmarkKernels, LandmarkModel, ScaledPoints, StartedLandmarks
-from filters.validation import BoolArray, FloatArray
 
 # Tangent of the angle to the vertical below which azimuth is undefined in double precision.
 _VERTICAL = 1e-6

@@ -15,7 +15,7 @@ from typing import ClassVar
 import numpy as np
 
 from filters.geometry import differences, rotations
-from filters.validation import BoolArray, FloatArray
+from filters.geometry.arrays import BoolArray, FloatArray
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from filters.geometry.arrays import BoolArray, FloatArray
 from filters.landmarks.model import ScaledPoints, StartedLandmarks
 from filters.landmarks.spherical import Spherical
-from filters.validation import BoolArray, FloatArray
 
 _SPHERICAL = Spherical()
 

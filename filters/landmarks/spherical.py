@@ -8,8 +8,8 @@ from typing import ClassVar
 import numpy as np
 
 from filters.geometry import rotations
+from filters.geometry.arrays import FloatArray
 from filters.landmarks.model import LandmarkModel, ScaledPoints, StartedLandmarks
-from filters.validation import FloatArray
 
 _TURNED_OVER = -0.9
 """Below this z of a bearing its tangent basis is the other one; both are smooth there."""

@@ -7,14 +7,15 @@ from typing import ClassVar
 
 import numpy as np
 
+from filters.contract.validation import positive
 from filters.contract.variables import Variable
 from filters.geometry import rotations
+from filters.geometry.arrays import BoolArray, FloatArray
 from filters.geometry.camera import StereoCamera
 from filters.geometry.machine_code import compiled
 from filters.geometry.rotations import matrix_of, quaternion_of, right_jacobian_of
 from filters.geometry.three_by_three import times, transposed
 from filters.measurements.model import MeasurementKernels, MeasurementModel, SensorJacobians, Values
-from filters.validation import BoolArray, FloatArray, positive
 
 _PRIORS = (
     *("offset_sigma", "focal_sigma", "baseline_sigma"),

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from filters.geometry.arrays import BoolArray, FloatArray
 from filters.geometry.camera import StereoCamera
 from filters.measurements.model import MeasurementModel, Values
-from filters.validation import BoolArray, FloatArray
 
 
 @dataclass(frozen=True)

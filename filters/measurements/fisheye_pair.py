@@ -7,10 +7,11 @@ from typing import ClassVar
 
 import numpy as np
 
+from filters.contract.validation import positive
 from filters.geometry import differences
+from filters.geometry.arrays import BoolArray, FloatArray
 from filters.geometry.camera import StereoCamera
 from filters.measurements.model import MeasurementModel, SensorJacobians, Values
-from filters.validation import BoolArray, FloatArray, positive
 
 _LEAST = 0.2  # of the disparity ahead: with less, along the baseline and far behind it, no landmark is started
 

@@ -17,9 +17,9 @@ import numpy as np
 from filters.contract.observation import StereoObservation
 from filters.contract.variables import VELOCITY, Variable
 from filters.geometry import differences, rotations
+from filters.geometry.arrays import BoolArray, FloatArray
 from filters.geometry.camera import StereoCamera
 from filters.geometry.retractions import ADDITIVE, Retraction
-from filters.validation import BoolArray, FloatArray
 
 if TYPE_CHECKING:
     from filters.motions.model import CameraState

@@ -12,9 +12,10 @@ from typing import ClassVar
 
 import numpy as np
 
+from filters.contract.validation import positive
+from filters.geometry.arrays import BoolArray, FloatArray
 from filters.geometry.camera import StereoCamera
 from filters.measurements.model import MeasurementKernels, MeasurementModel, SensorJacobians, StageRows, Values
-from filters.validation import BoolArray, FloatArray, positive
 
 _U, _V, _U_RIGHT = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (1.0, 0.0, -1.0)
 

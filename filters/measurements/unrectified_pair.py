@@ -8,10 +8,11 @@ from typing import ClassVar
 
 import numpy as np
 
+from filters.contract.validation import finite_array
 from filters.geometry import rotations
+from filters.geometry.arrays import FloatArray
 from filters.geometry.camera import StereoCamera
 from filters.measurements.model import MeasurementModel, Values
-from filters.validation import FloatArray, finite_array
 
 
 @dataclass(frozen=True)

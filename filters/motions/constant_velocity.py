@@ -11,7 +11,9 @@ from typing import ClassVar
 import numpy as np
 
 from filters.contract.odometry import BodyVelocity
+from filters.contract.validation import positive
 from filters.geometry import rotations
+from filters.geometry.arrays import FloatArray
 from filters.geometry.rotations import matrix_of, product_of, quaternion_of, right_jacobian_of
 from filters.geometry.three_by_three import cross_matrix, multiply, put, times, transposed
 from filters.motions.model import (
@@ -26,7 +28,6 @@ from filters.motions.model import (
     MotionModel,
     MotionPrediction,
 )
-from filters.validation import FloatArray, positive
 
 _EYE = np.eye(CAMERA_SIZE)
 

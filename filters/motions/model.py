@@ -22,9 +22,9 @@ from filters.contract.start import Start
 from filters.contract.stereo_filter import StereoFilter
 from filters.contract.variables import POSE, VELOCITY, Variable
 from filters.geometry import differences, rotations
+from filters.geometry.arrays import FloatArray
 from filters.geometry.machine_code import settings_of
 from filters.geometry.retractions import RotationVector
-from filters.validation import FloatArray
 
 POSITION, ROTATION, LINEAR, ANGULAR = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
 """Errors of pose and velocity."""

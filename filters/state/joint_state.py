@@ -13,12 +13,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from filters.contract.start import Start
-from filters.geometry import rotations
+from filters.geometry import rotations, symmetric
+from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.landmarks.model import LandmarkModel, StartedLandmarks
 from filters.motions.model import POSITION, ROTATION, CameraState
-from filters.state import symmetric
 from filters.state.layout import Layout
-from filters.validation import BoolArray, FloatArray, IntArray
 
 
 def _no_landmarks() -> IntArray:

@@ -15,9 +15,9 @@ import numpy as np
 
 from filters.contract.start import Start
 from filters.contract.variables import POSE, VELOCITY, Variable
+from filters.geometry.arrays import FloatArray, IntArray
 from filters.geometry.retractions import Retraction
 from filters.motions.model import CAMERA_SIZE, POSE_SIZE, POSITION, ROTATION, VELOCITY_SIZE, CameraState
-from filters.validation import FloatArray, IntArray
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from filters.state import symmetric
-from filters.validation import BoolArray, FloatArray, IntArray
+from filters.geometry import symmetric
+from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 
 
 @dataclass(frozen=True, eq=False)

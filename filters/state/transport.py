@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from filters.geometry.arrays import FloatArray, IntArray
 from filters.motions.model import ROTATION
 from filters.state.linearised import LinearisedMeasurements
-from filters.validation import FloatArray, IntArray
 
 
 @dataclass(frozen=True, eq=False)

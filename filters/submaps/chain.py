@@ -10,10 +10,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from filters.state import symmetric
+from filters.geometry import symmetric
+from filters.geometry.arrays import BoolArray, IntArray
 from filters.state.joint_state import JointState
 from filters.submaps.submap import Relation, Submap, regression, units
-from filters.validation import BoolArray, IntArray
 
 
 class SubmapChain:

@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import blas, lapack
 
-from filters.state import symmetric
+from filters.geometry import symmetric
+from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.state.joint_state import JointState
-from filters.validation import BoolArray, FloatArray, IntArray
 
 NEGLIGIBLE = 1e-12
 """Share of its variance below which a number counts as known from the others: what is left is rounding."""

@@ -19,13 +19,14 @@ from filters.contract.odometry import BodyVelocity
 from filters.contract.start import Start
 from filters.contract.stereo_filter import AT_ORIGIN, StereoFilter
 from filters.contract.update_report import UpdateReport
+from filters.contract.validation import unique_ids
 from filters.engine.marginals import forecast, landmark_belief
 from filters.engine.stereo_ekf import StereoEKF
+from filters.geometry.arrays import FloatArray, IntArray
 from filters.geometry.camera import StereoCamera
 from filters.parts import SLOTS
 from filters.state.joint_state import JointState
 from filters.submaps.chain import SubmapChain
-from filters.validation import FloatArray, IntArray, unique_ids
 
 
 class SubmapEKF(StereoFilter):

@@ -10,6 +10,7 @@ from typing import ClassVar
 import numpy as np
 
 from filters.geometry import rotations
+from filters.geometry.arrays import FloatArray, IntArray
 from filters.geometry.camera import StereoCamera
 from filters.landmarks.model import ScaledPoints
 from filters.measurements.model import MeasurementModel, Stage
@@ -17,7 +18,6 @@ from filters.motions.model import POSE_SIZE, POSITION, ROTATION
 from filters.state.joint_state import JointState
 from filters.state.linearised import LinearisedMeasurements
 from filters.updates.model import Linearisation, points_in_camera
-from filters.validation import FloatArray, IntArray
 
 
 class Extended(Linearisation):

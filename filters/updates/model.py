@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import ClassVar
 
+from filters.geometry.arrays import FloatArray, IntArray
 from filters.geometry.camera import StereoCamera
 from filters.measurements.model import MeasurementModel, Stage
 from filters.state.joint_state import JointState
 from filters.state.linearised import LinearisedMeasurements
-from filters.validation import FloatArray, IntArray
 
 
 class Linearisation:

@@ -14,16 +14,16 @@ from typing import ClassVar
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from filters.extras import require_core
-from filters.geometry import rotations
+from filters.contract.extras import require_core
+from filters.contract.validation import positive
+from filters.geometry import rotations, symmetric
+from filters.geometry.arrays import FloatArray, IntArray
 from filters.geometry.camera import StereoCamera
 from filters.measurements.model import MeasurementModel, Stage
 from filters.motions.model import POSE_SIZE, POSITION, ROTATION
-from filters.state import symmetric
 from filters.state.joint_state import JointState
 from filters.state.linearised import LinearisedMeasurements
 from filters.updates.model import Linearisation
-from filters.validation import FloatArray, IntArray, positive
 
 NEGLIGIBLE = 1e-13
 """Share of a variance below which what is left of it, given the numbers before, is rounding."""

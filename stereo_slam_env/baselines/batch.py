@@ -23,10 +23,11 @@ from filters import (
     UpdateReport,
     VelocityDriven,
 )
+from filters.contract.validation import positive
 from filters.geometry import rotations
+from filters.geometry.arrays import FloatArray, IntArray
 from filters.motions.model import CAMERA_SIZE, POSE_SIZE
 from filters.parts import Named
-from filters.validation import FloatArray, IntArray, positive
 from stereo_slam_env.baselines.dead_reckoning import CameraBelief, CameraFilter
 from stereo_slam_env.baselines.smoothing_graph import Sightings, Smoothed, SmoothingGraph, load_gtsam
 

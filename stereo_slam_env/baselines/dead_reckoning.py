@@ -27,10 +27,11 @@ from filters import (
     VelocityDriven,
 )
 from filters.contract.stereo_filter import AT_ORIGIN, check_rig, check_start, check_step
+from filters.contract.validation import finite_array, unique_ids, unit_quaternion
 from filters.geometry import rotations
+from filters.geometry.arrays import FloatArray, IntArray
 from filters.motions.model import POSE_SIZE, predict_camera
 from filters.parts import Named, make_part
-from filters.validation import FloatArray, IntArray, finite_array, unique_ids, unit_quaternion
 
 
 @dataclass(frozen=True, eq=False)

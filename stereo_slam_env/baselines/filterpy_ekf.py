@@ -20,8 +20,10 @@ from filters import (
     StereoObservation,
     UpdateReport,
 )
+from filters.contract.validation import gate_probability, unique_ids
 from filters.engine.gating import gate_limit
 from filters.geometry import rotations
+from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.motions.model import (
     ANGULAR,
     CAMERA_SIZE,
@@ -33,7 +35,6 @@ from filters.motions.model import (
     predict_camera,
 )
 from filters.parts import Named
-from filters.validation import BoolArray, FloatArray, IntArray, gate_probability, unique_ids
 from stereo_slam_env.baselines.dead_reckoning import CameraBelief, CameraFilter, symmetrised
 
 _LANDMARK = 6

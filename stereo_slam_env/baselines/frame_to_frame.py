@@ -18,10 +18,11 @@ from filters import (
     StereoObservation,
     UpdateReport,
 )
+from filters.contract.validation import gate_probability, positive, unique_ids
 from filters.geometry import rotations
+from filters.geometry.arrays import FloatArray, IntArray
 from filters.motions.model import ANGULAR, LINEAR, POSE_SIZE, POSITION, ROTATION
 from filters.parts import Named
-from filters.validation import FloatArray, IntArray, gate_probability, positive, unique_ids
 from stereo_slam_env.baselines.dead_reckoning import CameraBelief, CameraFilter, symmetrised
 from stereo_slam_env.frontend.ego_motion import (
     Pairs,

@@ -15,10 +15,10 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from filters import BodyVelocity, CameraState, MotionModel, StereoCamera
-from filters.extras import install_command
+from filters.contract.extras import install_command
 from filters.geometry import rotations
+from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.motions.model import POSE_SIZE, POSITION, ROTATION, predict_camera
-from filters.validation import BoolArray, FloatArray, IntArray
 
 # How far a landmark may lie from where it starts, m: it decides nothing, and keeps a point whose depth is not told by
 # its views from running away.

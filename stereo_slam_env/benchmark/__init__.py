@@ -6,6 +6,6 @@
 >>> compare("runs/before", "runs/quick").changes       # doctest: +SKIP
 """
 
-from filters.extras import public_names
+from filters.contract.extras import public_names
 
 __getattr__, __dir__, __all__ = public_names(__name__, __file__)

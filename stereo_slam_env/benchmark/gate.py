@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from filters.validation import FloatArray
+from filters.geometry.arrays import FloatArray
 from stereo_slam_env.benchmark.statistics.differences import (
     Difference,
     Finding,

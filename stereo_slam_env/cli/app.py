@@ -80,7 +80,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         typer.echo(f"to go on: stereo-slam {shlex.join(resume)}", err=True)
         return INTERRUPTED
     except ModuleNotFoundError as error:
-        from filters.extras import explained
+        from filters.contract.extras import explained
 
         return refuse(str(explained(error)))
     except (ValueError, OSError, ImportError) as error:  # wrong input is the user's business, not a crash

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from filters import Pose, StereoCamera
-from filters.extras import require_module
+from filters.contract.extras import require_module
 from stereo_slam_env.recording.recording import ImageSequence
 
 TOPICS = ("/stereo/left", "/stereo/right")

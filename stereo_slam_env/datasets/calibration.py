@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from filters import Pose, StereoCamera
-from filters.validation import FloatArray
+from filters.geometry.arrays import FloatArray
 from stereo_slam_env.datasets.image_files import image_size
 from stereo_slam_env.sensing.projections import camera_position, rectified_rig
 

@@ -22,7 +22,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from filters import InertialSamples, InertialUnit, Pose
-from filters.validation import FloatArray, IntArray
+from filters.geometry.arrays import FloatArray, IntArray
 from stereo_slam_env.datasets.known_recordings import reference_for
 from stereo_slam_env.datasets.sequence import Choice, ImageFiles, RecordedSequence, known_poses
 from stereo_slam_env.files.paths import is_plain_name

@@ -26,7 +26,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from filters import Pose
-from filters.validation import FloatArray, positive
+from filters.contract.validation import positive
+from filters.geometry.arrays import FloatArray
 from stereo_slam_env.datasets.calibration import rig_of
 from stereo_slam_env.datasets.image_files import numbered_images
 from stereo_slam_env.datasets.sequence import Choice, ImageFiles, RecordedSequence, known_poses

@@ -18,8 +18,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from filters import InertialUnit, Pose, Start, StereoCamera, StereoNoise
-from filters.extras import install_command
-from filters.validation import FloatArray, IntArray
+from filters.contract.extras import install_command
+from filters.geometry.arrays import FloatArray, IntArray
 from stereo_slam_env.datasets.known_recordings import known_by, reference_for
 from stereo_slam_env.datasets.tracks import ASSUMED_SIGMA_PX, Tracks, frames_of, stated_or_assumed
 from stereo_slam_env.files.readers import read_poses, read_table, require_rotations, split_poses

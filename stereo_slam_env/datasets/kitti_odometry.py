@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 
 from filters import Pose, StereoCamera
-from filters.validation import FloatArray
+from filters.geometry.arrays import FloatArray
 from stereo_slam_env.datasets.calibration import of_left_camera, rig_of
 from stereo_slam_env.datasets.image_files import numbered_images
 from stereo_slam_env.datasets.known_recordings import POSITION, reference_for

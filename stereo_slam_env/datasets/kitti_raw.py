@@ -21,7 +21,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from filters import BodyVelocity, InertialSamples, InertialUnit, Pose
-from filters.validation import FloatArray
+from filters.geometry.arrays import FloatArray
 from stereo_slam_env.datasets.calibration import of_left_camera, rig_of
 from stereo_slam_env.datasets.image_files import numbered_images
 from stereo_slam_env.datasets.kitti_odometry import CAMERAS, chosen_cameras

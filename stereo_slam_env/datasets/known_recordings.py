@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from filters.validation import FloatArray
+from filters.geometry.arrays import FloatArray
 from stereo_slam_env.recording.recording import Reference
 
 POSITION = np.s_[3::4]

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from filters import Pose, Start, StereoCamera
-from filters.validation import FloatArray
+from filters.geometry.arrays import FloatArray
 from stereo_slam_env.datasets.known_recordings import reference_for
 from stereo_slam_env.recording.recording import ImageSequence, Reference, StereoPair
 from stereo_slam_env.recording.trajectory import Trajectory

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 
 from filters import Start, StereoCamera
+from filters.contract.extras import require_module
 from filters.contract.foreign_text import plain
-from filters.extras import require_module
-from filters.validation import IntArray
+from filters.geometry.arrays import IntArray
 from stereo_slam_env.datasets.image_files import MAX_PIXELS, BrokenPair, decoded_grey
 from stereo_slam_env.datasets.sequence import Choice, Faults
 from stereo_slam_env.recording.recording import NO_REFERENCE, GreyImage, StereoPair

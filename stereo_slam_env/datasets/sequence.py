@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from filters import BodyVelocity, InertialSamples, Pose, Start, StereoCamera
 from filters.geometry import rotations
-from filters.validation import BoolArray, FloatArray
+from filters.geometry.arrays import BoolArray, FloatArray
 from stereo_slam_env.datasets.image_files import BrokenPair, read_grey
 from stereo_slam_env.recording.inertial import joined
 from stereo_slam_env.recording.recording import Reference, StereoPair

@@ -23,7 +23,8 @@ import numpy as np
 from filters import StereoCamera
 from filters.contract.foreign_text import first_line
 from filters.contract.known_names import require_known
-from filters.validation import FloatArray, positive
+from filters.contract.validation import positive
+from filters.geometry.arrays import FloatArray
 from stereo_slam_env.datasets.image_files import MOST_FRAMES
 from stereo_slam_env.datasets.restated import Recalibrated, WithTruth
 from stereo_slam_env.datasets.sequence import Choice, ImageFiles, RecordedSequence

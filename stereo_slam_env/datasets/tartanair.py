@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from filters import Pose, StereoCamera
-from filters.validation import BoolArray, FloatArray
+from filters.geometry.arrays import BoolArray, FloatArray
 from stereo_slam_env.datasets.image_files import image_size, numbered_images
 from stereo_slam_env.datasets.known_recordings import reference_for
 from stereo_slam_env.datasets.sequence import Choice, ImageFiles, RecordedSequence, known_poses

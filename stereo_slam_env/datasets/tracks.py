@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 
 from filters import BodyVelocity, Pose, StereoObservation
+from filters.contract.validation import positive, whole_number
 from filters.geometry import rotations
-from filters.validation import BoolArray, FloatArray, IntArray, positive, whole_number
+from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from stereo_slam_env.recording.recording import Frame
 
 ASSUMED_SIGMA_PX = 2.0

@@ -14,7 +14,7 @@ import numpy as np
 
 from filters import Pose
 from filters.geometry import rotations
-from filters.validation import FloatArray
+from filters.geometry.arrays import FloatArray
 from stereo_slam_env.datasets.known_recordings import reference_for
 from stereo_slam_env.datasets.restated import pose_at
 from stereo_slam_env.datasets.sequence import Choice, ImageFiles, RecordedSequence

@@ -1,5 +1,5 @@
 """The Gymnasium environments."""
 
-from filters.extras import require_core
+from filters.contract.extras import require_core
 
 require_core("cv2", "pybullet")

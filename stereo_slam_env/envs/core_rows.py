@@ -14,9 +14,9 @@ from filters.contract.drift import LandmarkDrift
 from filters.contract.noise import ColouredNoise, StereoNoise
 from filters.contract.observation import StereoObservation
 from filters.contract.start import Start
+from filters.geometry.arrays import BoolArray, FloatArray
 from filters.geometry.camera import StereoCamera
 from filters.geometry.poses import Pose
-from filters.validation import BoolArray, FloatArray
 from stereo_slam_env.envs.options import DriveOptions, HeadOptions, StereoOptions
 from stereo_slam_env.envs.pictures import Pictures
 from stereo_slam_env.envs.rows import Arrays, Measured, Rows, Seeds, Step

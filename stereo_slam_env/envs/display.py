@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from filters.extras import install_command
+from filters.contract.extras import install_command
 from stereo_slam_env.rendering.images import Image
 
 _DRIVER = ("SDL_VIDEODRIVER", "SDL_VIDEO_DRIVER")

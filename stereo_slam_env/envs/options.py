@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin, get_type_h
 import numpy as np
 
 from filters.contract.known_names import did_you_mean, one_of
+from filters.contract.validation import positive, whole_number
 from filters.geometry.camera import StereoCamera
-from filters.validation import positive, whole_number
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.rendering.backends import RendererName, image_quality
 from stereo_slam_env.sensing.pixel_noise import NoiseName

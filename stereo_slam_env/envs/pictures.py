@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from filters.geometry.arrays import BoolArray, FloatArray
 from filters.geometry.camera import StereoCamera
 from filters.geometry.poses import Pose
-from filters.validation import BoolArray, FloatArray
 from stereo_slam_env.envs.options import StereoOptions
 from stereo_slam_env.rendering.backends import make_renderer
 from stereo_slam_env.rendering.camera_effects import CameraEffects

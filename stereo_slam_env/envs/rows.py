@@ -17,8 +17,8 @@ import numpy as np
 from gymnasium import spaces
 
 from filters.contract.start import Start
+from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.geometry.poses import Pose
-from filters.validation import BoolArray, FloatArray, IntArray
 from stereo_slam_env.recording.recording import Frame, LandmarkTruth
 from stereo_slam_env.simulator.kept import Kept, State
 from stereo_slam_env.world.routes import Route

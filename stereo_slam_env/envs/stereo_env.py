@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from filters.contract.noise import StereoNoise
 from filters.contract.start import Start
+from filters.contract.validation import finite_array
+from filters.geometry.arrays import FloatArray, IntArray
 from filters.geometry.camera import StereoCamera
 from filters.geometry.poses import Pose
-from filters.validation import FloatArray, IntArray, finite_array
 from stereo_slam_env.envs.core_rows import CoreRows, keeps_scene
 from stereo_slam_env.envs.display import modes_here, window_for
 from stereo_slam_env.envs.options import StereoOptions

@@ -13,7 +13,8 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from filters.validation import BoolArray, FloatArray, finite_array, whole_number
+from filters.contract.validation import finite_array, whole_number
+from filters.geometry.arrays import BoolArray, FloatArray
 from stereo_slam_env.envs.core_rows import CoreRows
 from stereo_slam_env.envs.options import StereoOptions
 from stereo_slam_env.envs.rows import Arrays, Rows, TimeLimitRows

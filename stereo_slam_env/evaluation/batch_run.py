@@ -11,7 +11,7 @@ from threadpoolctl import threadpool_limits
 from filters import StereoNoise
 from filters.catalogue.common_options import MadeFilter, make_with_common_options
 from filters.engine.batch import FilterBatch, goes_in_a_batch
-from filters.validation import FloatArray
+from filters.geometry.arrays import FloatArray
 from stereo_slam_env.evaluation.contract import ContractBroken
 from stereo_slam_env.evaluation.filter_run import RunLog
 from stereo_slam_env.evaluation.map_scoring import FrameMap

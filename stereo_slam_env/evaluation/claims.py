@@ -9,10 +9,10 @@ import numpy as np
 from scipy.stats import chi2, norm, qmc
 
 from filters import nees
-from filters.consistency import are_definite
+from filters.checks.consistency import are_definite
 from filters.geometry import rotations
+from filters.geometry.arrays import FloatArray
 from filters.motions.model import POSE_SIZE, POSITION, ROTATION
-from filters.validation import FloatArray
 from stereo_slam_env.evaluation.consistency import mean_band
 from stereo_slam_env.evaluation.intervals import MeanInterval, mean_interval
 from stereo_slam_env.recording.trajectory import Trajectory, transformed

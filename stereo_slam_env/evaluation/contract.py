@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from filters import PoseBelief
-from filters.consistency import are_definite, fault_of
-from filters.validation import BoolArray, FloatArray
+from filters.checks.consistency import are_definite, fault_of
+from filters.geometry.arrays import BoolArray, FloatArray
 from stereo_slam_env.evaluation.map_scoring import MapScore, MapView
 
 

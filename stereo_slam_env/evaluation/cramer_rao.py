@@ -21,8 +21,10 @@ from filters.contract.noise import StereoNoise
 from filters.contract.observation import StereoObservation
 from filters.contract.odometry import BodyVelocity
 from filters.contract.start import Start
+from filters.contract.validation import unchecked
 from filters.engine.stereo_ekf import StereoEKF
 from filters.geometry import rotations
+from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.geometry.camera import StereoCamera
 from filters.geometry.poses import Pose
 from filters.landmarks.euclidean import Euclidean
@@ -30,7 +32,6 @@ from filters.landmarks.model import LandmarkModel
 from filters.measurements.rectified_pair import Stacked
 from filters.motions.constant_velocity import ConstantVelocity
 from filters.motions.model import POSE_SIZE, CameraState, MotionModel
-from filters.validation import BoolArray, FloatArray, IntArray, unchecked
 from stereo_slam_env.recording.recording import Frame, LandmarkTruth, Recording
 
 

@@ -19,9 +19,10 @@ import numpy as np
 from scipy.stats import chi2, t
 
 from filters import Pose, nees
+from filters.contract.validation import positive
 from filters.geometry import rotations
+from filters.geometry.arrays import FloatArray, IntArray
 from filters.motions.model import POSE_SIZE
-from filters.validation import FloatArray, IntArray, positive
 from stereo_slam_env.evaluation.body_frames import find_body_offset
 from stereo_slam_env.evaluation.comparability import find_obstacles
 from stereo_slam_env.evaluation.drift_model import DRIVERS, DriftModel, LengthCheck, basis

@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 
 from filters.geometry import rotations
+from filters.geometry.arrays import FloatArray, IntArray
 from filters.motions.model import POSE_SIZE
-from filters.validation import FloatArray, IntArray
 from stereo_slam_env.files.json_files import write_json
 from stereo_slam_env.files.readers import read_json
 from stereo_slam_env.recording.drift import DriftParts, adjoints, distances, drift_of

@@ -12,8 +12,8 @@ from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
+from filters.geometry.arrays import FloatArray, IntArray
 from filters.motions.model import POSITION, ROTATION
-from filters.validation import FloatArray, IntArray
 from stereo_slam_env.evaluation import trajectory_metrics as metrics
 from stereo_slam_env.evaluation.consistency import DOF, landmark_anees, nis_per_dof, pooled
 from stereo_slam_env.evaluation.results import FilterSummary

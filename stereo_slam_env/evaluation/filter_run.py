@@ -12,11 +12,11 @@ from threadpoolctl import threadpool_limits
 from filters import StereoNoise
 from filters.catalogue.common_options import make_with_common_options
 from filters.catalogue.registry import FilterFactory, label_of
-from filters.consistency import nees
+from filters.checks.consistency import nees
 from filters.contract.foreign_text import first_line, type_name
 from filters.contract.update_report import UpdateReport
+from filters.geometry.arrays import FloatArray, IntArray
 from filters.motions.model import POSE_SIZE, POSITION, ROTATION
-from filters.validation import FloatArray, IntArray
 from stereo_slam_env.evaluation.contract import Beliefs, ContractBroken, check_beliefs, check_maps
 from stereo_slam_env.evaluation.landmark_statistics import LandmarkScorer
 from stereo_slam_env.evaluation.map_scoring import FrameMap, TraceRecorder, score_maps, view_maps

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from filters.consistency import are_definite
-from filters.validation import BoolArray, FloatArray
+from filters.checks.consistency import are_definite
+from filters.geometry.arrays import BoolArray, FloatArray
 from stereo_slam_env.evaluation import trajectory_metrics as metrics
 from stereo_slam_env.evaluation.claims import claimed_numbers, nees_of, verdict_of
 from stereo_slam_env.evaluation.consistency import mean_band

@@ -16,7 +16,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from filters.validation import FloatArray, IntArray
+from filters.geometry.arrays import FloatArray, IntArray
 
 RESAMPLES = 2000  # of the frames of a run
 RESAMPLES_OF_RUNS = 4999

@@ -14,8 +14,8 @@ from itertools import pairwise
 
 import numpy as np
 
+from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.geometry.camera import StereoCamera
-from filters.validation import BoolArray, FloatArray, IntArray
 from stereo_slam_env.evaluation.map_scoring import MapScore
 
 RANGE_EDGES = (0.0, 10.0, 20.0, 40.0, 80.0, np.inf)  # m, true distance from the camera

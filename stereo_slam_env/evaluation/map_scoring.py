@@ -11,11 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from filters.consistency import nees
+from filters.checks.consistency import nees
 from filters.contract.beliefs import Forecast
 from filters.geometry import rotations
+from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.geometry.camera import StereoCamera
-from filters.validation import BoolArray, FloatArray, IntArray
 from stereo_slam_env.loop import Moment
 from stereo_slam_env.recording.recording import Frame, LandmarkTruth, Recording
 

@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 
 from filters import Pose, nees
-from filters.consistency import are_definite
+from filters.checks.consistency import are_definite
+from filters.geometry.arrays import FloatArray, IntArray
 from filters.motions.model import POSE_SIZE, POSITION, ROTATION
-from filters.validation import FloatArray, IntArray
 from stereo_slam_env.evaluation.filter_run import failed_run
 from stereo_slam_env.evaluation.gauges import Alignment, carried, correlation_of, is_zero_at_start
 from stereo_slam_env.evaluation.results import FilterRun

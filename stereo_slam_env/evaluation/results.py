@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from filters.validation import FloatArray, IntArray
+from filters.geometry.arrays import FloatArray, IntArray
 from stereo_slam_env.evaluation.landmark_statistics import DepthConvergence, LandmarkStatistics, RangeError
 from stereo_slam_env.evaluation.map_scoring import LandmarkTrace
 from stereo_slam_env.recording.recording import GIVEN_TRUTH, NO_REFERENCE, Reference

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from filters.validation import BoolArray, FloatArray
+from filters.geometry.arrays import BoolArray, FloatArray
 from stereo_slam_env.evaluation.cramer_rao import Bound
 from stereo_slam_env.evaluation.figures import FIGURES, Figure, has_diverged, trial_figures
 from stereo_slam_env.evaluation.landmark_statistics import depth_convergence, range_errors

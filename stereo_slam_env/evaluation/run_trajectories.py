@@ -7,7 +7,7 @@ from typing import get_args
 
 import numpy as np
 
-from filters.validation import BoolArray, FloatArray
+from filters.geometry.arrays import BoolArray, FloatArray
 from stereo_slam_env.evaluation.results import FilterRun
 from stereo_slam_env.recording.trajectory import Tangent, Trajectory, pose_errors, tangent_jacobian, transformed
 

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from filters.validation import FloatArray, IntArray, finite_array
+from filters.contract.validation import finite_array
+from filters.geometry.arrays import FloatArray, IntArray
 
 KITTI_LENGTHS = tuple(100.0 * i for i in range(1, 9))  # m, of the KITTI odometry benchmark
 SHORT_LENGTHS = (5.0, 10.0, 25.0, 50.0)  # m, for drives on which those say little or nothing

@@ -14,7 +14,8 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from filters import Pose
-from filters.validation import BoolArray, FloatArray, finite_number, positive
+from filters.contract.validation import finite_number, positive
+from filters.geometry.arrays import BoolArray, FloatArray
 from stereo_slam_env.evaluation import trajectory_metrics as metrics
 from stereo_slam_env.evaluation.body_frames import find_body_offset
 from stereo_slam_env.evaluation.claims import ClaimScore, score_claims

@@ -8,10 +8,10 @@ import numpy as np
 from scipy.stats import chi2
 
 from filters import nees
-from filters.consistency import are_definite
+from filters.checks.consistency import are_definite
 from filters.geometry import rotations
+from filters.geometry.arrays import FloatArray, IntArray
 from filters.motions.model import POSE_SIZE, ROTATION
-from filters.validation import FloatArray, IntArray
 from stereo_slam_env.evaluation import trajectory_metrics as metrics
 from stereo_slam_env.evaluation.windows import window_ends
 from stereo_slam_env.recording.drift import adjoints

@@ -11,8 +11,8 @@ import numpy as np
 
 from filters.contract.beliefs import PoseBelief
 from filters.contract.update_report import UpdateReport
+from filters.geometry.arrays import BoolArray, FloatArray
 from filters.monitor import Alarm, DivergenceMonitor
-from filters.validation import BoolArray, FloatArray
 from stereo_slam_env.evaluation import trajectory_metrics as metrics
 from stereo_slam_env.evaluation.consistency import consistency_figures
 from stereo_slam_env.evaluation.cramer_rao import Bound

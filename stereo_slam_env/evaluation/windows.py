@@ -11,7 +11,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 
 from filters import Pose, PoseBelief, StereoFilter, nees
-from filters.validation import FloatArray
+from filters.geometry.arrays import FloatArray
 from stereo_slam_env.evaluation.contract import check_motion
 from stereo_slam_env.loop import Moment
 from stereo_slam_env.recording.recording import Recording, Reference

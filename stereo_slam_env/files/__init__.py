@@ -1,5 +1,5 @@
 """Files and folders: atomic writes, locked folders, readers that bound what they read."""
 
-from filters.extras import public_names
+from filters.contract.extras import public_names
 
 __getattr__, __dir__, __all__ = public_names(__name__, __file__)

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from filters.contract.foreign_text import first_line, plain
-from filters.validation import BoolArray, FloatArray
+from filters.geometry.arrays import BoolArray, FloatArray
 from stereo_slam_env.files.opening import NotOpened, open_regular, read_bytes
 
 MOST_TEXT = 100_000_000

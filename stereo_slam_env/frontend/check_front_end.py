@@ -11,7 +11,7 @@ import numpy as np
 from filters import Forecast, StereoCamera
 from filters.checks.conformance import ConformanceError, ConformanceReport
 from filters.contract.foreign_text import first_line, type_name
-from filters.validation import FloatArray
+from filters.geometry.arrays import FloatArray
 from stereo_slam_env.frontend.front_ends import FrontEnd, FrontEndFactory, front_end_factory
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.frontend.tracks import TrackedPair

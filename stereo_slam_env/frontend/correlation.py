@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from scipy import fft
 
-from filters.validation import BoolArray, FloatArray, IntArray
+from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from stereo_slam_env.frontend.patches import FLAT, PATCH, Image, Patches, cut_stack, windows_at
 
 Candidates = Callable[[IntArray, IntArray, IntArray], BoolArray]

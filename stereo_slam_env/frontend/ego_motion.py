@@ -19,7 +19,7 @@ from scipy.stats import chi2
 from filters import StereoCamera
 from filters.engine.gating import gate_limit
 from filters.geometry import rotations
-from filters.validation import BoolArray, FloatArray, IntArray
+from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 
 MAX_ITERATIONS = 10
 CONVERGED = 1e-9  # m and rad

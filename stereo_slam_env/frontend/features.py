@@ -11,7 +11,8 @@ import numpy as np
 
 from filters import Forecast, StereoCamera, StereoNoise
 from filters.contract.foreign_text import first_line
-from filters.validation import FloatArray, IntArray, positive
+from filters.contract.validation import positive
+from filters.geometry.arrays import FloatArray, IntArray
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.frontend.tracks import TrackedPair, require_legal, require_pair
 from stereo_slam_env.recording.recording import GreyImage

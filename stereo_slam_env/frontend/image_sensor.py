@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from filters import Pose, StereoCamera, StereoObservation
-from filters.validation import BoolArray, FloatArray, IntArray
+from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from stereo_slam_env.frontend.front_ends import make_front_end
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.frontend.tracks import TrackedPair

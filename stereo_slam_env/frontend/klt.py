@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from filters import Forecast, StereoCamera, StereoNoise
-from filters.validation import BoolArray, FloatArray, positive
+from filters.contract.validation import positive
+from filters.geometry.arrays import BoolArray, FloatArray
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.frontend.tracks import TrackedPair, require_legal, require_pair
 from stereo_slam_env.recording.recording import GreyImage

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from filters.validation import BoolArray, FloatArray, IntArray, finite_array
+from filters.contract.validation import finite_array
+from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from stereo_slam_env.frontend.correlation import best_peaks, refine
 from stereo_slam_env.frontend.patches import PATCH, Image, Patches, cut_patches
 

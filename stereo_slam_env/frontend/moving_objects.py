@@ -10,7 +10,7 @@ from scipy.stats import chi2
 
 from filters import StereoCamera
 from filters.engine.gating import gate_limit
-from filters.validation import BoolArray, FloatArray, IntArray
+from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from stereo_slam_env.frontend.ego_motion import Pairs, Step, chained, squared_distances
 from stereo_slam_env.frontend.finding import Found
 from stereo_slam_env.frontend.tracks import Outcome, Tracks

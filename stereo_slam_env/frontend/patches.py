@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from filters import StereoCamera
-from filters.validation import FloatArray, IntArray, finite_array
+from filters.contract.validation import finite_array
+from filters.geometry.arrays import FloatArray, IntArray
 
 Image = NDArray[np.uint8]
 Patches = NDArray[np.float32]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from filters.validation import finite_array, positive, whole_number
+from filters.contract.validation import finite_array, positive, whole_number
 from stereo_slam_env.recording.recording import ImageSequence
 
 _POSITIVE = (

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from filters import ColouredNoise, LandmarkDrift, StereoCamera, StereoNoise, StereoObservation
-from filters.validation import FloatArray, IntArray
+from filters.geometry.arrays import FloatArray, IntArray
 from stereo_slam_env.frontend.ego_motion import MIN_POINTS, Pairs, Step, robust_step, squared_distances, transfer
 from stereo_slam_env.frontend.settings import DRIFT_SHARE
 from stereo_slam_env.recording.recording import Recording

@@ -8,7 +8,8 @@ import cv2
 import numpy as np
 
 from filters import Forecast, StereoCamera, StereoObservation
-from filters.validation import BoolArray, FloatArray, IntArray, positive
+from filters.contract.validation import positive
+from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from stereo_slam_env.frontend.ego_motion import (
     MIN_POINTS,
     Pairs,

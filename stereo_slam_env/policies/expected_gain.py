@@ -21,8 +21,8 @@ from typing import Literal
 import numpy as np
 
 from filters.geometry import rotations
+from filters.geometry.arrays import FloatArray
 from filters.motions.model import POSE_SIZE, POSITION, ROTATION
-from filters.validation import FloatArray
 from stereo_slam_env.policies.foresight import Knowledge
 
 Gain = Literal["pose", "map"]

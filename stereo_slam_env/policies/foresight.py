@@ -21,10 +21,10 @@ import numpy as np
 from filters.contract.noise import StereoNoise
 from filters.contract.stereo_filter import StereoFilter
 from filters.geometry import rotations
+from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.geometry.camera import StereoCamera
 from filters.geometry.poses import Pose
 from filters.motions.model import POSE_SIZE, POSITION, ROTATION
-from filters.validation import BoolArray, FloatArray, IntArray
 from stereo_slam_env.world.routes import FRAME_PERIOD, Route
 from stereo_slam_env.world.vehicle import Head, head_turn
 

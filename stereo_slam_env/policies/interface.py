@@ -9,7 +9,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from filters.validation import FloatArray
+from filters.geometry.arrays import FloatArray
 from stereo_slam_env.world.vehicle import Head
 from stereo_slam_env.wrappers.direction_of_gaze import moving_head
 

@@ -12,7 +12,7 @@ import gymnasium as gym
 import numpy as np
 
 from filters.contract.foreign_text import first_line
-from filters.validation import FloatArray
+from filters.geometry.arrays import FloatArray
 from stereo_slam_env.files.folders import write_atomically
 from stereo_slam_env.files.readers import read_arrays
 from stereo_slam_env.policies.interface import Action, gaze_action, require_head

@@ -8,7 +8,8 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from filters.validation import FloatArray, finite_number, positive
+from filters.contract.validation import finite_number, positive
+from filters.geometry.arrays import FloatArray
 from stereo_slam_env.policies.interface import Action, look_towards, require_head
 from stereo_slam_env.world.routes import FRAME_PERIOD
 

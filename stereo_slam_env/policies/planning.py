@@ -11,8 +11,9 @@ import numpy as np
 
 from filters.contract.known_names import one_of
 from filters.contract.stereo_filter import StereoFilter
+from filters.contract.validation import positive, whole_number
+from filters.geometry.arrays import FloatArray
 from filters.geometry.poses import Pose
-from filters.validation import FloatArray, positive, whole_number
 from stereo_slam_env.policies.expected_gain import Gain, expected_gain, motion_noise
 from stereo_slam_env.policies.foresight import (
     CameraPoses,

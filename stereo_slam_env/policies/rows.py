@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from filters.validation import BoolArray, FloatArray
+from filters.geometry.arrays import BoolArray, FloatArray
 from stereo_slam_env.envs.rows import Rows
 from stereo_slam_env.envs.stereo_env import row_of
 from stereo_slam_env.envs.vector_env import RowsVectorEnv

@@ -29,7 +29,7 @@ from filters import (
     StereoObservation,
 )
 from filters.contract.foreign_text import first_line
-from filters.validation import FloatArray
+from filters.geometry.arrays import FloatArray
 from stereo_slam_env.files.folders import write_atomically
 from stereo_slam_env.files.opening import NotOpened
 from stereo_slam_env.files.readers import read_arrays

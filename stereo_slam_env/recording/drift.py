@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from filters.geometry import rotations
+from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.motions.model import POSE_SIZE, POSITION, ROTATION
-from filters.validation import BoolArray, FloatArray, IntArray
 
 Six = tuple[float, ...]
 """A number for each axis of the body: x, y, z of the position, x, y, z of the rotation."""

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from filters import InertialSamples, InertialUnit
-from filters.validation import FloatArray
+from filters.geometry.arrays import FloatArray
 
 _GAP = 5.0
 """Times the usual distance of two samples: a longer one is a gap."""

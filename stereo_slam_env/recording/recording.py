@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from filters import BodyVelocity, InertialSamples, Pose, Start, StereoCamera, StereoNoise, StereoObservation
 from filters.contract.known_names import require_known
 from filters.geometry import rotations
+from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.geometry.poses import relative_jacobian
-from filters.validation import BoolArray, FloatArray, IntArray
 
 
 @dataclass(frozen=True, eq=False)

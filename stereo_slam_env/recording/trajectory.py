@@ -12,9 +12,10 @@ from typing import Literal, get_args
 import numpy as np
 
 from filters import Pose
+from filters.contract.validation import finite_array
 from filters.geometry import rotations
+from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.motions.model import POSE_SIZE, POSITION, ROTATION
-from filters.validation import BoolArray, FloatArray, IntArray, finite_array
 from stereo_slam_env.recording.drift import Drift
 
 Tangent = Literal["position-rotation", "position-quaternion", "right", "left"]

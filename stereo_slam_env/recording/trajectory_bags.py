@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
+from filters.contract.extras import require_module
 from filters.contract.foreign_text import first_line, plain
-from filters.extras import require_module
+from filters.geometry.arrays import FloatArray
 from filters.motions.model import POSE_SIZE
-from filters.validation import FloatArray
 from stereo_slam_env.recording.trajectory import Trajectory
 from stereo_slam_env.recording.trajectory_layouts import claim_of_ros
 from stereo_slam_env.recording.trajectory_transforms import Link, links_of, listed, poses_between

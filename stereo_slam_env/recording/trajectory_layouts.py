@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from filters.geometry import rotations
+from filters.geometry.arrays import BoolArray, FloatArray
 from filters.motions.model import POSE_SIZE, POSITION, ROTATION
-from filters.validation import BoolArray, FloatArray
 from stereo_slam_env.files.readers import parse_table, require_rotations, split_poses
 from stereo_slam_env.recording.trajectory import Tangent, Trajectory, transformed
 

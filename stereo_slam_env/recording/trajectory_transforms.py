@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from filters.contract.foreign_text import plain
 from filters.geometry import rotations
-from filters.validation import FloatArray
+from filters.geometry.arrays import FloatArray
 
 _SHOWN = 8
 """Pairs of frames that a message lists."""

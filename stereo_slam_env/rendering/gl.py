@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from filters.geometry import rotations
+from filters.geometry.arrays import FloatArray
 from filters.geometry.camera import StereoCamera
 from filters.geometry.poses import Pose
-from filters.validation import FloatArray
 from stereo_slam_env.rendering import pinhole
 from stereo_slam_env.rendering.gl_resources import (
     FrameBuffer,

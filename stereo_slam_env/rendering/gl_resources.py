@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache, cached_property
 from importlib import import_module
+from importlib.util import find_spec
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from filters.extras import install_command
+from filters.contract.extras import install_command
+from filters.geometry.arrays import BoolArray, FloatArray
 from filters.geometry.camera import StereoCamera
-from filters.validation import BoolArray, FloatArray
 from stereo_slam_env.rendering import pinhole
 from stereo_slam_env.rendering.images import StereoImages
 from stereo_slam_env.world.meshes import Mesh
@@ -126,6 +128,16 @@ def check_process() -> None:
         )
 
 
+def _load_triton() -> None:
+    """Load Triton, where it is installed, before Mesa loads its LLVM: loaded after it, Triton ends the process.
+
+    PyTorch built for CUDA brings Triton (seen: 3.7.1 with LLVM 15 of Mesa, segmentation fault) and loads it late.
+    """
+    if find_spec("triton") is not None:
+        with suppress(ImportError):
+            import_module("triton")
+
+
 def new_context() -> Any:
     """A context of moderngl without a window; errors as of `make_renderer`."""
     try:
@@ -135,6 +147,7 @@ def new_context() -> Any:
     # Mesa on the CPU draws without threads: parallelism comes from whole runs.
     os.environ.setdefault("LP_NUM_THREADS", "0")
     check_process()
+    _load_triton()
     try:
         return moderngl.create_context(standalone=True, backend="egl", require=330)
     except Exception as error:  # whatever the platform raises

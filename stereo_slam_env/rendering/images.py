@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from filters.geometry.arrays import FloatArray
 from filters.geometry.poses import Pose
-from filters.validation import FloatArray
 from stereo_slam_env.world.scene import Scene
 
 Image = NDArray[np.uint8]

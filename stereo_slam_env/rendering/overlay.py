@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from filters.contract.observation import StereoObservation
 from filters.geometry import rotations
+from filters.geometry.arrays import FloatArray
 from filters.geometry.camera import StereoCamera
 from filters.geometry.poses import Pose
-from filters.validation import FloatArray
 from stereo_slam_env.rendering.drawing import (
     INK,
     PAPER,

@@ -9,10 +9,11 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
+from filters.contract.validation import finite_array
 from filters.geometry import rotations
+from filters.geometry.arrays import FloatArray
 from filters.geometry.camera import StereoCamera
 from filters.geometry.poses import Pose
-from filters.validation import FloatArray, finite_array
 
 OPENGL_OFFSET = (0.5, 0.5)
 """Where OpenGL samples a pixel, relative to its corner, px."""

@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from filters.geometry import rotations
+from filters.geometry.arrays import FloatArray
 from filters.geometry.camera import StereoCamera
 from filters.geometry.poses import Pose
-from filters.validation import FloatArray
 from stereo_slam_env.rendering import pinhole
 from stereo_slam_env.rendering.images import ImageQuality, StereoImages
 from stereo_slam_env.rendering.pinhole import FAR, NEAR

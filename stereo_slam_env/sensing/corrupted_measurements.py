@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from filters import StereoCamera, StereoNoise, StereoObservation
-from filters.validation import BoolArray, FloatArray, IntArray, finite_number, positive, probability
+from filters.contract.validation import finite_number, positive, probability
+from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from stereo_slam_env.recording.recording import LandmarkTruth, Recording
 
 

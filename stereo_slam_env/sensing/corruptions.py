@@ -20,8 +20,9 @@ import numpy as np
 
 from filters import BodyVelocity, StereoObservation
 from filters.contract.known_names import require_known
+from filters.contract.validation import positive, probability, whole_number
 from filters.geometry import rotations
-from filters.validation import FloatArray, positive, probability, whole_number
+from filters.geometry.arrays import FloatArray
 from stereo_slam_env.recording.inertial import joined
 from stereo_slam_env.recording.recording import Frame, Recording, Velocity
 from stereo_slam_env.sensing.corrupted_measurements import (

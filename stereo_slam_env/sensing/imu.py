@@ -11,7 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from filters import InertialSamples, InertialUnit
 from filters.contract.known_names import require_known
-from filters.validation import FloatArray, finite_array, positive
+from filters.contract.validation import finite_array, positive
+from filters.geometry.arrays import FloatArray
 
 Path = Callable[[FloatArray], tuple[FloatArray, Rotation]]
 """Positions (N, 3), m, and orientations of the left camera at times (N,), s; twice differentiable."""

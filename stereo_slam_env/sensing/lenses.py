@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from filters import StereoCamera
-from filters.validation import FloatArray
+from filters.geometry.arrays import FloatArray
 from stereo_slam_env.recording.recording import GreyImage
 from stereo_slam_env.sensing.projections import rectified_rig
 

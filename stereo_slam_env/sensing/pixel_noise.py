@@ -9,7 +9,8 @@ from typing import Literal, Protocol
 import numpy as np
 
 from filters import StereoNoise
-from filters.validation import FloatArray, positive
+from filters.contract.validation import positive
+from filters.geometry.arrays import FloatArray
 
 
 class PixelNoise(Protocol):

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from filters import StereoCamera
-from filters.validation import FloatArray
+from filters.geometry.arrays import FloatArray
 from stereo_slam_env.files.readers import read_text
 
 _SAME_K = 1e-6

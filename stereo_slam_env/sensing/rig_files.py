@@ -16,7 +16,7 @@ import numpy as np
 
 from filters import StereoCamera
 from filters.contract.foreign_text import first_line, plain
-from filters.validation import FloatArray
+from filters.geometry.arrays import FloatArray
 from stereo_slam_env.files.opening import open_regular
 from stereo_slam_env.files.paths import is_there
 from stereo_slam_env.files.readers import read_json, read_text

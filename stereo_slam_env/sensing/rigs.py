@@ -11,7 +11,7 @@ import numpy as np
 
 from filters import StereoCamera
 from filters.contract.known_names import require_known
-from filters.validation import finite_number
+from filters.contract.validation import finite_number
 from stereo_slam_env.sensing.rig_files import ENDINGS, Calibration, is_calibration, read_calibration
 
 Rig = str | StereoCamera | Mapping[str, Any]

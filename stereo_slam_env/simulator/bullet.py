@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.geometry.poses import Pose
-from filters.validation import BoolArray, FloatArray, IntArray
 from stereo_slam_env.sensing.rigs import CAMERA_HEIGHT
 from stereo_slam_env.simulator.motion import CHOICE
 from stereo_slam_env.simulator.state import Fleet, Rules, Sensed

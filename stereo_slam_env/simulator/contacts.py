@@ -13,8 +13,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.geometry.rotations import Nine, Three
-from filters.validation import BoolArray, FloatArray, IntArray
 from stereo_slam_env.simulator.rays import KERNEL, KIND, NOTHING, OPTIONS, TRIANGLE, Obstacles, traversal
 from stereo_slam_env.world.scene import BOX, CYLINDER
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numba import njit
 
-from filters.validation import FloatArray, IntArray
+from filters.geometry.arrays import FloatArray, IntArray
 from stereo_slam_env.simulator.contacts import collides
 from stereo_slam_env.simulator.motion import (
     MOTION,

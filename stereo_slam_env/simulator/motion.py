@@ -10,8 +10,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from filters.geometry import rotations
+from filters.geometry.arrays import FloatArray, IntArray
 from filters.geometry.rotations import Four, Nine, Three
-from filters.validation import FloatArray, IntArray
 from stereo_slam_env.simulator.rays import KERNEL, OPTIONS
 from stereo_slam_env.simulator.state import Fleet, Rules
 

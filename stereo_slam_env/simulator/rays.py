@@ -18,8 +18,8 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from filters.engine.compiled.disk_cache import KEPT
+from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.geometry.rotations import Three
-from filters.validation import BoolArray, FloatArray, IntArray
 from stereo_slam_env.world.scene import BOX, CYLINDER, Primitive, ShapeTable, TriangleMesh, table_of
 
 OPTIONS = {**KEPT, "error_model": "numpy", "nogil": True}

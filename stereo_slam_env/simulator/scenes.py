@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from filters.validation import FloatArray
+from filters.geometry.arrays import FloatArray
 from stereo_slam_env.sensing.rigs import CAMERA_HEIGHT
 from stereo_slam_env.simulator.rays import Obstacles, obstacles
 from stereo_slam_env.simulator.state import Fleet

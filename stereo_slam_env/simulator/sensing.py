@@ -9,8 +9,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.geometry.rotations import Three
-from filters.validation import BoolArray, FloatArray, IntArray
 from stereo_slam_env.simulator.motion import CHOICE, NOISE, back, rotation_of
 from stereo_slam_env.simulator.rays import KERNEL, is_seen
 from stereo_slam_env.simulator.state import Fleet, Rules, Sensed

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from filters.validation import FloatArray, IntArray
+from filters.geometry.arrays import FloatArray, IntArray
 from stereo_slam_env.simulator.motion import LOOK_AHEAD, route_ahead, route_of
 from stereo_slam_env.simulator.rays import OPTIONS
 from stereo_slam_env.simulator.state import ARENA, Fleet, Rules, Sensed

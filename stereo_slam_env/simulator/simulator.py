@@ -11,8 +11,9 @@ import numpy as np
 from filters.contract.observation import StereoObservation
 from filters.contract.odometry import BodyVelocity
 from filters.contract.start import Start
+from filters.contract.validation import unchecked
+from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.geometry.poses import Pose
-from filters.validation import BoolArray, FloatArray, IntArray, unchecked
 from stereo_slam_env.recording.recording import Frame, Velocity
 from stereo_slam_env.sensing.pixel_noise import PixelNoise
 from stereo_slam_env.simulator.bullet import BulletAnswers

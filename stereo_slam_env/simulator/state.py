@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.geometry.camera import StereoCamera
-from filters.validation import BoolArray, FloatArray, IntArray
 from stereo_slam_env.sensing.rigs import CAMERA_HEIGHT
 from stereo_slam_env.sensing.tracking import TrackingPolicy
 from stereo_slam_env.simulator.rays import COLUMNS

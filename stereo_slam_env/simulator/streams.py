@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from filters.validation import BoolArray, FloatArray, IntArray
+from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from stereo_slam_env.simulator.kept import Kept
 from stereo_slam_env.simulator.motion import CHOICE
 from stereo_slam_env.simulator.state import Fleet

@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from filters.geometry.arrays import FloatArray, IntArray
 from filters.geometry.rotations import Nine, Three
-from filters.validation import FloatArray, IntArray
 from stereo_slam_env.simulator.contacts import touches
 from stereo_slam_env.simulator.rays import COLUMNS, KERNEL, KIND, TRIANGLE, hits, solid_rows, way_to
 from stereo_slam_env.simulator.state import Fleet

@@ -8,7 +8,8 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from filters.validation import BoolArray, whole_number
+from filters.contract.validation import whole_number
+from filters.geometry.arrays import BoolArray
 from stereo_slam_env.envs.rows import Arrays, Rows, RowsWrapper, Seeds, Step
 from stereo_slam_env.policies.interface import Action
 from stereo_slam_env.policies.scores import follow_route

@@ -10,7 +10,8 @@ import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 
-from filters.validation import BoolArray, FloatArray, positive, whole_number
+from filters.contract.validation import positive, whole_number
+from filters.geometry.arrays import BoolArray, FloatArray
 from stereo_slam_env.envs.rows import Arrays, Rows, RowsWrapper, Seeds, Step
 from stereo_slam_env.simulator.state import ODOMETRY_SIGMAS
 from stereo_slam_env.tasks.levels import inner_environment

@@ -12,7 +12,7 @@ from unittest import mock
 import gymnasium as gym
 import numpy as np
 
-from filters.extras import require_module
+from filters.contract.extras import require_module
 from stereo_slam_env.policies.episode import rng_of_policy, run_episode
 from stereo_slam_env.policies.interface import Action, Policy
 from stereo_slam_env.recording.recording import Recording

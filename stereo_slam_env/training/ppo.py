@@ -17,9 +17,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from filters.contract.extras import require_module
 from filters.contract.foreign_text import first_line
-from filters.extras import require_module
-from filters.validation import FloatArray, positive, probability, whole_number
+from filters.contract.validation import positive, probability, whole_number
+from filters.geometry.arrays import FloatArray
 from stereo_slam_env.files.folders import claimed_folder, write_atomically
 from stereo_slam_env.files.opening import open_regular
 from stereo_slam_env.files.package_versions import commit, version_of

@@ -10,8 +10,8 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from filters.extras import require_module
-from filters.validation import BoolArray
+from filters.contract.extras import require_module
+from filters.geometry.arrays import BoolArray
 
 require_module("stable_baselines3", "rl")
 

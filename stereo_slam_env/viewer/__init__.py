@@ -1,5 +1,5 @@
 """Watching a filter drive: Rerun, stills and films, the search in images."""
 
-from filters.extras import public_names
+from filters.contract.extras import public_names
 
 __getattr__, __dir__, __all__ = public_names(__name__, __file__)

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from filters.extras import require_module
+from filters.contract.extras import require_module
 from filters.geometry import rotations
-from filters.validation import FloatArray
+from filters.geometry.arrays import FloatArray
 from stereo_slam_env.evaluation.consistency import mean_band
 from stereo_slam_env.files.paths import checked_file
 from stereo_slam_env.loop import Moment

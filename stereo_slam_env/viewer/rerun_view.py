@@ -29,9 +29,9 @@ from urllib.parse import urlsplit
 
 import numpy as np
 
-from filters.extras import install_command
+from filters.contract.extras import install_command
+from filters.geometry.arrays import FloatArray
 from filters.geometry.camera import StereoCamera
-from filters.validation import FloatArray
 from stereo_slam_env.evaluation.consistency import mean_band
 from stereo_slam_env.files.paths import checked_file
 from stereo_slam_env.loop import Moment

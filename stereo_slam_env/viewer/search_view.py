@@ -10,7 +10,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from filters.validation import FloatArray
+from filters.geometry.arrays import FloatArray
 from stereo_slam_env.frontend.tracks import Outcome, Search, TrackedPair
 from stereo_slam_env.recording.recording import GreyImage, StereoPair
 from stereo_slam_env.rendering.drawing import (

@@ -8,7 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from filters.validation import positive
+from filters.contract.validation import positive
 from stereo_slam_env.files.paths import checked_file
 from stereo_slam_env.rendering.drawing import even_sides
 from stereo_slam_env.rendering.images import Image

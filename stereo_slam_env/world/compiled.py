@@ -14,7 +14,7 @@ from numba import njit, types
 from numba.extending import intrinsic
 
 from filters.engine.compiled.disk_cache import KEPT, LINKED
-from filters.validation import BoolArray, FloatArray, IntArray
+from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from stereo_slam_env.world.scene import BOX, CYLINDER
 
 _ENTRY: dict[str, Any] = {**KEPT, "error_model": "numpy"}

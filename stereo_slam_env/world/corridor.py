@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.spatial import cKDTree
 
-from filters.validation import BoolArray, FloatArray
+from filters.geometry.arrays import BoolArray, FloatArray
 from stereo_slam_env.world.layout import facing_points
 from stereo_slam_env.world.props import LAMP, STEEL, Placed
 from stereo_slam_env.world.road import ASPHALT_HEIGHT, Road, RoadNetwork, Strip, network_along, paved, road_along

@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from filters.validation import FloatArray
+from filters.geometry.arrays import FloatArray
 from stereo_slam_env.world.layout import Layout, Make, facing_points
 from stereo_slam_env.world.props import STEEL, Placed
 from stereo_slam_env.world.road import ASPHALT_HEIGHT, Strip, network_along, paved, road_along

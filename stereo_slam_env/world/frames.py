@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from filters.validation import FloatArray
+from filters.geometry.arrays import FloatArray
 
 R_SW: FloatArray = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """Takes vectors of W into S: right is -y, down is -z, forward is +x."""

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from filters.validation import FloatArray
+from filters.geometry.arrays import FloatArray
 from stereo_slam_env.world.field import MEADOW, lane_along
 from stereo_slam_env.world.layout import Layout, Make, facing_points
 from stereo_slam_env.world.props import STEEL, Placed

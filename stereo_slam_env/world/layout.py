@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from filters.validation import FloatArray
+from filters.geometry.arrays import FloatArray
 from stereo_slam_env.world.props import Placed
 from stereo_slam_env.world.road import RoadNetwork
 from stereo_slam_env.world.scene import Primitive, table_of

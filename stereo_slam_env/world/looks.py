@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from filters.validation import positive
+from filters.contract.validation import positive
 from stereo_slam_env.world.scene import Look, Material, Scene, Vector
 from stereo_slam_env.world.textures import VARIANTS
 

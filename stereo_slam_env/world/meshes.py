@@ -10,7 +10,7 @@ from functools import cache, singledispatch
 import numpy as np
 from numpy.typing import NDArray
 
-from filters.validation import FloatArray
+from filters.geometry.arrays import FloatArray
 from stereo_slam_env.world.scene import (
     Box,
     Cylinder,

@@ -11,7 +11,8 @@ from xml.etree.ElementTree import Element
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from filters.validation import FloatArray, IntArray, finite_array, positive
+from filters.contract.validation import finite_array, positive
+from filters.geometry.arrays import FloatArray, IntArray
 from stereo_slam_env.files.readers import read_text
 from stereo_slam_env.world.scene import Box, Cylinder, Material, Primitive, Sphere, TriangleMesh
 

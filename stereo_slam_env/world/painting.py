@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
-from filters.validation import BoolArray, FloatArray
+from filters.geometry.arrays import BoolArray, FloatArray
 
 Painter = Callable[[np.random.Generator], FloatArray]
 """Paints an image (H, W, 3) of reflectances, about 0..1; sides are powers of two where it must repeat."""

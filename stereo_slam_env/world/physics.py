@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from filters.geometry import rotations
-from filters.validation import BoolArray, FloatArray
+from filters.geometry.arrays import BoolArray, FloatArray
 from stereo_slam_env.world.meshes import Mesh, body_meshes, mesh, mtl_text, obj_text, scene_meshes
 from stereo_slam_env.world.scene import (
     Box,

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from filters.validation import FloatArray
+from filters.geometry.arrays import FloatArray
 from stereo_slam_env.world.scene import Box, Cylinder, Material, Primitive, Sphere, Vector
 from stereo_slam_env.world.textures import VARIANTS
 

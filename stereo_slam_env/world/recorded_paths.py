@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from filters.validation import FloatArray
+from filters.geometry.arrays import FloatArray
 
 _SPACING = 0.25
 """Of the points along the smoothed path, m."""

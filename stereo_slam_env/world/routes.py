@@ -16,8 +16,9 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from filters.contract.known_names import did_you_mean
+from filters.contract.validation import positive
 from filters.geometry import rotations
-from filters.validation import FloatArray, positive
+from filters.geometry.arrays import FloatArray
 from stereo_slam_env.files.readers import read_poses
 from stereo_slam_env.world.recorded_paths import require_one_drive, smoothed, steady, strides
 

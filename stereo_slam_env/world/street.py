@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from filters.validation import BoolArray, FloatArray, IntArray
+from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from stereo_slam_env.world import props
 from stereo_slam_env.world.layout import facing_points
 from stereo_slam_env.world.road import ASPHALT_HEIGHT, Road, RoadNetwork, Strip, paved, road_along

@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 
 from filters.engine.compiled.disk_cache import KEPT, LINKED
-from filters.validation import BoolArray, FloatArray, IntArray
+from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from stereo_slam_env.world.compiled import RADIUS, claim
 from stereo_slam_env.world.props import BAY, BIN, CAR, GROUND_FLOOR, HOUSE, LAMP_POST, SIGN, TOWER, TREE
 from stereo_slam_env.world.road import SPACING

@@ -9,7 +9,7 @@ from functools import partial
 
 import numpy as np
 
-from filters.validation import BoolArray, FloatArray
+from filters.geometry.arrays import BoolArray, FloatArray
 from stereo_slam_env.world import props
 from stereo_slam_env.world.meshes import body_meshes
 from stereo_slam_env.world.road import LANE_OFFSET, road_along, stations_of

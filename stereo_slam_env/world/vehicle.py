@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from filters.geometry import rotations
+from filters.geometry.arrays import FloatArray
 from filters.geometry.poses import Pose
-from filters.validation import FloatArray
 from stereo_slam_env.world.routes import FRAME_PERIOD
 
 

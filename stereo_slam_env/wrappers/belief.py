@@ -7,14 +7,14 @@ from functools import cached_property
 
 import numpy as np
 
-from filters.consistency import nees
+from filters.checks.consistency import nees
 from filters.contract.beliefs import PoseBelief
 from filters.contract.stereo_filter import StereoFilter
 from filters.contract.update_report import UpdateReport
 from filters.geometry import rotations
+from filters.geometry.arrays import FloatArray, IntArray
 from filters.geometry.poses import Pose
 from filters.motions.model import POSE_SIZE, POSITION, ROTATION
-from filters.validation import FloatArray, IntArray
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,8 +13,9 @@ from filters.catalogue.registry import make_filter
 from filters.contract.noise import StereoNoise
 from filters.contract.stereo_filter import StereoFilter
 from filters.contract.update_report import UpdateReport
+from filters.contract.validation import positive, whole_number
 from filters.engine.batch import RelativeLandmarks
-from filters.validation import BoolArray, positive, whole_number
+from filters.geometry.arrays import BoolArray
 from stereo_slam_env.envs.rows import Arrays, Rows, RowsWrapper, Seeds, Step
 from stereo_slam_env.sensing.padding import NO_LANDMARK
 from stereo_slam_env.wrappers.belief import Belief

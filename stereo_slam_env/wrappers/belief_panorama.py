@@ -12,9 +12,10 @@ from gymnasium import spaces
 from numba import njit
 
 from filters.contract.noise import StereoNoise
+from filters.contract.validation import positive, whole_number
 from filters.engine.batch import RelativeLandmarks
+from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.geometry.camera import StereoCamera
-from filters.validation import BoolArray, FloatArray, IntArray, positive, whole_number
 from stereo_slam_env.envs.rows import Arrays, Rows, RowsWrapper, Seeds, Step
 from stereo_slam_env.simulator.rays import OPTIONS
 from stereo_slam_env.wrappers.filter_rows import FilterRows

@@ -8,7 +8,8 @@ import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 
-from filters.validation import BoolArray, FloatArray, whole_number
+from filters.contract.validation import whole_number
+from filters.geometry.arrays import BoolArray, FloatArray
 from stereo_slam_env.envs.rows import Rows, RowsWrapper, Step
 from stereo_slam_env.world.vehicle import Head
 from stereo_slam_env.wrappers.recorded_wrapper import RowWrapper

@@ -14,7 +14,7 @@ from filters.contract.stereo_filter import StereoFilter
 from filters.contract.update_report import UpdateReport
 from filters.engine.batch import FilterBatch, RelativeLandmarks, Reports, goes_in_a_batch
 from filters.engine.frames import Observations, Odometry
-from filters.validation import BoolArray, FloatArray, IntArray
+from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from stereo_slam_env.envs.rows import World
 from stereo_slam_env.loop import FilterLoop
 from stereo_slam_env.simulator.kept import Kept

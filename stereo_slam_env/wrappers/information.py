@@ -30,8 +30,9 @@ import numpy as np
 from scipy.linalg import lapack
 
 from filters.contract.known_names import one_of
+from filters.contract.validation import positive
+from filters.geometry.arrays import FloatArray
 from filters.motions.model import POSE_SIZE, POSITION, ROTATION
-from filters.validation import FloatArray, positive
 
 Criterion = Literal["log-det", "entropy", "d-optimality", "a-optimality", "e-optimality"]
 Subject = Literal["map", "pose"]

@@ -10,8 +10,9 @@ import gymnasium as gym
 import numpy as np
 
 from filters.contract.known_names import one_of
+from filters.contract.validation import finite_number, whole_number
+from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.motions.constant_velocity import ConstantVelocity
-from filters.validation import BoolArray, FloatArray, IntArray, finite_number, whole_number
 from stereo_slam_env.envs.rows import Arrays, Rows, RowsWrapper, Seeds, Step
 from stereo_slam_env.evaluation.consistency import mean_band
 from stereo_slam_env.evaluation.cramer_rao import ReferenceBelief

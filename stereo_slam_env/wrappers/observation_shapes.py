@@ -11,7 +11,7 @@ import numpy as np
 from gymnasium import spaces
 
 from filters.contract.known_names import require_known
-from filters.validation import FloatArray
+from filters.geometry.arrays import FloatArray
 from stereo_slam_env.envs.rows import Arrays, Rows, RowsWrapper
 from stereo_slam_env.wrappers.recorded_wrapper import RowWrapper
 

@@ -11,7 +11,8 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from filters.validation import BoolArray, FloatArray, whole_number
+from filters.contract.validation import whole_number
+from filters.geometry.arrays import BoolArray, FloatArray
 from stereo_slam_env.envs.rows import Arrays, Rows, RowsWrapper, Seeds, Step
 from stereo_slam_env.evaluation.consistency import mean_band
 from stereo_slam_env.wrappers.filter_rows import FilterRows

@@ -8,7 +8,8 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from filters.validation import BoolArray, FloatArray, finite_number
+from filters.contract.validation import finite_number
+from filters.geometry.arrays import BoolArray, FloatArray
 from stereo_slam_env.envs.rows import Arrays, Rows, RowsWrapper, Seeds, Step
 from stereo_slam_env.wrappers.filter_rows import FilterRows
 from stereo_slam_env.wrappers.recorded_wrapper import RowWrapper

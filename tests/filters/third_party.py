@@ -8,9 +8,9 @@ import numpy as np
 
 from filters import BodyVelocity, CameraState, MeasurementModel, MotionModel, StereoCamera, Variable
 from filters.geometry import rotations
+from filters.geometry.arrays import FloatArray
 from filters.geometry.retractions import RotationVector
 from filters.measurements.model import Values
-from filters.validation import FloatArray
 
 DISPARITY_ERRORS = Variable("disparity-errors", [1.02, 0.003], np.diag([0.01, 0.002]) ** 2)
 """Scale of the disparity, and its shear over v."""

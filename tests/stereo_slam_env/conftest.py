@@ -4,7 +4,7 @@ import sys
 
 import pytest
 
-from filters.extras import install_command
+from filters.contract.extras import install_command
 
 from .third_party import third_party as third_party
 

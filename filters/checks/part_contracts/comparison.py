@@ -6,8 +6,8 @@ import numpy as np
 
 from filters.contract.variables import Variable
 from filters.geometry import rotations
+from filters.geometry.arrays import FloatArray
 from filters.motions.model import CameraState
-from filters.validation import FloatArray
 
 TOLERANCE = 1e-6
 """Largest error of a Jacobian, as a share of the largest entry of its row; that of differences is about 1e-9."""

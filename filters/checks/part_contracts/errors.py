@@ -13,14 +13,13 @@ from filters.contract.observation import StereoObservation
 from filters.contract.start import Start
 from filters.engine.stereo_ekf import StereoEKF
 from filters.errors.model import ErrorDefinition
-from filters.geometry import differences, rotations
+from filters.geometry import differences, rotations, symmetric
+from filters.geometry.arrays import FloatArray
 from filters.landmarks.euclidean import Euclidean
 from filters.landmarks.inverse_depth import InverseDepth
 from filters.landmarks.model import LandmarkModel
 from filters.motions.model import ROTATION
-from filters.state import symmetric
 from filters.state.joint_state import JointState, world_rotation_of_variables
-from filters.validation import FloatArray
 
 
 def _state(model: LandmarkModel) -> JointState:

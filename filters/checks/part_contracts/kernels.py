@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from filters.checks.part_contracts.comparison import assert_close
+from filters.geometry.arrays import FloatArray
 from filters.geometry.machine_code import settings_of
 from filters.parts import kernels_of
-from filters.validation import FloatArray
 
 
 class Kernels:

@@ -7,9 +7,9 @@ import numpy as np
 from filters.checks.part_contracts.comparison import SCALES, SHIFT, TOLERANCE, TURN, assert_close, unit_directions
 from filters.checks.part_contracts.kernels import Kernels, assert_same
 from filters.geometry import differences, rotations
+from filters.geometry.arrays import FloatArray
 from filters.landmarks.model import LandmarkModel, StartedLandmarks
 from filters.parts import kernels_of
-from filters.validation import FloatArray
 
 Started = tuple[FloatArray, FloatArray | None, FloatArray, StartedLandmarks]
 """Position of the camera, anchors, what was seen from the position (M, seen_size), and the landmarks."""

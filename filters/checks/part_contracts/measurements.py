@@ -13,10 +13,10 @@ from filters.checks.part_contracts.kernels import Kernels, assert_same
 from filters.contract.observation import StereoObservation
 from filters.contract.variables import VELOCITY
 from filters.geometry import differences
+from filters.geometry.arrays import FloatArray
 from filters.geometry.retractions import ADDITIVE, Retraction
 from filters.measurements.model import MeasurementModel, Values
 from filters.parts import kernels_of
-from filters.validation import FloatArray
 
 
 def _points(sensor: MeasurementModel) -> tuple[FloatArray, Values]:

@@ -11,9 +11,9 @@ from filters.checks.part_contracts.kernels import Kernels, assert_same
 from filters.contract.inertial import InertialSamples, InertialUnit
 from filters.contract.odometry import BodyVelocity
 from filters.geometry import differences, rotations
+from filters.geometry.arrays import FloatArray
 from filters.motions.model import CAMERA_SIZE, CameraState, MotionModel, StepInput, measure_odometry, predict_camera
 from filters.parts import kernels_of
-from filters.validation import FloatArray
 
 DT = 0.1
 

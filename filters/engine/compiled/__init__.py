@@ -8,6 +8,6 @@ Only the upper triangle of the row-major P is read, which is the lower one of BL
 compiles them in a fraction of the time it takes for assignments of slices.
 """
 
-from filters.extras import require_core
+from filters.contract.extras import require_core
 
 require_core("numba")

@@ -16,7 +16,7 @@ from filters.engine.compiled.covariance import take_leading, take_row, take_rows
 from filters.engine.compiled.recipe import Plan
 from filters.engine.compiled.scratch import CHUNK_ROWS, Scratch
 from filters.engine.compiled.units import ADDRESSES, INDEX, MATRIX, PLAN, SCRATCH, unit
-from filters.validation import FloatArray, IntArray
+from filters.geometry.arrays import FloatArray, IntArray
 
 DROWNED = 1e12
 """Times R: a landmark as good as in the image plane has an S so large that R is lost in its rounding."""

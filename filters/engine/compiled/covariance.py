@@ -6,7 +6,7 @@ from numba import njit
 
 from filters.engine.compiled.blas import KERNEL
 from filters.engine.compiled.scratch import Scratch
-from filters.validation import FloatArray, IntArray
+from filters.geometry.arrays import FloatArray, IntArray
 
 LOST = 1e-10
 """Share of a variance of the pose that rounding may have made up."""

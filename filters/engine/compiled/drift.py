@@ -7,7 +7,7 @@ from numba import njit
 from filters.engine.compiled.blas import KERNEL
 from filters.engine.compiled.recipe import Plan
 from filters.engine.compiled.scratch import Scratch
-from filters.validation import FloatArray, IntArray
+from filters.geometry.arrays import FloatArray, IntArray
 
 SMALLEST_DETERMINANT = 1e-3
 """Of d(u, v, d) / d(own numbers): below, a landmark is so far that a step in the image has no place in the map."""

@@ -74,9 +74,9 @@ from filters.engine.compiled.units import (
     read_storage,
     unit,
 )
+from filters.geometry.arrays import FloatArray, IntArray
 from filters.geometry.rotations import right_jacobian_of
 from filters.geometry.three_by_three import put, times, transposed
-from filters.validation import FloatArray, IntArray
 
 FIRST, AGAIN, MOVED = range(3)
 """Where to linearise: at the state for the first time in a stage, there again, or where a correction leads."""

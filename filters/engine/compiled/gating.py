@@ -11,7 +11,7 @@ from filters.engine.compiled.drift import step_covariance
 from filters.engine.compiled.recipe import Plan
 from filters.engine.compiled.scratch import Scratch
 from filters.engine.compiled.units import INDEX, MATRIX, PLAN, SCRATCH, unit
-from filters.validation import FloatArray, IntArray
+from filters.geometry.arrays import FloatArray, IntArray
 
 
 @njit(**KERNEL)

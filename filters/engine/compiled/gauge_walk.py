@@ -19,9 +19,9 @@ from filters.engine.compiled.recipe import Plan
 from filters.engine.compiled.scratch import Scratch
 from filters.engine.compiled.storage import BLOCKS, LANDMARKS, OWN, POINT, Storage
 from filters.engine.compiled.units import ADDRESSES, EFFECT, PLAN, SCRATCH, STORAGE, VECTOR, unit
+from filters.geometry.arrays import FloatArray
 from filters.geometry.rotations import Nine, product_of
 from filters.geometry.three_by_three import IDENTITY, cross_matrix, transposed
-from filters.validation import FloatArray
 
 TURN_WEIGHT = 5.0
 """Of the flow that a turn makes. It moves all points in the same direction, and so do the errors that it brings; ahead,

@@ -35,8 +35,8 @@ from filters.engine.compiled.units import (
     STORAGE,
     unit,
 )
+from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.geometry.three_by_three import cross_matrix, put, times, transposed
-from filters.validation import BoolArray, FloatArray, IntArray
 
 FARTHEST = 1e6
 """No camera measures a pixel or a disparity as large, px; squares of what would come of 1e300 overflow."""

@@ -10,8 +10,8 @@ from filters.engine.compiled.recipe import Plan
 from filters.engine.compiled.scratch import Scratch
 from filters.engine.compiled.storage import BLOCKS, LANDMARKS, OWN, POINT, Storage
 from filters.engine.compiled.units import ADDRESSES, MATRIX, PLAN, POINTS, SCRATCH, SENSE, STORAGE, VECTOR, unit
+from filters.geometry.arrays import FloatArray, IntArray
 from filters.geometry.three_by_three import times, transposed
-from filters.validation import FloatArray, IntArray
 
 
 @njit(**KERNEL)

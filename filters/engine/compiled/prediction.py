@@ -12,9 +12,9 @@ from filters.engine.compiled.recipe import Plan
 from filters.engine.compiled.scratch import Scratch
 from filters.engine.compiled.storage import Frame
 from filters.engine.compiled.units import ADDRESSES, FRAME, MATRIX, MEASURE, PLAN, SCRATCH, STEP, VECTOR, unit
+from filters.geometry.arrays import FloatArray
 from filters.geometry.rotations import Nine, matrix_of
 from filters.geometry.three_by_three import cross_matrix, put, transposed
-from filters.validation import FloatArray
 
 
 @njit(**KERNEL)

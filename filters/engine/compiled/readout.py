@@ -22,9 +22,9 @@ from filters.engine.compiled.units import (
     read_scratch,
     read_storage,
 )
+from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.geometry.three_by_three import cross_matrix, put, times, transposed
 from filters.motions.model import POSE_SIZE
-from filters.validation import BoolArray, FloatArray, IntArray
 
 
 @njit(**KEPT, **ENTRY)

@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from filters.engine.gating import gate_limit
+from filters.geometry.arrays import FloatArray, IntArray
 from filters.landmarks.model import LandmarkKernels
 from filters.measurements.model import MeasurementKernels, StageRows
 from filters.motions.model import CAMERA_SIZE, POSE_SIZE, MotionKernels
-from filters.validation import FloatArray, IntArray
 
 MOST_ROWS, MOST_STAGES = 4, 4  # of a landmark's measurement in one stage, and of these
 _NONE, _NOWHERE = np.zeros(0), np.zeros(0, dtype=np.int64)

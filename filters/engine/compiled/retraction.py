@@ -14,10 +14,10 @@ from filters.engine.compiled.recipe import Plan
 from filters.engine.compiled.scratch import Scratch
 from filters.engine.compiled.storage import BLOCKS, CLONE_ROTATION, OWN, POINT, Storage
 from filters.engine.compiled.units import ADDRESSES, EFFECT, PLAN, SCRATCH, STORAGE, TURN, unit
+from filters.geometry.arrays import FloatArray
 from filters.geometry.retractions import additive_transport_of
 from filters.geometry.rotations import Four, Nine, matrix_of, product_of, quaternion_of, right_jacobian_of
 from filters.geometry.three_by_three import IDENTITY, cross_matrix, multiply, put, times, transposed
-from filters.validation import FloatArray
 
 
 @njit(**KERNEL)

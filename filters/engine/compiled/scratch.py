@@ -8,8 +8,8 @@ import numpy as np
 
 from filters.engine.compiled.recipe import MOST_ROWS, Recipe
 from filters.engine.compiled.storage import Storage, aligned
+from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.motions.model import POSE_SIZE
-from filters.validation import BoolArray, FloatArray, IntArray
 
 CHUNK_ROWS = 36  # of measurement corrected with at a time: more cost more to factorise, fewer pass over P more often
 

@@ -16,11 +16,11 @@ from filters.engine.compiled.recipe import Plan
 from filters.engine.compiled.scratch import Scratch
 from filters.engine.compiled.storage import POINT, Storage
 from filters.engine.compiled.units import ADDRESSES, MATRIX, PLAN, POINTS, SCRATCH, STORAGE, TURN, VECTOR, unit
+from filters.geometry.arrays import FloatArray
 from filters.geometry.rotations import matrix_of, quaternion_of
 from filters.geometry.three_by_three import multiply, put, transposed
 from filters.motions.model import POSE_SIZE
 from filters.updates.unscented import NEGLIGIBLE
-from filters.validation import FloatArray
 
 
 @njit(**KERNEL)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from filters.engine.compiled.recipe import MOST_ROWS, MOST_STAGES, Recipe
-from filters.validation import BoolArray, FloatArray, IntArray
+from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 
 LANDMARKS, BLOCKS = 0, 1
 POINT, OWN, CLONE_POSITION, CLONE_ROTATION = range(4)

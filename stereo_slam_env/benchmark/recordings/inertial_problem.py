@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from filters import BodyVelocity, Pose, Start, StereoCamera, StereoObservation
-from filters.validation import FloatArray, IntArray
+from filters.geometry.arrays import FloatArray, IntArray
 from stereo_slam_env.recording.recording import SIMULATION, Frame, LandmarkTruth, Recording, Velocity
 from stereo_slam_env.sensing.imu import GRAVITY, Imu, Path
 from stereo_slam_env.sensing.pixel_noise import NOISE_MODELS

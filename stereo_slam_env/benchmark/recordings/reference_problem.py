@@ -31,8 +31,9 @@ from scipy.spatial.transform import Rotation
 
 from filters import BodyVelocity, StereoCamera, StereoNoise, StereoObservation
 from filters.contract.start import Start
+from filters.contract.validation import positive
+from filters.geometry.arrays import FloatArray
 from filters.geometry.poses import Pose
-from filters.validation import FloatArray, positive
 from stereo_slam_env.recording.recording import SIMULATION, Frame, LandmarkTruth, Recording, Velocity
 from stereo_slam_env.sensing.pixel_noise import NOISE_MODELS
 from stereo_slam_env.sensing.rigs import CAMERA_HEIGHT, RIGS, Rig, camera_of

@@ -25,8 +25,8 @@ from typing import Any, Literal, TypeVar, get_args
 import joblib
 from threadpoolctl import threadpool_limits
 
+from filters.contract.extras import install_command
 from filters.contract.foreign_text import first_line, plain, type_name
-from filters.extras import install_command
 from stereo_slam_env.benchmark.running.isolation import run_isolated, start_server, waiting_threads
 
 Task = TypeVar("Task")

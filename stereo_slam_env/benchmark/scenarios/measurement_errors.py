@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from filters.validation import FloatArray, IntArray
+from filters.geometry.arrays import FloatArray, IntArray
 from stereo_slam_env.recording.recording import Recording
 
 RANGES = (0.0, 15.0, 30.0, 45.0, 70.0, 150.0, np.inf)

@@ -13,8 +13,8 @@ from msgspec import Meta
 
 from filters.contract.known_names import require_known
 from filters.contract.noise import ColouredNoise, StereoNoise
+from filters.contract.validation import finite_array, gate_probability
 from filters.motions.constant_velocity import ConstantVelocity
-from filters.validation import finite_array, gate_probability
 from stereo_slam_env.benchmark.recordings.source import Renderer, Source, checked
 from stereo_slam_env.benchmark.recordings.sources import StreetSource, known_kinds, source_of
 from stereo_slam_env.benchmark.scenarios.bounds import (

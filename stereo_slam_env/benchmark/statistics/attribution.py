@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from filters.validation import BoolArray, FloatArray
+from filters.geometry.arrays import BoolArray, FloatArray
 from stereo_slam_env.benchmark.scenarios.study import factorial_label
 from stereo_slam_env.benchmark.statistics.effects import Response, ResponseAttribution, explain
 from stereo_slam_env.benchmark.statistics.measures import POSE_NEES, POSITION, TIME

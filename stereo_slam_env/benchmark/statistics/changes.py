@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from filters.validation import BoolArray
+from filters.geometry.arrays import BoolArray
 from stereo_slam_env.benchmark.statistics.differences import (
     TIE_PERCENT,
     Difference,

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.stats import binomtest, fisher_exact, mannwhitneyu, wilcoxon
 
-from filters.validation import BoolArray, FloatArray
+from filters.geometry.arrays import BoolArray, FloatArray
 from stereo_slam_env.evaluation.intervals import studentised_interval, welch_interval
 
 CONFIDENCE = 0.95

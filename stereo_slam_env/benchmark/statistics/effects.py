@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from filters.validation import FloatArray, IntArray
+from filters.geometry.arrays import FloatArray, IntArray
 from stereo_slam_env.benchmark.statistics.differences import Difference, Finding, differences_of, percent_words
 
 Term = tuple[int, ...]

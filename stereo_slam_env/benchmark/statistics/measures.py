@@ -12,7 +12,7 @@ from itertools import combinations
 
 import numpy as np
 
-from filters.validation import FloatArray
+from filters.geometry.arrays import FloatArray
 from stereo_slam_env.benchmark.statistics.differences import (
     Difference,
     Finding,

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from filters.contract.foreign_text import first_line
-from filters.validation import FloatArray, IntArray
+from filters.geometry.arrays import FloatArray, IntArray
 from stereo_slam_env.evaluation.cramer_rao import Bound
 from stereo_slam_env.evaluation.figures import trial_columns
 from stereo_slam_env.evaluation.landmark_statistics import SERIES as _LANDMARK_SERIES

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import isotonic_regression
 
-from filters.validation import FloatArray
+from filters.geometry.arrays import FloatArray
 
 WIDTH = 1170.0
 """Of a chart that fills the page, pixels."""

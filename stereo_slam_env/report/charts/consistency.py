@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from filters.validation import FloatArray
+from filters.geometry.arrays import FloatArray
 from stereo_slam_env.evaluation.consistency import DOF, mean_bands
 from stereo_slam_env.evaluation.landmark_statistics import DepthConvergence, RangeError
 from stereo_slam_env.evaluation.map_scoring import LandmarkTrace

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from filters.validation import FloatArray
+from filters.geometry.arrays import FloatArray
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
 from stereo_slam_env.report.charts import series
 from stereo_slam_env.report.charts.axes import WIDTH, Axis, label_room, panel_width

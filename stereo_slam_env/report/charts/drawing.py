@@ -17,7 +17,7 @@ import numpy as np
 import vl_convert
 from numpy.typing import ArrayLike
 
-from filters.validation import FloatArray, IntArray
+from filters.geometry.arrays import FloatArray, IntArray
 from stereo_slam_env.report.charts.axes import Axis, short, spread_out
 from stereo_slam_env.report.charts.series import last_known, peak, thinned
 from stereo_slam_env.report.charts.style import INK, MUTED, PAPER, Limit, shared_limit

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from filters.validation import FloatArray
+from filters.geometry.arrays import FloatArray
 from stereo_slam_env.benchmark.statistics.attribution import Attribution
 from stereo_slam_env.benchmark.statistics.changes import Change
 from stereo_slam_env.benchmark.statistics.effects import Effect, ResponseAttribution

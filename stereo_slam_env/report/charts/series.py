@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from filters.validation import BoolArray, FloatArray, IntArray
+from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from stereo_slam_env.evaluation.results import FilterRun
 
 Quantity = Callable[[FilterRun], FloatArray]

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.stats import chi2
 
-from filters.validation import FloatArray
+from filters.geometry.arrays import FloatArray
 from stereo_slam_env.evaluation.consistency import mean_band
 from stereo_slam_env.evaluation.trajectory_runs import RunsScore
 from stereo_slam_env.evaluation.trajectory_score import TrajectoryScore

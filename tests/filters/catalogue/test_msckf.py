@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from filters import StereoEKF, StereoObservation, check_filter, make_filter
-from filters.state import symmetric
+from filters.geometry import symmetric
 
 from ..drives import CAMERA, INDEPENDENT_PIXELS, drive, finish, run, start
 from ..inertial_drives import DT, START_SIGMAS, Journey, Path, driven, flown

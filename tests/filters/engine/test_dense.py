@@ -13,7 +13,7 @@ from filters.engine.compiled.recipe import Recipe
 from filters.engine.compiled.storage import FAILED, FilterState
 from filters.engine.engine import Engine
 from filters.engine.frames import Observations
-from filters.state import symmetric
+from filters.geometry import symmetric
 
 from ..drives import CAMERA
 

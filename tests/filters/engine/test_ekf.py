@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from filters import BodyVelocity, Start, StereoEKF, StereoObservation, VelocityDriven
-from filters.state import symmetric
+from filters.geometry import symmetric
 
 from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, INDEPENDENT_UVD, SPEED, drive, finish, run
 from .beliefs import assert_identical, make, snapshot, tilted

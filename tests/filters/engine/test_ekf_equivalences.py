@@ -21,7 +21,7 @@ from filters import (
     StereoNoise,
     StereoObservation,
 )
-from filters.state import symmetric
+from filters.geometry import symmetric
 from filters.state.linearised import LinearisedMeasurements
 
 from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, INDEPENDENT_UVD, SPEED, drive, run

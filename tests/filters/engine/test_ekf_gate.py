@@ -9,7 +9,7 @@ import pytest
 from scipy.stats import binom
 
 from filters import ConstantVelocity, Start, StereoEKF, StereoObservation
-from filters.state import symmetric
+from filters.geometry import symmetric
 
 from .. import textbook
 from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, SPEED, drive, run

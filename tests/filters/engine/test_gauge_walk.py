@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from filters import RightInvariant, Start, StereoEKF
-from filters.state import symmetric
+from filters.geometry import symmetric
 
 from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, START_COVARIANCE, drive, finish
 from ..slots import LANDMARKS

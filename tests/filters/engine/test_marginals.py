@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from filters import Hybrid, InverseDepthStereoEKF, StereoFilter, make_filter
-from filters.geometry import rotations
-from filters.state import symmetric
+from filters.geometry import rotations, symmetric
 
 from ..drives import CAMERA, INDEPENDENT_PIXELS, drive, finish
 from ..numeric import numeric_jacobian

@@ -10,7 +10,7 @@ import pytest
 from filters import Extended, RangeBearing, Stage, StereoEKF, StereoObservation
 from filters.engine import selection
 from filters.engine.new_landmarks import start_landmarks
-from filters.state import symmetric
+from filters.geometry import symmetric
 
 from ..drives import CAMERA, INDEPENDENT_PIXELS, drive, finish, run, start
 from ..slots import LANDMARKS

@@ -7,9 +7,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from filters import LeftInvariant, RightInvariant
-from filters.geometry import rotations
+from filters.geometry import rotations, symmetric
 from filters.motions.model import POSITION, ROTATION
-from filters.state import symmetric
 
 from ..numeric import numeric_jacobian, relative_difference
 from ..slots import ERRORS, LANDMARKS

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from filters import BodyVelocity, Extended, FirstEstimates, Start, StereoEKF, StereoObservation, VelocityDriven
-from filters.geometry import rotations
+from filters.geometry import rotations, symmetric
 from filters.motions.model import ANGULAR, CAMERA_SIZE, LINEAR, POSITION, ROTATION
-from filters.state import symmetric
 from filters.state.joint_state import JointState, world_rotation_of_variables
 from filters.state.linearised import LinearisedMeasurements
 

@@ -19,9 +19,8 @@ from filters import (
     StereoObservation,
     VelocityDriven,
 )
-from filters.geometry import rotations
+from filters.geometry import rotations, symmetric
 from filters.motions.model import ANGULAR, CAMERA_SIZE, LINEAR, POSITION, ROTATION
-from filters.state import symmetric
 from filters.state.joint_state import JointState
 
 from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, drive

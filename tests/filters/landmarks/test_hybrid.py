@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from filters import FilterBatch, Hybrid, SharedAnchorEKF, Stage, Start, StereoEKF, StereoObservation
-from filters.geometry import rotations
+from filters.geometry import rotations, symmetric
 from filters.landmarks.hybrid import linearity_index
-from filters.state import symmetric
 
 from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, SPEED, START_COVARIANCE, drive, finish, run, start
 from ..slots import ERRORS

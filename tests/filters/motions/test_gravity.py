@@ -21,7 +21,7 @@ from filters import (
     Variable,
     check_part,
 )
-from filters.state import symmetric
+from filters.geometry import symmetric
 from filters.state.joint_state import world_rotation_of_variables
 from filters.state.layout import Layout
 

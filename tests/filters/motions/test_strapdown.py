@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from filters import CameraState, InertialSamples, StereoEKF, Strapdown, check_part, make_filter
-from filters.state import symmetric
+from filters.geometry import symmetric
 
 from ..drives import CAMERA, INDEPENDENT_PIXELS
 from ..inertial_drives import (

@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 
 from filters import Start
+from filters.geometry import symmetric
+from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.landmarks.model import LandmarkModel, StartedLandmarks
 from filters.motions.model import POSE_SIZE, CameraState
-from filters.state import symmetric
 from filters.state.joint_state import Clone, JointState, NewLandmarks
 from filters.state.layout import Layout
-from filters.validation import BoolArray, FloatArray, IntArray
 
 
 def camera_at(position: FloatArray) -> CameraState:

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from filters import Extended, Pose, StereoEKF, jacobian
-from filters.geometry import rotations
+from filters.geometry import rotations, symmetric
 from filters.geometry.poses import relative_jacobian
-from filters.state import symmetric
 from filters.state.joint_state import world_rotation_of_variables
 
 from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, drive, run, start

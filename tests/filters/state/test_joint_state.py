@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
+from filters.geometry import symmetric
 from filters.landmarks.hybrid import Hybrid
 from filters.landmarks.model import LandmarkModel
-from filters.state import symmetric
 from filters.state.joint_state import JointState, NewLandmarks
 
 from ..slots import LANDMARKS

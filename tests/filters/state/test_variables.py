@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from filters import BodyVelocity, Start, StereoEKF, StereoObservation, Variable
 from filters.contract.stereo_filter import StereoFilter
-from filters.state import symmetric
+from filters.geometry import symmetric
 from filters.state.joint_state import world_rotation_of_variables
 from filters.state.layout import Layout
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
+from filters.geometry import symmetric
 from filters.motions.model import CAMERA_SIZE, CameraState
-from filters.state import symmetric
 from filters.state.joint_state import JointState
 from filters.state.linearised import LinearisedMeasurements
 from filters.submaps.chain import SubmapChain

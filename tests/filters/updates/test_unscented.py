@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from filters import Extended, RangeBearing, Stage, Start, StereoEKF, StereoObservation, Unscented, check_filter
 from filters.checks.conformance import REFERENCE_CAMERA as CAMERA
 from filters.checks.conformance import REFERENCE_NOISE as NOISE
-from filters.state import symmetric
+from filters.geometry import symmetric
 
 from ..engine.combinations import Case, figures, run_case
 

@@ -6,7 +6,7 @@ import sys
 import numpy as np
 import pytest
 
-from filters.extras import install_command
+from filters.contract.extras import install_command
 from stereo_slam_env.datasets import load
 
 from ..real_data import real_data

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from filters.consistency import nees
+from filters.checks.consistency import nees
 from stereo_slam_env.evaluation.consistency import mean_band, share_inside
 
 

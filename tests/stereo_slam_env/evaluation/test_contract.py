@@ -8,7 +8,7 @@ import pytest
 
 import stereo_slam_env as sse
 from filters import BodyVelocity, StereoObservation
-from filters.consistency import are_definite, fault_of, nees
+from filters.checks.consistency import are_definite, fault_of, nees
 from stereo_slam_env.benchmark import ReferenceSource, Scenario, run_benchmark
 from stereo_slam_env.benchmark.head_to_head import Bench
 from stereo_slam_env.evaluation.filter_run import run_filter

@@ -3,6 +3,8 @@
 import multiprocessing
 import os
 import re
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -173,3 +175,10 @@ def test_drawing_needs_a_scene_and_an_open_renderer():
         renderer.render_pair(AHEAD)
     with pytest.raises(RuntimeError, match="closed"):
         renderer.build(SCENE)
+
+
+def test_pytorch_with_triton_can_be_loaded_after_it():
+    pytest.importorskip("triton", reason="PyTorch for the CPU comes without Triton")
+    code = "from stereo_slam_env.rendering.gl_resources import device; device(); import triton._C.libtriton"
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=100)
+    assert ended.returncode == 0, ended.stderr

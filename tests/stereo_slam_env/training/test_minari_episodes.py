@@ -121,6 +121,6 @@ def test_frames_that_were_skipped_make_no_recording(tmp_path):
 
 
 def test_without_minari_one_line_says_what_brings_it(monkeypatch, folder):
-    monkeypatch.setattr("filters.extras.find_spec", lambda name: None)
+    monkeypatch.setattr("filters.contract.extras.find_spec", lambda name: None)
     with pytest.raises(ImportError, match=r'^minari is missing: .* -m pip install "stereo-slam-env\[rl\]"$'):
         load_episodes(ID, folder)

@@ -9,7 +9,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from filters import extras
+from filters.contract import extras
 from stereo_slam_env.cli import app as cli
 from stereo_slam_env.policies import make_policy
 from stereo_slam_env.policies.network import Network

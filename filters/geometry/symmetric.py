@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from filters.validation import FloatArray, IntArray
+from filters.geometry.arrays import FloatArray, IntArray
 
 
 def rows(P: FloatArray, index: IntArray) -> FloatArray:

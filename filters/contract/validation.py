@@ -7,11 +7,10 @@ import sys
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
-BoolArray = NDArray[np.bool_]
+from filters.geometry.arrays import FloatArray, IntArray
+
 Made = TypeVar("Made")
 _ROUNDING = 1e-15
 """Of the norm of a quaternion that has been normalised: it keeps its bits."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from filters import validation
+from filters.contract import validation
 from filters.contract.observation import StereoObservation
 
 

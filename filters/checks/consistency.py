@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from filters.validation import BoolArray, FloatArray
+from filters.geometry.arrays import BoolArray, FloatArray
 
 ROUNDING = 1e-9
 """By so much of its size a covariance may be asymmetric, or semi-definite from the wrong side."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from filters.state import symmetric
+from filters.geometry import symmetric
 
 
 @pytest.fixture
