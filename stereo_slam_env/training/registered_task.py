@@ -11,7 +11,7 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 
-from filters.validation import FloatArray
+from filters.geometry.arrays import FloatArray
 from stereo_slam_env.envs.vector_env import RowsVectorEnv
 from stereo_slam_env.policies.network import Network
 from stereo_slam_env.policies.scores import REFERENCE_RETURNS, normalised_score

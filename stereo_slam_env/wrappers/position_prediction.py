@@ -9,7 +9,8 @@ import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 
-from filters.validation import BoolArray, positive
+from filters.contract.validation import positive
+from filters.geometry.arrays import BoolArray
 from stereo_slam_env.envs.rows import Arrays, Rows, RowsWrapper, Seeds, Step
 from stereo_slam_env.wrappers.recorded_wrapper import RowWrapper
 

@@ -43,13 +43,13 @@ def test_record_video_films_one_environment_of_a_vector(tmp_path, name):
     arguments = {"arguments": QUICK} if name == "ActiveGaze-v0" else QUICK
     vector = gym.make_vec(f"StereoSlam/{name}", num_envs=4, render_mode="rgb_array", **arguments)
     film = gym.wrappers.vector.RecordVideo(
-        vector, str(tmp_path), record_first_only=True, video_length=3, disable_logger=True
+        vector, str(tmp_path / "films"), record_first_only=True, video_length=3, disable_logger=True
     )
     film.reset(seed=0)
     for _ in range(4):
         film.step(film.action_space.sample())
     film.close()
-    assert [file.suffix for file in tmp_path.iterdir()] == [".mp4"]
+    assert [file.suffix for file in (tmp_path / "films").iterdir()] == [".mp4"]
 
 
 def test_a_library_that_looks_one_base_class_up_finds_gymnasium():
