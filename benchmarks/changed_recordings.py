@@ -24,14 +24,16 @@ from typing import Any
 import numpy as np
 
 import stereo_slam_env as sse
-from filters import StereoCamera, StereoNoise, StereoObservation, nees
+from filters import Pose, StereoCamera, StereoNoise, StereoObservation, nees
+from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray
 from harness import arguments, show
 from stereo_slam_env.evaluation.trajectory_metrics import ate_rigid
 from stereo_slam_env.evaluation.windows import window_ends
 from stereo_slam_env.frontend import with_measured_noise
 from stereo_slam_env.frontend.causal_noise import CausalNoiseEKF
-from stereo_slam_env.recording.recording import GIVEN_TRUTH, Recording
+from stereo_slam_env.frontend.track_noise import MISALIGNMENT, bring_R, stated_noise, track_noise
+from stereo_slam_env.recording.recording import GIVEN_TRUTH, Frame, Recording
 from stereo_slam_env.recording.trajectory import pose_errors
 
 RECORDINGS: Mapping[str, int | None] = {
@@ -51,8 +53,10 @@ Change = Callable[[Recording, np.random.Generator], Recording]
 def measured_again(recording: Recording, look: int | None = None) -> Recording:
     """The recording with what its tracks, or those of its first frames, say now; a stranger states no more than R."""
     bare = replace(recording, noise=StereoNoise(recording.noise.R))
-    told = with_measured_noise(bare[:look])
-    return told if look is None else replace(bare, noise=told.noise)
+    if look is None:
+        return with_measured_noise(bare)
+    stranger = recording.truth_from.kind != "simulation"
+    return replace(bare, noise=stated_noise(track_noise(bare[:look]), bare.noise, bring_R(bare), stranger))
 
 
 def every(n: int) -> Change:
@@ -245,14 +249,31 @@ def rendered(seeds: Iterable[int], renderer: str, route: str, **options: Any) ->
         yield sse.record("StereoSlam/Drive-v0", seed=seed, route=route, sensor="images", renderer=renderer, **options)
 
 
-def with_wrong_rig(drive: Recording, seed: int) -> Recording:
+def mounted(drive: Recording, turn: FloatArray) -> Recording:
+    """The drive with the poses of a body in which the camera is turned by a rotation vector, rad."""
+    camera_in_body = Pose(np.zeros(3), rotations.exp_quaternion(turn))
+
+    def of_body(frame: Frame) -> Frame:
+        if frame.truth is None:
+            return frame
+        motion = start.inverse() @ frame.truth
+        return replace(frame, truth=start @ (camera_in_body.inverse() @ motion @ camera_in_body))
+
+    start = next(frame.truth for frame in drive.frames if frame.truth is not None)
+    return replace(drive, frames=tuple(of_body(frame) for frame in drive.frames))
+
+
+def with_wrong_rig(drive: Recording, seed: int, exact_mounting: bool = False) -> Recording:
     """The drive as a stranger's whose rig is wrong.
 
     Standard deviations: 0.5 % of the focal length, 1 % of the baseline, 0.1 degrees of yaw and of roll of the right
-    camera, 0.3 px of disparity.
+    camera, 0.3 px of disparity; and 5 mrad about each axis of how the camera is turned in the body of the truth, where
+    it is not mounted exactly.
     """
     rng = np.random.default_rng(seed)
     draws = rng.normal(size=5)
+    if not exact_mounting:
+        drive = mounted(drive, MISALIGNMENT * rng.normal(size=3))
     errors = {focal_length: 0.005, baseline: 0.01, turned: 0.1, rolled: 0.00175, shifted: 0.3}
     for (change, sigma), drawn in zip(errors.items(), draws, strict=True):
         drive = change(sigma * drawn)(drive, rng)
@@ -272,6 +293,7 @@ def main() -> None:
         rendered=0,
         wrong_rigs=0,
         rigs=1,
+        exact_mounting=False,
         first_seed=0,
         renderer="gl",
         route="right-turn",
@@ -288,13 +310,15 @@ def main() -> None:
         show_changes(f"{given.route} by {given.renderer}", drives, given.changes, look, given.causal)
     if given.wrong_rigs:
         seeds = range(given.first_seed, given.first_seed + given.wrong_rigs)
-        show_wrong_rigs(rendered(seeds, given.renderer, given.route, rig=WRONG_RIG), seeds, given.rigs)
+        show_wrong_rigs(
+            rendered(seeds, given.renderer, given.route, rig=WRONG_RIG), seeds, given.rigs, given.exact_mounting
+        )
 
 
-def show_wrong_rigs(drives: Iterable[Recording], seeds: Sequence[int], rigs: int) -> None:
+def show_wrong_rigs(drives: Iterable[Recording], seeds: Sequence[int], rigs: int, exact_mounting: bool) -> None:
     """A row for each rig, some of each drive, and the means."""
     scores = {
-        f"{seed}, {rig}": scored(with_wrong_rig(drive, rigs * seed + rig))
+        f"{seed}, {rig}": scored(with_wrong_rig(drive, rigs * seed + rig, exact_mounting))
         for seed, drive in zip(seeds, drives, strict=True)
         for rig in range(rigs)
     }

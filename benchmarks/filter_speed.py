@@ -1,17 +1,18 @@
 """Cost of a frame (predict + update, n landmarks all observed), as a ratio to the linear algebra it cannot avoid.
 
-    python benchmarks/filter_speed.py                  # all sizes, three minutes
-    python benchmarks/filter_speed.py --sizes 100
+    python benchmarks/filter_speed.py                  # 25 to 200 landmarks, five minutes
+    python benchmarks/filter_speed.py --sizes 400 800 --repeats 15
 
 The yardstick is Cholesky + triangular solve + symmetric rank-k update of the whole frame's measurement in one batch,
 by scipy's BLAS and LAPACK, at the sizes of the shared-anchor state. Everything is measured in turns, some frames of
 each at a time, in one process with one BLAS thread, so the ratios hold on a noisy machine; times are this machine's
-processor time, 20 % quantile. "Own" parts are a stranger's: their numbers come from NumPy, or from
-kernels of their own. filterpy's EKF gets H for
-nothing, at the sizes of the shared-anchor and of the six-dimensional state: it has no shared anchors, so the latter is
-the same problem as a user would write it. "Turnover" is the share of a frame that goes into landmarks leaving and
-entering the map, 3 % of them a frame as on the reference drive: frames with and without it, in turns on the same map.
-`rival_speed.py` drives, and has iSAM2.
+processor time, 20 % quantile. "Own" parts are a stranger's: their numbers come from NumPy, or from kernels of their
+own. filterpy's EKF gets H for nothing, at the sizes of the shared-anchor and of the six-dimensional state: it has no
+shared anchors, so the latter is the same problem as a user would write it; OpenCV's KalmanFilter and a careful EKF in
+NumPy (Cholesky, triangular solve, a step of the leading rows alone) get it at the sizes of the former. These are
+measured up to 200 landmarks. "Turnover" is the share of a frame that goes into landmarks leaving and entering the map,
+3 % of them a frame as on the reference drive: frames with and without it, in turns on the same map. `rival_speed.py`
+drives, and has iSAM2.
 """
 
 from __future__ import annotations
@@ -20,9 +21,10 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 
+import cv2
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
-from scipy.linalg import blas, lapack
+from scipy.linalg import blas, cholesky, lapack, solve_triangular
 from threadpoolctl import threadpool_limits
 
 from filters import (
@@ -45,6 +47,7 @@ TURNOVER = 0.03
 BURST = 5  # frames of one filter in a row: in use it does not share the processor's caches with its rivals
 DT, SPEED = 0.1, 0.05  # slow, so that every landmark stays in view through the whole measurement
 SLOW_FRAMES = 6  # of the rivals that take long
+MOST_OF_RIVALS = 200  # landmarks
 SHARED = "shared anchors"
 
 
@@ -232,6 +235,45 @@ def filterpy_step(rows: int, states: int) -> Callable[[], float]:
     return step
 
 
+def opencv_step(rows: int, states: int) -> Callable[[], float]:
+    """Predict + correct of OpenCV's KalmanFilter at these sizes."""
+    rng = np.random.default_rng(0)
+    kf = cv2.KalmanFilter(states, rows, 0, cv2.CV_64F)
+    kf.transitionMatrix, kf.processNoiseCov = np.eye(states), 1e-6 * np.eye(states)
+    kf.measurementMatrix, kf.measurementNoiseCov = rng.standard_normal((rows, states)), np.eye(rows)
+    kf.errorCovPost, z = np.eye(states), rng.standard_normal((rows, 1))
+
+    def step() -> float:
+        began = time.process_time()
+        kf.predict()
+        kf.correct(z)
+        return time.process_time() - began
+
+    return step
+
+
+def numpy_step(rows: int, states: int) -> Callable[[], float]:
+    """Predict + update of an EKF in NumPy and SciPy at these sizes, as one who cares for speed writes it."""
+    rng = np.random.default_rng(0)
+    H, z, R = rng.standard_normal((rows, states)), rng.standard_normal(rows), np.eye(rows)
+    F, Q, x, P = np.eye(12) + 0.1 * np.eye(12, k=6), 1e-6 * np.eye(12), np.zeros(states), np.eye(states)
+
+    def step() -> float:
+        began = time.process_time()
+        P[:12] = F @ P[:12]
+        P[:, :12] = P[:, :12] @ F.T
+        P[:12, :12] += Q
+        HP = H @ P
+        factor = cholesky(HP @ H.T + R, lower=True, overwrite_a=True, check_finite=False)
+        solved = solve_triangular(factor, HP, lower=True, overwrite_b=True, check_finite=False)
+        nu = solve_triangular(factor, z - H @ x, lower=True, check_finite=False)
+        np.add(x, solved.T @ nu, out=x)
+        np.subtract(P, solved.T @ solved, out=P)
+        return time.process_time() - began
+
+    return step
+
+
 def measure(n: int, repeats: int) -> dict[str, float]:
     """Seconds a frame of everything, at n landmarks."""
     shared = 12 + 3 * n + 3 * ANCHORS
@@ -241,7 +283,11 @@ def measure(n: int, repeats: int) -> dict[str, float]:
     slow = {
         "filterpy EKF, shared state": filterpy_step(3 * n, shared),
         "filterpy EKF, 6-D state": filterpy_step(3 * n, 12 + 6 * n),
+        "OpenCV KalmanFilter": opencv_step(3 * n, shared),
+        "EKF in NumPy": numpy_step(3 * n, shared),
     }
+    if n > MOST_OF_RIVALS:
+        slow = {}
     times: dict[str, list[float]] = {name: [] for name in (*steps, *slow)}
     for repeat in range(repeats // BURST):
         for name, step in steps.items():
@@ -259,11 +305,14 @@ def main() -> None:
     with threadpool_limits(1):
         for n in given.sizes:
             taken = measure(n, given.repeats)
-            cells = {name: f"{1e3 * s:.2f} ({s / taken['yardstick']:.2f})" for name, s in taken.items()}
+            cells = {
+                name: f"{1e3 * s:.2f} ({s / taken['yardstick']:.2f}, {s / taken[SHARED]:.2f})"
+                for name, s in taken.items()
+            }
             cells["turnover"] = f"{100 * turnover_share(n, given.repeats, **FILTERS[SHARED]):.0f} %"
             columns.append(cells)
-    rows = [(name, *(column[name] for column in columns)) for name in columns[0]]
-    title = "ms of predict + update (ratio to the yardstick), one BLAS thread"
+    rows = [(name, *(column.get(name, "") for column in columns)) for name in columns[0]]
+    title = "ms of predict + update (ratio to the yardstick, to shared anchors), one BLAS thread"
     show(title, ("landmarks", *map(str, given.sizes)), rows)
 
 

@@ -12,7 +12,7 @@ band, %; rigid ATE, m. Of rendered drives also the mean roll error at the end, w
 rotation about the optical axis, estimated against true, in microradians a frame.
 
 `--estimates` compares what could size the gauge walk without ground truth, all in rad per root of a radian of image
-motion: the slide of the tracks; half of the difference between motions measured by two halves of the landmarks (at
+motion: half of the difference between motions measured by two halves of the landmarks (at
 random, left and right, near and far), over windows of ten frames; and the walk with which NEES/6 is 1, which needs the
 truth.
 """
@@ -38,7 +38,7 @@ from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
 from stereo_slam_env.evaluation.run_figures import figures_of, summarise_all
 from stereo_slam_env.frontend.ego_motion import Pairs, Step, chained, robust_step
-from stereo_slam_env.frontend.track_noise import FIRST_GUESS, track_noise
+from stereo_slam_env.frontend.track_noise import FIRST_GUESS
 from stereo_slam_env.recording.recording import Recording
 
 RECORDINGS = ("kitti07_tracks", "kitti00_stereo_tracks", "kitti06_stereo51", "starry_night_a")
@@ -137,10 +137,9 @@ def show_estimates(recordings: Sequence[Recording]) -> None:
     halves = ("at random", "left, right", "near, far")
     rows = []
     for recording in recordings:
-        slide = track_noise(recording).slide
-        figures = [slide, *half_differences(recording), consistent_walk(recording)]
+        figures = [*half_differences(recording), consistent_walk(recording)]
         rows.append((recording.name, *(f"{1e3 * figure:.1f}" for figure in figures)))
-    show("errors common to all tracks, mrad per root of a radian", ("", "slide", *halves, "NEES/6 = 1"), rows)
+    show("errors common to all tracks, mrad per root of a radian", ("", *halves, "NEES/6 = 1"), rows)
 
 
 def half_differences(recording: Recording) -> list[float]:

@@ -63,7 +63,9 @@ class StereoNoise:
         return hash(self.R.tobytes())
 
 
-_ERRORS_IN_COMMON = ("gauge_walk", "misalignment", "disparity_offset", "right_yaw", "right_roll", "scale")
+RIG_ERRORS = ("misalignment", "disparity_offset", "right_yaw", "right_roll", "scale")
+"""What a `ColouredNoise` states of the rig."""
+_ERRORS_IN_COMMON = ("gauge_walk", *RIG_ERRORS)
 
 
 @dataclass(frozen=True, eq=False)

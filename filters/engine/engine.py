@@ -57,7 +57,8 @@ class Engine:
         self.count = count
         self.threads = max(1, min(threads, count))
         self.parts = parts
-        asks = recipe.asks or recipe.plan.changes or recipe.motion is None
+        self._asks = recipe.asks
+        asks = self._asks or recipe.plan.changes or recipe.motion is None
         self._doors = Doors(parts, weakref.proxy(self)) if asks and parts is not None else None
         self._fuses = self._odometry_there = False
         motion = None if parts is None else parts.options.motion
@@ -74,7 +75,7 @@ class Engine:
 
     def assume(self, recipe: Recipe, parts: Parts) -> None:
         """Go on with a recipe of the same parts and sizes: another drift, another gauge walk."""
-        self.recipe, self.parts = recipe, parts
+        self.recipe, self.parts, self._asks = recipe, parts, recipe.asks
         if self._doors is not None:
             self._doors = Doors(parts, weakref.proxy(self))
         self._kernels = self._addresses()
@@ -224,7 +225,7 @@ class Engine:
                     which = np.flatnonzero(of_right == bool(variant))
                     if len(which):
                         self._doors.put_stages(frame, which, variant, bool(variant), M)
-        before = self._kept(frame.seen | (frame.dt > 0.0)) if self.recipe.asks else []
+        before = self._kept(frame.seen | (frame.dt > 0.0)) if self._asks else []
         self._run()
         needed = int(frame.outcome[0, 1] if self.count == 1 else frame.outcome[:, 1].max())
         if needed:  # for these filters nothing has happened yet
@@ -306,7 +307,7 @@ class Engine:
 
     def _kept(self, which: BoolArray) -> list[tuple[int, FilterState]]:
         """States to go back to where a part fails; none where none can."""
-        if self._doors is None or not self.recipe.asks:
+        if self._doors is None or not self._asks:
             return []
         return [(b, self.export(b)) for b in np.flatnonzero(which).tolist()]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import errno
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
@@ -331,6 +331,7 @@ def replay(
     from stereo_slam_env.benchmark.recordings.sources import DatasetSource
     from stereo_slam_env.benchmark.scenarios.scenario import REAL_DRIVE_FILTERS
     from stereo_slam_env.benchmark.scenarios.streams import make_recording
+    from stereo_slam_env.frontend.camera_motion import needed_motion
     from stereo_slam_env.report.console import progress_bar, show_recording
 
     where = path if path.partition(":")[0] == "gtsam" else str(Path(path).resolve())
@@ -348,6 +349,7 @@ def replay(
         with progress_bar(console(stderr=True), "pairs") as progress:
             recording = make_recording(scenario, None, progress)
         show_recording(console(), recording)
+        scenario = replace(scenario, motion=asdict(needed_motion(recording)))
         # What is stored must be what happened.
         if not any(frame.odometry is not None for frame in recording.frames):
             scenario = replace(scenario, use_odometry=False)

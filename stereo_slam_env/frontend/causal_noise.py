@@ -9,6 +9,7 @@ import numpy as np
 
 from filters import ColouredNoise, Start, StereoCamera, StereoNoise, StereoObservation, UpdateReport
 from filters.catalogue.presets import ColouredNoiseEKF
+from filters.contract.noise import RIG_ERRORS
 from filters.contract.stereo_filter import AT_ORIGIN
 from filters.geometry import rotations
 from stereo_slam_env.frontend.ego_motion import Step
@@ -30,7 +31,8 @@ class CausalNoiseEKF(ColouredNoiseEKF):
     camera : StereoCamera
         The rig.
     noise : StereoNoise
-        Of which R is taken. A `ColouredNoise` without gauge walk says that the rig is exact.
+        Of which R is taken, and of a `ColouredNoise` what it says of the rig; one without gauge walk says that tracks
+        have no errors in common.
     **options
         As of `ColouredNoiseEKF`.
     """
@@ -40,6 +42,8 @@ class CausalNoiseEKF(ColouredNoiseEKF):
         self._stranger = not isinstance(noise, ColouredNoise) or noise.gauge_walk > 0.0
         self._tracks = TrackStatistics(camera)
         nothing_known = stated_noise(self._tracks.noise, self._R, brings_R=False, stranger=self._stranger)
+        if isinstance(noise, ColouredNoise):
+            nothing_known = dataclasses.replace(nothing_known, **{name: getattr(noise, name) for name in RIG_ERRORS})
         super().__init__(camera, nothing_known, **options)
 
     def reset(self, start: Start = AT_ORIGIN) -> None:

@@ -34,16 +34,13 @@ FIRST_GUESS = StereoNoise.independent_pixels(0.4)
 WHITE, GATE = 0.8, 1.2
 """Standard deviations of the white part and of the steps that the gate allows, in those of a residual; chosen on KITTI
 07, where the error hardly depends on them."""
-USUAL_SLIDE = 0.006
-"""Slide of a recording of which nothing is known yet, rad per root of a radian: that of the tracks of KITTI 00, in the
-middle of those that were measured (docs/covariances.md)."""
-COMMON_FLOOR = 0.00275
-"""What lens and calibration of a real camera add to all tracks of a frame, rad per root of a radian, however well they
-are followed: the likelihood of windows wants 2 to 3 mrad (docs/covariances.md)."""
-SLIDE_IN_COMMON = 0.25
-"""Share of the slide that the tracks of a frame have in common."""
+COMMON_WALK = 0.0043
+"""Gauge walk of tracks that bring no covariance, rad per root of a radian: what lens, calibration and the habits of a
+tracker add to all tracks of a frame. The log score of windows chose it (docs/covariances.md)."""
+COMMON_WALK_WITH_R = 0.0014
+"""That of measurements which bring one, as the project's own front end does."""
 TINY = 1e-12
-"""Least variance, px^2, and rad^2 per rad."""
+"""Least variance, px^2."""
 MEDIAN = float(chi2.median(3))
 """Of chi-square with 3 degrees of freedom."""
 MISALIGNMENT = 0.005
@@ -73,25 +70,9 @@ class TrackNoise:
     """Variance of that walk by that of a residual, in u and v: 0 of white errors, 1 of a walk, more of a slide."""
     lasting_share_error: float
     """Its standard error, from track to track; infinite without tracks."""
-    slide_variance: float
-    """The steady part alone, by how far the points move: twice the covariances over 1 to `LAGS` frames of residuals in
-    u and v over the root of the flow, rad squared per radian. White errors take back in the next frame what they gave,
-    so that the covariance at one frame is taken to be that at two where it is less. May be below zero by chance."""
-    slide_variance_error: float
-    """Its standard error, from track to track; infinite without tracks."""
     claimed_too_small: float
     """Factor, at least 1, by which the variances that measurements claim are too small at least: a residual has no more
     than they allow. Of the median; 1 without residuals."""
-
-    @property
-    def slide(self) -> float:
-        """The slide as the tracks and a prior of `USUAL_SLIDE` give it, rad per root of a radian.
-
-        The variance is the mean of both, weighted by their errors; that of the prior is as large as itself.
-        """
-        usual = USUAL_SLIDE**2
-        trust = usual**2 / (usual**2 + self.slide_variance_error**2)
-        return float(np.sqrt(max(trust * self.slide_variance + (1.0 - trust) * usual, 0.0)))
 
     @property
     def ignorance(self) -> float:
@@ -120,8 +101,7 @@ class TrackStatistics:
         self._frames = 0
         self._counts = np.zeros(_LAGS)
         self._products = np.zeros((_LAGS, 3))
-        self._slides = np.zeros(_LAGS)
-        self._scatter = np.zeros((2, _LAGS, _LAGS))  # of the sums of tracks that have ended
+        self._scatter = np.zeros((_LAGS, _LAGS))  # of the sums of tracks that have ended
 
     def add(self, before: StereoObservation, now: StereoObservation, step: Step | None, *, fits: bool = True) -> None:
         """Take in a frame, its camera at `step` from that of the frame before, which came in before.
@@ -148,18 +128,12 @@ class TrackStatistics:
             self._frames += 1
         there &= np.all(np.abs(residuals) <= OUTLIER * self._absolute / max(self._frames, 1), axis=1)
         tracks.residuals[:, 0] = np.where(there[:, None], residuals, np.nan)
-        tracks.by_flow[:, 0] = tracks.residuals[:, 0, :2] / np.sqrt(flow * self._camera.fx + TINY)[:, None]
         products = tracks.residuals * tracks.residuals[:, :1]
         known = np.isfinite(products[:, :, 0])
         products[~known] = 0.0
-        slid = tracks.by_flow * tracks.by_flow[:, :1]
-        slid[~known] = 0.0
-        slid = 0.5 * (slid[:, :, 0] + slid[:, :, 1])
         self._counts += known.sum(axis=0)
         self._products += products.sum(axis=0)
-        self._slides += slid.sum(axis=0)
-        tracks.sums[0] += products[:, :, 0] + products[:, :, 1]
-        tracks.sums[1] += slid
+        tracks.sums[:] += products[:, :, 0] + products[:, :, 1]
 
     def pause(self) -> None:
         """All tracks end here: the next frame to come in is a later one."""
@@ -169,12 +143,11 @@ class TrackStatistics:
         """Tracks with these ids, one frame later; those that have ended leave their scatter."""
         goes_on, old, new = np.intersect1d(self._ids, ids, assume_unique=True, return_indices=True)
         if len(goes_on) < len(self._ids):
-            ended = np.delete(self._tracks.sums, old, axis=1)
-            self._scatter += ended.transpose(0, 2, 1) @ ended
+            ended = np.delete(self._tracks.sums, old, axis=0)
+            self._scatter += ended.T @ ended
         tracks = _Tracks.none(len(ids))
-        for name in ("residuals", "by_flow"):
-            getattr(tracks, name)[new, 1:] = getattr(self._tracks, name)[old, :-1]
-        tracks.sums[:, new] = self._tracks.sums[:, old]
+        tracks.residuals[new, 1:] = self._tracks.residuals[old, :-1]
+        tracks.sums[new] = self._tracks.sums[old]
         self._ids, self._tracks = ids, tracks
         return tracks
 
@@ -182,28 +155,22 @@ class TrackStatistics:
     def noise(self) -> TrackNoise:
         """Noise of the tracks so far."""
         counts, sums = np.maximum(self._counts, 1.0), self._tracks.sums
-        covariances, slides = self._products / counts[:, None], self._slides / counts
-        scatter = (self._scatter + sums.transpose(0, 2, 1) @ sums) / np.outer(counts, counts)
+        covariances = self._products / counts[:, None]
+        scatter = (self._scatter + sums.T @ sums) / np.outer(counts, counts)
         lasting = covariances[0] + 2.0 * covariances[1:].sum(axis=0)
         correlation = covariances / np.where(covariances[0] > 0, covariances[0], 1.0)
         variance = float(covariances[0, :2].sum())
         share = float(lasting[:2].sum()) / variance if variance > 0.0 else 0.0
-        of_share, of_slide = np.array([1.0 - share] + [2.0] * LAGS), np.array([0.0] + [2.0] * LAGS)
-        if slides[1] < slides[2]:
-            of_slide[1:3] = 0.0, 4.0
+        weights = np.array([1.0 - share] + [2.0] * LAGS)
         # A covariance that nobody has measured may be as large as the variance.
         doubt = 2.0 * np.sqrt(np.sum(self._counts == 0)) if variance > 0.0 else np.inf
-        share_error, slide_error = (
-            float(np.sqrt(weights @ scatter[k] @ weights)) for k, weights in enumerate((of_share, of_slide))
-        )
+        share_error = float(np.sqrt(weights @ scatter @ weights)) / max(variance, TINY)
         return TrackNoise(
             np.sqrt(covariances[0]),
             np.sqrt(np.maximum(lasting, 0.0)),
             correlation,
             share,
-            float(np.hypot(share_error / max(variance, TINY), doubt)),
-            float(of_slide @ slides),
-            float(np.hypot(slide_error, doubt * max(slides[0], TINY))),
+            float(np.hypot(share_error, doubt)),
             max(1.0, self._squared / max(self._frames, 1) / MEDIAN),
         )
 
@@ -213,13 +180,11 @@ class _Tracks:
     """Recent residuals of M tracks, the newest first, NaN where there is none, and what each has added to the sums."""
 
     residuals: FloatArray  # (M, LAGS + 1, 3), px
-    by_flow: FloatArray  # (M, LAGS + 1, 2): of u and v, by the root of the flow
-    sums: FloatArray  # (2, M, LAGS + 1): products of residuals, u and v together, and of those by the flow
+    sums: FloatArray  # (M, LAGS + 1): products of residuals, u and v together
 
     @classmethod
     def none(cls, count: int) -> _Tracks:
-        of_points, by_flow = np.full((count, _LAGS, 3), np.nan), np.full((count, _LAGS, 2), np.nan)
-        return cls(of_points, by_flow, np.zeros((2, count, _LAGS)))
+        return cls(np.full((count, _LAGS, 3), np.nan), np.zeros((count, _LAGS)))
 
 
 def _fitted(residuals: FloatArray, by_step: FloatArray) -> FloatArray:
@@ -259,13 +224,18 @@ def with_measured_noise(recording: Recording) -> Recording:
     Measurements that bring a covariance of their own keep it as the white part and drift by a share of it. The white
     part of others goes from R, where errors are white or little is known, to what `TrackNoise` says, where they are
     known to last. The rig of a simulation is as stated; that of anybody else has the errors of the constants above, and
-    its tracks have a part in common that no residual shows.
+    its tracks have a part in common that no residual shows. A roll of the right camera is looked for only where
+    measurements bring a covariance: tracks that slide over the ground ahead look like one.
     """
     found = track_noise(recording)
-    brings_R = all(frame.observation.R is not None for frame in recording.frames)
-    noise = stated_noise(found, recording.noise, brings_R, stranger=recording.truth_from.kind != "simulation")
+    noise = stated_noise(found, recording.noise, bring_R(recording), recording.truth_from.kind != "simulation")
     _log.info("%s: %s", recording.name, noise)
     return dataclasses.replace(_with_claims_raised(recording, found.claimed_too_small), noise=noise)
+
+
+def bring_R(recording: Recording) -> bool:
+    """Whether all measurements bring a covariance of their own."""
+    return all(frame.observation.R is not None for frame in recording.frames)
 
 
 def stated_noise(found: TrackNoise, R: StereoNoise, brings_R: bool, stranger: bool) -> ColouredNoise:
@@ -286,11 +256,11 @@ def stated_noise(found: TrackNoise, R: StereoNoise, brings_R: bool, stranger: bo
         return noise
     return dataclasses.replace(
         noise,
-        gauge_walk=float(np.hypot(COMMON_FLOOR, SLIDE_IN_COMMON * found.slide)),
+        gauge_walk=COMMON_WALK_WITH_R if brings_R else COMMON_WALK,
         misalignment=MISALIGNMENT,
         disparity_offset=DISPARITY_OFFSET,
         right_yaw=RIGHT_TURN,
-        right_roll=RIGHT_TURN,
+        right_roll=RIGHT_TURN if brings_R else 0.0,
         scale=SCALE,
     )
 

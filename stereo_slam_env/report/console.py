@@ -60,7 +60,7 @@ def show_settings(console: Console, scenario: Scenario) -> None:
         "gate": "none" if scenario.gate is None else f"{scenario.gate:g} per landmark",
         "consensus": "one-point RANSAC over the frame" if scenario.consensus else "no",
         "odometry": "used" if scenario.use_odometry else "not used",
-        "motion": f"{motion['sigma_acceleration']:g} m/s², {motion['sigma_angular_acceleration']:g} rad/s²",
+        "motion": f"{motion['sigma_acceleration']:.3g} m/s², {motion['sigma_angular_acceleration']:.3g} rad/s²",
         "filters": _choices(scenario.filters),
     }
     if scenario.policies:

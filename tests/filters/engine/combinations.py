@@ -45,6 +45,7 @@ CALIBRATED = (
     CalibratedPair(0.25, 3e-3, 2e-3, 5e-3),
     CalibratedPair(0.25, 3e-3, 2e-3, 5e-3, considered=True),
     CalibratedPair(offset_sigma=0.25),
+    CalibratedPair(0.25, 3e-3, 2e-3, 5e-3, yaw_sigma=3e-3, roll_sigma=3e-3),
 )
 
 

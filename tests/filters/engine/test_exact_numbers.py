@@ -10,9 +10,20 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from filters import BodyVelocity, CalibratedPair, Start, StereoEKF, StereoObservation, Variable
+from filters import (
+    BodyVelocity,
+    CalibratedPair,
+    InertialSamples,
+    Start,
+    StereoEKF,
+    StereoObservation,
+    Strapdown,
+    Variable,
+)
+from filters.geometry import symmetric
 
 from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, SPEED, drive, start
+from ..inertial_drives import UNIT, driven, measured
 from ..slots import ERRORS, LANDMARKS
 from ..third_party import ShearedPair
 
@@ -117,3 +128,29 @@ def test_a_random_walk_grows_with_time_and_not_with_the_number_of_steps() -> Non
             slam.predict(0.4 / steps)
         added = slam.belief("disparity-errors").covariance - DISPARITY.covariance
         np.testing.assert_allclose(added, np.diag(0.4 * walk**2), rtol=1e-9, atol=1e-18)
+
+
+# --- vectors of W ---
+
+
+def test_a_step_turns_the_vectors_of_the_world_with_it() -> None:
+    """F Gamma_k = Gamma_k+1 with first estimates that are not the state, of gravity too."""
+    motion, edges = Strapdown(), DT / 20 * np.arange(21)
+    slam = make(error="first-estimates", landmark="euclidean", motion=motion)
+    turned = Rotation.from_rotvec([0.4, -0.9, 0.3]).as_quat()
+    slam.reset(Start((1.0, 2.0, -3.0), turned, (0.5, 0.1, 4.0), covariance=BROAD))
+    samples = measured(driven, edges)
+    given = InertialSamples(edges[1:], samples[:, :3], samples[:, 3:], UNIT)
+    for uvd in (UVD, UVD + 3.0):
+        slam.predict(DT, inertial=given)
+        slam.update(StereoObservation(np.arange(4), uvd))
+    state = slam.state
+    assert np.abs(state.predicted.variables["gravity"] - state.camera.variables["gravity"]).max() > 1e-3
+    found = []
+    for scale in (0.0, 1.0):
+        twin, gamma = copy.deepcopy(slam), state.at_first_estimates().world_rotation()
+        twin.state = replace(state, P=scale * np.asfortranarray(gamma @ gamma.T))
+        twin.predict(DT, inertial=given)
+        found.append(symmetric.full(twin.state.P))
+    there = twin.state.at_first_estimates().world_rotation()
+    np.testing.assert_allclose(found[1] - found[0], there @ there.T, rtol=0, atol=1e-9 * np.abs(there).max() ** 2)

@@ -2,7 +2,8 @@
 
 That EKF had dense blocks, LAPACK and no kernels, and was part of this package until both had agreed for long. Those of
 unscented updates are of the kernels as plain Python, since sigma points lie along the symmetric root of P. Those of
-first estimates with odometry are of `FirstEstimates` by its NumPy, which moves the linearisation point.
+first estimates with odometry are of `FirstEstimates` by its NumPy, which moves the linearisation point, and those of
+a right camera that may be turned ("calib3") of `CalibratedPair` by its NumPy.
 """
 
 from __future__ import annotations

@@ -4,8 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from filters import Extended, Pose, StereoEKF, jacobian
+from filters import (
+    ErrorDefinition,
+    Extended,
+    LeftInvariant,
+    Pose,
+    RightInvariant,
+    Start,
+    StereoEKF,
+    StereoObservation,
+    jacobian,
+)
 from filters.geometry import rotations, symmetric
 from filters.geometry.poses import relative_jacobian
 from filters.state.joint_state import world_rotation_of_variables
@@ -14,6 +25,7 @@ from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, drive, run, start
 from ..engine.beliefs import assert_same_belief
 from ..engine.linear_problems import assert_covariances_equal, dense
 from ..slots import ERRORS, LANDMARKS
+from .test_joint_jacobians import whole_matrix
 
 
 def make(**options) -> StereoEKF:
@@ -162,3 +174,27 @@ def test_the_relative_pose_is_that_of_both_with_their_correlation(error: str) ->
     np.testing.assert_allclose(moved.covariance, J @ joint @ J.T, rtol=1e-6, atol=1e-12)
     with pytest.raises(ValueError, match="there is no clone 'gone'"):
         slam.relative_pose("gone")
+
+
+@pytest.mark.parametrize("error", ["right-invariant", RightInvariant(reset=True), LeftInvariant()], ids=repr)
+def test_a_large_correction_of_a_clone_carries_p_as_its_error_says(error: str | ErrorDefinition) -> None:
+    """Clone and camera, turned in general position, are corrected by some tenths of a radian."""
+    rng = np.random.default_rng(7)
+    slam = make(error=error)
+    turned = Rotation.from_rotvec([0.4, -0.9, 0.3]).as_quat()
+    slam.reset(Start((1.0, 2.0, -3.0), turned, (0.5, 0.1, 4.0), covariance=np.diag(np.repeat([4.0, 0.3], 6))))
+    slam.update(StereoObservation(np.arange(3), [[500.0, 150.0, 20.0], [900.0, 250.0, 9.0], [700.0, 100.0, 40.0]]))
+    slam.predict(DT)
+    slam.clone_pose("here")
+    before, H, R = slam.state, rng.standard_normal((4, 6)), 0.01 * np.eye(4)
+    P, rows = symmetric.full(before.P), before.block_rows(before.clones["here"].blocks)
+    nu = 0.3 * rng.standard_normal(4)
+    K = P[:, rows] @ H.T @ np.linalg.inv(H @ P[np.ix_(rows, rows)] @ H.T + R)
+    delta = K @ nu
+    slam.correct(nu, {"here": H}, R)
+    moved = slam.options.error.moved(before, delta)
+    T = whole_matrix(slam.options.error.transport(before, moved, delta), len(P))
+    assert_covariances_equal(symmetric.full(slam.state.P), T @ (P - K @ H @ P[rows]) @ T.T, 1e-9)
+    clone = moved.clones["here"]
+    np.testing.assert_allclose(slam.belief("here").value, [*clone.position, *clone.orientation], rtol=0, atol=1e-12)
+    assert np.abs(delta[rows]).max() > 0.1

@@ -1,16 +1,20 @@
 """What people bring: ROS bags, TartanAir, VSLAM-LAB, a plain folder, a truth or a layout of their own (20 s)."""
 
 import sys
+from itertools import pairwise
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from filters import ConstantVelocity
+from stereo_slam_env import evaluate
 from stereo_slam_env.cli import app as cli
 from stereo_slam_env.datasets import available_recordings, load, open_image_sequence
 from stereo_slam_env.datasets.bag_writer import write_mcap
 from stereo_slam_env.datasets.ros_bag import grey_of
 from stereo_slam_env.datasets.tartanair import R_BODY_CAMERA
+from stereo_slam_env.frontend.camera_motion import needed_motion
 from stereo_slam_env.recording.trajectory import Trajectory
 from stereo_slam_env.recording.trajectory_files import save_trajectory
 
@@ -287,6 +291,20 @@ def test_tracks_of_the_real_clip_of_tartanair_move_by_its_exact_poses():
         errors.append(recording.camera.project(points) - now.observation.uvd[j])
     assert len(np.concatenate(errors)) > 100
     assert np.median(np.abs(np.concatenate(errors)), axis=0).max() < 0.2  # px
+
+
+def test_the_real_clip_of_tartanair_is_followed_with_the_accelerations_that_its_tracks_show():
+    recording = load(real_data("field") / "tartanair_v2_clip")
+    poses = [frame.truth for frame in recording.frames]
+    turns = [(one.inverse() @ two).log()[3:] / 0.1 for one, two in pairwise(poses)]
+    motion = needed_motion(recording)
+    true = np.sqrt(np.mean((np.diff(turns, axis=0) / 0.1) ** 2))
+    assert motion.sigma_angular_acceleration == pytest.approx(true, rel=0.05)  # 2.6 rad/s^2; of a car 0.6
+    for name in ("inverse-depth", "coloured-noise"):
+        on_road, followed = (evaluate(name, recording, motion=one) for one in (ConstantVelocity(), motion))
+        assert on_road.figures.diverged == 1
+        assert followed.figures.diverged == 0
+        assert followed.figures.position_rmse_m < 0.03
 
 
 # --- calibrations, plug-ins ------------------------------------------------------------------------------------------

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,7 @@ import stereo_slam_env as sse
 from filters import ColouredNoise, StereoNoise
 from filters.catalogue.presets import ColouredNoiseEKF
 from stereo_slam_env.frontend.causal_noise import CausalNoiseEKF
-from stereo_slam_env.frontend.track_noise import with_measured_noise
+from stereo_slam_env.frontend.track_noise import COMMON_WALK, with_measured_noise
 from stereo_slam_env.loop import Moment
 from stereo_slam_env.recording.recording import Recording
 
@@ -51,15 +53,20 @@ def test_it_starts_with_no_more_than_R_and_forgets_at_a_reset() -> None:
     assert isinstance(slam, CausalNoiseEKF)
     slam.reset(recording.start)
     slam.update(recording.frames[0].observation)
-    unknown = with_measured_noise(recording[:0]).noise
-    assert isinstance(unknown, ColouredNoise)
-    assert slam.options.gauge_walk == unknown.gauge_walk
+    assert slam.options.gauge_walk == COMMON_WALK
     np.testing.assert_array_equal(slam.noise.R, recording.noise.R)
 
 
 def test_the_rig_of_a_simulation_is_taken_as_stated() -> None:
     exact = ColouredNoise(StereoNoise.independent_pixels(2.0).R)
     assert CausalNoiseEKF(drive().camera, exact).options.gauge_walk == 0.0
+
+
+def test_what_is_stated_of_the_rig_is_believed() -> None:
+    stated = ColouredNoise(StereoNoise.independent_pixels(2.0).R, gauge_walk=0.002, right_yaw=0.0005)
+    slam = CausalNoiseEKF(drive().camera, stated)
+    slam.reset()
+    np.testing.assert_allclose(slam.belief("calibration").covariance, [[0.0005**2]])
 
 
 def test_a_filter_goes_on_with_what_it_is_told_to_assume() -> None:
@@ -69,7 +76,7 @@ def test_a_filter_goes_on_with_what_it_is_told_to_assume() -> None:
     assert isinstance(noise, ColouredNoise)
     assert noise.white is not None
     made = ColouredNoiseEKF(recording.camera, noise)
-    told = ColouredNoiseEKF(recording.camera, with_measured_noise(recording[:0]).noise)
+    told = ColouredNoiseEKF(recording.camera, dataclasses.replace(noise, white=None, drift=None, gauge_walk=0.02))
     told.assume(StereoNoise(noise.white), noise.drift, noise.gauge_walk)
     *_, one = sse.run(made, recording)
     *_, other = sse.run(told, recording)
