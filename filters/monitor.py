@@ -42,7 +42,7 @@ class Alarm:
     time: float
     """When it was raised, s since the monitor was made or reset."""
     cause: Cause
-    """Why."""
+    """What the reports show."""
     words: str
     """With figures, one line."""
 

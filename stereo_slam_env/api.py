@@ -16,6 +16,7 @@ from rich.console import Console
 
 from filters import StereoNoise
 from filters.catalogue.registry import filter_factory, label_of
+from filters.contract.validation import whole_number
 from stereo_slam_env.benchmark.head_to_head import FilterLike, HeadToHead, which_seeds
 from stereo_slam_env.benchmark.scenarios import streams
 from stereo_slam_env.benchmark.scenarios.scenario import Scenario, filter_choice
@@ -75,6 +76,7 @@ def record(
     from stereo_slam_env.policies.episode import run_episode
     from stereo_slam_env.policies.registry import make_policy
 
+    whole_number("seed", seed, 0)
     if environment == "StereoSlam/Drive-v0":
         return record_route({"policy": policy, **arguments}, seed, frames, progress)
     env = gym.make(environment, disable_env_checker=True, **{"max_episode_steps": -1, **arguments})

@@ -28,7 +28,7 @@ from filters import (
 from filters.catalogue.registry import FilterFactory, label_of
 from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray
-from stereo_slam_env.recording.recording import SIMULATION, Frame, Recording, Reference
+from stereo_slam_env.recording.recording import SIMULATION, Frame, Recording, Reference, require_frames
 
 Observe = Callable[[int, StereoFilter], StereoObservation]
 """Measures in the images where a filter expects its landmarks: frame number and predicted filter -> observation."""
@@ -236,8 +236,7 @@ def run(
         The recording is empty, the filter or an option is unknown or refused, or options are given for a filter that
         is made already.
     """
-    if len(recording) == 0:
-        raise ValueError(f"recording {recording.name!r} has no frames")
+    require_frames(recording)
     if not isinstance(slam, StereoFilter):
         slam = make_filter(slam, camera=recording.camera, noise=noise or recording.noise, **options)
     elif options or noise is not None:

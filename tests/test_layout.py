@@ -96,3 +96,10 @@ def test_no_module_is_a_drawer_of_odds_and_ends():
 def test_long_files_have_a_reason():
     long = {name_of(path) for path in MODULES if len(path.read_text(encoding="utf-8").splitlines()) > MAX_LINES}
     assert long == set(LONGER_FOR_A_REASON)
+
+
+@pytest.mark.parametrize("path", MODULES, ids=name_of)
+def test_documentation_is_never_a_single_word(path):
+    nodes = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+    texts = [node.value for node in nodes if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)]
+    assert [f"line {text.lineno}" for text in texts if isinstance(text.value, str) and " " not in text.value] == []

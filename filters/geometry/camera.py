@@ -55,7 +55,7 @@ class StereoCamera:
 
     @property
     def disparity_constant(self) -> float:
-        """Fx * baseline, so that d = disparity_constant / z; px m."""
+        """The product f b: d = disparity_constant / z; px m."""
         return self.fx * self.baseline
 
     def project(self, points_c: ArrayLike) -> FloatArray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import overload
@@ -11,6 +12,22 @@ from numpy.typing import ArrayLike
 
 from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray
+
+_ROUNDING, _ROUGHLY = 1e-6, 2e-3
+"""Of the squared norm of a quaternion that keeps its bits, and of one that is normalised."""
+
+
+def _vector(name: str, value: ArrayLike, size: int) -> FloatArray:
+    """`value` as float64 of shape (size,); what is so already stays the same object."""
+    if type(value) is np.ndarray and value.dtype.char == "d" and value.shape == (size,):
+        return value
+    try:
+        array = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{name} must be {size} numbers, got {value!r}") from error
+    if array.shape != (size,):
+        raise ValueError(f"{name} must have shape ({size},), got {array.shape}")
+    return array
 
 
 def _origin() -> FloatArray:
@@ -27,6 +44,11 @@ class Pose:
 
     `T_wc @ T_cb` composes poses, `T_wc @ p_c` takes points (..., 3) into W, `T_wc.inverse()` is T_cw.
 
+    Raises
+    ------
+    ValueError
+        A wrong shape, NaN or infinity, a quaternion that is not a unit one.
+
     References
     ----------
     Sola, Deray and Atchuthan, "A micro Lie theory for state estimation in robotics", 2018, section IV and appendix D.
@@ -36,6 +58,17 @@ class Pose:
     """(3,): origin of B in A, m."""
     orientation: FloatArray = field(default_factory=_unturned)
     """(4,): unit quaternion xyzw of R_ab."""
+
+    def __post_init__(self) -> None:
+        position, orientation = _vector("position", self.position, 3), _vector("orientation", self.orientation, 4)
+        if not (math.isfinite(position.dot(position)) or np.isfinite(position).all()):  # the first is the quicker one
+            raise ValueError(f"position must be finite, got {position}")
+        square = float(orientation.dot(orientation))
+        if not abs(square - 1.0) < _ROUGHLY:
+            raise ValueError(f"orientation must be a unit quaternion (xyzw), got {orientation}: normalise it")
+        if abs(square - 1.0) > _ROUNDING:
+            orientation = orientation / np.sqrt(square)
+        vars(self).update(position=position, orientation=orientation)
 
     @classmethod
     def exp(cls, tangent: ArrayLike) -> Pose:
@@ -62,8 +95,11 @@ class Pose:
         if isinstance(other, Pose):
             orientation = rotations.multiply(self.orientation, other.orientation)
             return Pose(self.position + self.R_wc @ other.position, orientation)
-        points: FloatArray = np.asarray(other) @ self.R_wc.T + self.position
-        return points
+        points = np.asarray(other, dtype=np.float64)
+        if points.shape[-1:] != (3,):
+            raise ValueError(f"points must have shape (..., 3), got {points.shape}")
+        moved: FloatArray = points @ self.R_wc.T + self.position
+        return moved
 
     def inverse(self) -> Pose:
         """T_ba, the pose of A in B."""

@@ -43,7 +43,7 @@ class GateRow:
     before: float | None
     """Median over recordings and runs; of divergences their number."""
     after: float | None
-    """Likewise."""
+    """The same of the run that is judged."""
     change_percent: float | None
     """Of the geometric mean, of consistency of the distance from 1; > 0 is worse; None where there is none."""
     by: str
@@ -51,7 +51,7 @@ class GateRow:
     failed: bool
     """Whether it is worse."""
     words: str
-    """Why."""
+    """The reason, one line."""
 
 
 @dataclass(frozen=True)

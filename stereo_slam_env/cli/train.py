@@ -1,4 +1,4 @@
-"""The command `stereo-slam train`."""
+"""The command `stereo-slam train`: a network that decides where to look, by PPO."""
 
 from __future__ import annotations
 

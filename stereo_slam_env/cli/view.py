@@ -1,4 +1,4 @@
-"""The command `stereo-slam view`."""
+"""The command `stereo-slam view`: a drive in Rerun, as a still or as a film."""
 
 from __future__ import annotations
 

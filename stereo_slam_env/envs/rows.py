@@ -94,7 +94,7 @@ class Rows(Kept, ABC):
     """B environments of one kind. Rows that are not asked to do something stay as they are."""
 
     count: int
-    """B."""
+    """Number of rows, B."""
     observation_space: Any
     """`gymnasium.spaces.Space` of one row."""
     action_space: Any

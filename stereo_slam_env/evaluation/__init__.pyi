@@ -15,3 +15,4 @@ from .trajectory_metrics import ate_unaligned as ate_unaligned
 from .trajectory_metrics import end_drift_percent as end_drift_percent
 from .trajectory_metrics import path_length as path_length
 from .trajectory_metrics import root_mean_square as root_mean_square
+from .trajectory_runs import score_runs as score_runs

@@ -1,4 +1,4 @@
-"""Whose poses an estimate holds: those of another frame of the same body, or of a swapped reading of its file.
+"""Detection of poses of another frame of the same body, or of a swapped reading of a file.
 
 Two trajectories of frames that are fixed to one body are T_wc = G T_w'b X, with the same G and X for all poses: G is
 the other world, X the other frame.

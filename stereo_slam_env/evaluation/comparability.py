@@ -1,4 +1,4 @@
-"""Whether an estimate and its reference can be compared at all: body, world, scale, clock, reading, divergence."""
+"""Obstacles to a comparison of estimate and reference: body, world, scale, clock, reading, divergence."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ from stereo_slam_env.evaluation.map_scoring import FrameMap, TraceRecorder, scor
 from stereo_slam_env.evaluation.results import COUNTS, EVENTS, FilterRun, peak_memory_mb
 from stereo_slam_env.evaluation.windows import WINDOW_SERIES, WindowScores, nees_floor
 from stereo_slam_env.loop import Moment, Observe, run
-from stereo_slam_env.recording.recording import Recording
+from stereo_slam_env.recording.recording import Recording, require_frames
 
 _log = logging.getLogger(__name__)
 
@@ -83,8 +83,7 @@ def run_filter(
     ValueError
         The recording is empty.
     """
-    if len(recording) == 0:
-        raise ValueError(f"recording {recording.name!r} has no frames")
+    require_frames(recording)
     name = label or label_of(filter_name)
     log = RunLog(recording)
     memory = peak_memory_mb()

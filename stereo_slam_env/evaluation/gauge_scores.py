@@ -1,4 +1,4 @@
-"""What is claimed of an aligned estimate: the covariances carried through an alignment, and the claim under each."""
+"""Scores of a claim under each alignment, with the covariances carried through it."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class GaugeScore:
     dof: int
     """Numbers of an error of the pose: 6, or 3 in a plane."""
     position_rmse_m: float
-    """m."""
+    """Root mean square of the distance, m."""
     verdict: str
     """In words."""
 

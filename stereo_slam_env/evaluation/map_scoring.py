@@ -152,7 +152,7 @@ class LandmarkTrace:
     """Depth of one landmark as a filter saw it, frame by frame (the paper's section 4.3)."""
 
     landmark_id: int
-    """Identity."""
+    """Identity of the landmark."""
     label: str
     """Either "near" or "far"."""
     frames: IntArray

@@ -159,7 +159,7 @@ class FilterSummary:
     """
 
     filter_name: str
-    """Label."""
+    """Label in tables."""
     options: Mapping[str, Any]
     """Options the filter was made with."""
     runs: int
@@ -177,7 +177,7 @@ class FilterSummary:
     rpe: tuple[SegmentError, ...] = ()
     """By segment length, ascending."""
     landmark_by_range: tuple[RangeError, ...] = ()
-    """Ascending."""
+    """By distance from the camera, ascending."""
     depth_convergence: tuple[DepthConvergence, ...] = ()
     """Near, then far."""
     failures: tuple[str, ...] = ()

@@ -1,4 +1,4 @@
-"""Which poses of an estimate and its reference belong together, by time or by number of the frame."""
+"""Association of the poses of an estimate with those of its reference, by time or by number of the frame."""
 
 from __future__ import annotations
 

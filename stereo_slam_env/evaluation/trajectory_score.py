@@ -66,9 +66,9 @@ class TrajectoryScore:
     path_m: float
     """Length of the reference's path, m."""
     position_rmse_m: float
-    """m."""
+    """Root mean square of the distance, m."""
     rotation_rmse_deg: float
-    """Degrees."""
+    """Root mean square of the angle, degrees."""
     ate_rigid_m: float
     """Position RMSE after the best rigid motion, m."""
     end_drift_percent: float | None

@@ -32,9 +32,9 @@ class WindowScore:
     windows: int
     """How many there are."""
     translation_rmse_m: float
-    """m."""
+    """Root mean square of the distance, m."""
     rotation_rmse_deg: float
-    """Degrees."""
+    """Root mean square of the angle, degrees."""
     nees: float | None
     """Mean NEES, 6 is ideal. None without covariances, where one is none, and of claims in a plane."""
     nees_is_exact: bool

@@ -33,7 +33,7 @@ class Frame:
     """One instant of a recording."""
 
     timestamp: float
-    """s."""
+    """Time of the images, s."""
     observation: StereoObservation
     """What the stereo sensor saw; may be empty."""
     odometry: BodyVelocity | None = None
@@ -239,6 +239,14 @@ class Recording:
 
 GreyImage = NDArray[np.uint8]
 """(H, W) uint8."""
+
+
+def require_frames(recording: object) -> None:
+    """Refuse what is no recording, and one without frames."""
+    if not isinstance(recording, Recording):
+        raise ValueError(f"recording must be a Recording, as load and record give it, got {recording!r}")
+    if len(recording) == 0:
+        raise ValueError(f"recording {recording.name!r} has no frames")
 
 
 @dataclass(frozen=True, eq=False)

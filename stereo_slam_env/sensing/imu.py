@@ -17,7 +17,7 @@ from filters.geometry.arrays import FloatArray
 Path = Callable[[FloatArray], tuple[FloatArray, Rotation]]
 """Positions (N, 3), m, and orientations of the left camera at times (N,), s; twice differentiable."""
 GRAVITY = 9.81
-"""m/s^2."""
+"""Acceleration of a body that falls, m/s^2."""
 _STEP = 1e-4
 """s, of the differences that give velocities."""
 

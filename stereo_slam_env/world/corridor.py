@@ -52,7 +52,7 @@ def build_corridor(route: Route, rng: np.random.Generator) -> Scene:
                 details += _door(at, rng) if rng.random() < _DOOR_SHARE else _notice(at, rng)
         for station in np.arange(road.stations[piece.start] + 6.0, road.stations[piece.stop - 1], 14.0).tolist():
             details += _lamp(Placed(*road.place(station, 0.0)))
-    points = facing_points(details, _PER_DETAIL * len(details), 3.3, network.nearest, rng)
+    points = facing_points(details, _PER_DETAIL * len(details), 3.3, network, rng)
     return Scene(
         network.ground(60.0, _FLOOR),
         (*_shell(route), *details),

@@ -141,7 +141,7 @@ def build_field(route: Route, rng: np.random.Generator) -> Scene:
     built = sum(layout.claim(xy, 0.0, (HILL_FOOT,) * 2, _ROOM, NEAREST, hill) for xy in hills)
     built += sum(_put_something(layout, xy, rng) for xy in places[len(hills) :])
     solids = [p for p in layout.primitives if p.solid]
-    points = facing_points(solids, _PER_THING * built, 25.0, network.nearest, rng)
+    points = facing_points(solids, _PER_THING * built, 25.0, network, rng)
     return Scene(network.ground(FARTHEST + 320.0, MEADOW), tuple(layout.primitives), lane_along(route), points)
 
 

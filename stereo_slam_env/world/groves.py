@@ -143,7 +143,7 @@ def build_groves(route: Route, rng: np.random.Generator) -> Scene:
     def group(at: Placed) -> list[Primitive]:
         things = _group(at, rng)
         count = int(rng.integers(PER_GROUP[0], PER_GROUP[1] + 1))
-        points.append(facing_points(things, count, HIGHEST, network.nearest, rng))
+        points.append(facing_points(things, count, HIGHEST, network, rng))
         return things
 
     last = float(road.lane_stations[-1]) + _BEYOND

@@ -58,10 +58,10 @@ def facing_points(
     shapes: Sequence[Primitive],
     count: int,
     highest: float,
-    nearest: Callable[[FloatArray], FloatArray],
+    network: RoadNetwork,
     rng: np.random.Generator,
 ) -> FloatArray:
-    """`count` points (fewer on few shapes) below `highest` m that face the road; `nearest` gives its nearest points."""
+    """`count` points (fewer on few shapes) below `highest` m that face the nearest road of a network."""
     from stereo_slam_env.world import compiled
 
     if not len(shapes):
@@ -69,9 +69,6 @@ def facing_points(
     table = table_of(shapes)
     weights = compiled.sampling_weights(table)
     counts = np.ceil(6 * count * weights / weights.sum()).astype(np.int64)
-    points, normals = compiled.sample(table, counts, rng)
-    seen = (points[:, 2] > 0.15) & (points[:, 2] < highest)
-    points, normals = points[seen], normals[seen]
-    candidates = points[compiled.facing(points, normals, nearest(points[:, :2]))]
+    candidates = compiled.sample_facing(table, counts, network.points, network.circles, *network.cells, highest, rng)
     chosen: FloatArray = candidates[rng.permutation(len(candidates))[:count]]
     return chosen

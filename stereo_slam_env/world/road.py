@@ -29,6 +29,7 @@ _FOLD = 0.2
 _SAME_PLACE, _OTHER_PASS = 0.9, 30.0
 """A stretch this near to another of its road, but that far from it along the road, is the same street again, m."""
 _SAME_DIRECTION = 0.3
+_BESIDE, _CELL, _MOST_CELLS = 64.0, 3.0, 1e6
 _LIFTS = 0.011
 """m between the lowest and the highest piece of paving."""
 
@@ -77,15 +78,14 @@ class Road:
 
     def place(self, station: float, left: float) -> tuple[FloatArray, float]:
         """The point `station` m along the road and `left` m to its left, and the yaw of the road there."""
-        x, y, left_x, left_y, yaw = self.places[min(max(round(station / SPACING), 0), len(self.points) - 1)]
+        x, y, left_x, left_y, yaw = self.places[min(max(round(station / SPACING), 0), len(self.points) - 1)].tolist()
         return np.array([x + left * left_x, y + left * left_y]), yaw
 
     @cached_property
-    def places(self) -> list[list[float]]:
-        """Of each point: x, y, the unit vector to the left, and the yaw."""
+    def places(self) -> FloatArray:
+        """Of each point: x, y, the unit vector to the left, and the yaw; (K, 5)."""
         yaws = np.arctan2(self.tangents[:, 1], self.tangents[:, 0])
-        places: list[list[float]] = np.column_stack([self.points, self._lefts, yaws]).tolist()
-        return places
+        return np.column_stack([self.points, self._lefts, yaws])
 
     def along(self, stations: FloatArray, left: FloatArray | float) -> tuple[FloatArray, FloatArray]:
         """Points (N, 2) `left` m to the left of the centreline and yaws (N,) at `stations` (N,), in between too."""
@@ -196,6 +196,17 @@ class RoadNetwork:
         from stereo_slam_env.world import compiled
 
         return np.asarray(compiled.circles_around(self.points))
+
+    @cached_property
+    def cells(self) -> tuple[IntArray, tuple[float, float, float]]:
+        """Squares of ground with the points that may be nearest there; `compiled.sample_facing` fills them as it goes.
+
+        Of each the first point and one more than the last; and the lowest x and y and the side of a square, m.
+        """
+        low, extent = self.points.min(axis=0) - _BESIDE, np.ptp(self.points, axis=0) + 2 * _BESIDE
+        side = max(_CELL, float(np.sqrt(extent.prod() / _MOST_CELLS)))
+        columns, rows = np.ceil(extent / side).astype(int)
+        return np.zeros((columns, rows, 2), dtype=np.int32), (float(low[0]), float(low[1]), side)
 
     def distance(self, xy: FloatArray) -> FloatArray:
         """Distance of each point to the nearest centreline, m; (..., 2) -> (...)."""

@@ -263,9 +263,11 @@ def register_route(name: str, route: Route | Callable[[], Route]) -> None:
     Raises
     ------
     ValueError
-        The name is taken or has other characters.
+        The name is taken or has other characters, or `route` is neither.
     """
     require_new("route", name, ROUTES)
+    if not isinstance(route, Route) and not callable(route):
+        raise ValueError(f"route must be a Route or a function that makes one, got {route!r}")
     _ROUTES[name] = (lambda: replace(route, name=name)) if isinstance(route, Route) else route
 
 

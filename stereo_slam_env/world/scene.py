@@ -178,6 +178,27 @@ class Ribbon:
     material: Material
 
 
+class Ribbons(Sequence[Ribbon]):
+    """Strips that are made when somebody looks at them, by `make`."""
+
+    def __init__(self, make: Callable[[], Sequence[Ribbon]]) -> None:
+        self._make = make
+
+    def __len__(self) -> int:
+        return len(self._made)
+
+    @overload
+    def __getitem__(self, index: int) -> Ribbon: ...
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[Ribbon]: ...
+    def __getitem__(self, index: int | slice) -> Ribbon | Sequence[Ribbon]:
+        return self._made[index]
+
+    @cached_property
+    def _made(self) -> Sequence[Ribbon]:
+        return self._make()
+
+
 @dataclass(frozen=True)
 class Ground:
     """The plane z = 0, drawn between the corners (x, y) `low` and `high`."""
@@ -232,7 +253,7 @@ class Scene:
     """The plane everything stands on."""
     primitives: Sequence[Primitive]
     """Everything that stands."""
-    ribbons: tuple[Ribbon, ...]
+    ribbons: Sequence[Ribbon]
     """Roads and pavements."""
     landmark_points: FloatArray
     """(N, 3), on visible surfaces, m; the id of a landmark is its row."""

@@ -11,7 +11,7 @@ from stereo_slam_env.world import props
 from stereo_slam_env.world.layout import facing_points
 from stereo_slam_env.world.road import ASPHALT_HEIGHT, Road, RoadNetwork, Strip, paved, road_along
 from stereo_slam_env.world.routes import Route, once_per_route
-from stereo_slam_env.world.scene import Material, Ribbon, Scene, ShapeTable
+from stereo_slam_env.world.scene import Material, Ribbon, Ribbons, Scene, ShapeTable
 
 HALF_WIDTH = 5.75
 """Two lanes of 3.5 m between two parking strips of 2.25 m."""
@@ -45,13 +45,13 @@ def build_street(route: Route, rng: np.random.Generator) -> Scene:
     built = ShapeTable(rows[:, :-1].copy(), rows[:, -1] > 0.0, partial(props.street_materials, things))
     points = _landmarks(built, street_plan.of_kind(things, props.TOWER), network, rng)
     ground = network.ground(320.0, _GRASS)
-    return Scene(ground, built, _paving(route), points)
+    return Scene(ground, built, Ribbons(partial(_paving, route)), points)
 
 
 @once_per_route
 def _places(route: Route) -> tuple[FloatArray, IntArray]:
     """Places along all roads and the first one of each, as `street_plan.plan` takes them."""
-    each = [np.array(road.places) for road in _network(route).roads]
+    each = [road.places for road in _network(route).roads]
     return np.concatenate(each), np.cumsum([0, *map(len, each)])
 
 
@@ -83,8 +83,8 @@ def _landmarks(built: ShapeTable, background: BoolArray, network: RoadNetwork, r
     count_near, count_far = int(_NEAR_PER_METRE * length), int(_BACKGROUND_PER_METRE * length)
     count_road = int(_ROAD_SHARE * count_near)
     parts = [
-        facing_points(built.where(built.solid & ~background), count_near - count_road, 9.0, network.nearest, rng),
-        facing_points(built.where(built.solid & background), count_far, 25.0, network.nearest, rng),
+        facing_points(built.where(built.solid & ~background), count_near - count_road, 9.0, network, rng),
+        facing_points(built.where(built.solid & background), count_far, 25.0, network, rng),
     ]
     on_road = network.points[rng.integers(len(network.points), size=count_road)]
     on_road = on_road + rng.uniform(-3.0, 3.0, (count_road, 2))

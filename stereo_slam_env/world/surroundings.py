@@ -59,9 +59,11 @@ def register_scene(name: str, builder: Builder, *, description: str | None = Non
     Raises
     ------
     ValueError
-        The name is taken or has other characters, or `walkway` is not positive.
+        The name is taken or has other characters, `builder` cannot be called, or `walkway` is not positive.
     """
     require_new("scene", name, SURROUNDINGS)
+    if not callable(builder):
+        raise ValueError(f"builder must be a function (route, generator) -> Scene, got {builder!r}")
     line = (inspect.getdoc(builder) or "").partition("\n")[0] if description is None else description
     _SURROUNDINGS[name] = Surroundings(line, builder, positive("walkway", walkway))
 

@@ -42,7 +42,7 @@ class Sway:
     _SIGMAS = np.array([0.08, 0.08, 0.15, 0.012, 0.008, 0.012])
     _TIME_CONSTANTS = np.array([1.0, 1.0, 1.0, 0.5, 0.5, 0.5])
     PULL = 0.5
-    """1/s."""
+    """Rate at which a deviation decays, 1/s."""
 
     def __init__(self, scale: float) -> None:
         sigmas, decay = scale * self._SIGMAS, np.exp(-FRAME_PERIOD / self._TIME_CONSTANTS)

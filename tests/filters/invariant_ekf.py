@@ -15,8 +15,6 @@ from filters import BodyVelocity, StereoCamera, StereoObservation
 
 from .textbook import complex_step_jacobian, triangulate
 
-NO_TURN = np.array([0.0, 0.0, 0.0, 1.0])
-
 
 def cross(a: np.ndarray) -> np.ndarray:
     """[a]x of one vector."""

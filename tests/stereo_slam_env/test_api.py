@@ -115,6 +115,13 @@ def test_what_cannot_be_compared_is_refused(arguments, message):
         sse.compare(["euclidean"], "reference-turn", seeds=0)
 
 
+def test_what_cannot_be_recorded_or_evaluated_is_refused():
+    with pytest.raises(ValueError, match=r"^seed must be a whole number >= 0, got -1"):
+        sse.record(seed=-1)
+    with pytest.raises(ValueError, match=r"^recording must be a Recording, as load and record give it, got 'gtsam'"):
+        sse.evaluate("euclidean", "gtsam")
+
+
 def test_a_recording_of_a_preset_is_that_of_the_benchmark():
     recording = sse.make_recording("reference-turn", seed=4)
     assert recording.source["seed"] == 4

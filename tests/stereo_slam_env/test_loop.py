@@ -114,6 +114,8 @@ def test_a_name_a_class_and_an_instance_are_the_same_filter(slam):
 def test_what_is_impossible_is_refused_before_the_first_frame():
     with pytest.raises(ValueError, match="has no frames"):
         run("inverse-depth", replace(RECORDING, frames=()))
+    with pytest.raises(ValueError, match="recording must be a Recording, as load and record give it, got 'gtsam'"):
+        run("inverse-depth", "gtsam")
     with pytest.raises(ValueError, match="did you mean 'inverse-depth'"):
         run("inverse-dept", RECORDING)
     made = make_filter("inverse-depth", camera=CAMERA, noise=RECORDING.noise)

@@ -75,7 +75,7 @@ class Frame(NamedTuple):
     with_right: BoolArray
     """Whether the right row is measured on its own, (B,)."""
     v_right: FloatArray
-    """(M,)."""
+    """Rows in the right image, (M,), px."""
     fates: IntArray
     """Outcome of each measurement, (M,) uint8: written."""
     nis: FloatArray

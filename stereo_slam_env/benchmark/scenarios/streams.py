@@ -17,7 +17,7 @@ from filters.contract.observation import StereoObservation
 from stereo_slam_env.benchmark.recordings.source import OpenedImages, Progress
 from stereo_slam_env.benchmark.scenarios.measurement_errors import measurement_errors, noise_by_range
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, Scenario
-from stereo_slam_env.recording.recording import Recording
+from stereo_slam_env.recording.recording import Recording, require_frames
 from stereo_slam_env.sensing.corruptions import corrupted, make_corruption
 
 if TYPE_CHECKING:
@@ -51,8 +51,7 @@ def _as_asked(recording: Recording, scenario: Scenario, seed: int | None) -> Rec
         recording = dataclasses.replace(recording, frames=recording.frames[: scenario.frames])
     if scenario.corruptions:
         recording = corrupted(recording, scenario.corruptions, seed or 0)
-    if len(recording) == 0:
-        raise ValueError(f"recording {recording.name!r} has no frames")
+    require_frames(recording)
     return recording
 
 

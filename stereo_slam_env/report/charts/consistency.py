@@ -1,4 +1,4 @@
-"""Charts of honesty: whether a filter knows how wrong it is. 3-sigma bounds, NEES, NIS, depth and map."""
+"""Charts of consistency: errors against 3-sigma bounds, NEES, NIS, depth and map."""
 
 from __future__ import annotations
 

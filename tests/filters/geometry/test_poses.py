@@ -51,3 +51,33 @@ def test_the_logarithm_is_that_of_the_matrix_and_the_exponential_its_inverse(ang
     np.testing.assert_allclose(hat(pose.log()), np.real(logm(homogeneous(pose))), rtol=0, atol=1e-8)
     np.testing.assert_allclose(homogeneous(Pose.exp(pose.log())), homogeneous(pose), **EXACT)
     np.testing.assert_allclose(homogeneous(Pose.exp(pose.log())), expm(hat(pose.log())), rtol=0, atol=1e-11)
+
+
+def test_lists_are_taken_as_arrays_and_computed_values_keep_their_bits():
+    listed = Pose([1, 2, 3], [0, 0, 0, 1])
+    assert listed.inverse().position.tolist() == [-1.0, -2.0, -3.0]
+    assert (listed @ [1.0, 0.0, 0.0]).tolist() == [2.0, 2.0, 3.0]
+    nearly = np.array([0.0, 0.0, 0.0, 1.0 + 1e-8])
+    assert Pose(np.zeros(3), nearly).orientation is nearly
+    assert Pose([0, 0, 0], [0, 0, 0, 1.0005]).orientation.tolist() == [0.0, 0.0, 0.0, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("position", "orientation", "argument"),
+    [
+        ([1.0, 2.0], [0.0, 0.0, 0.0, 1.0], "position"),
+        ([1.0, 2.0, np.nan], [0.0, 0.0, 0.0, 1.0], "position"),
+        (np.array([1.0, np.inf, 0.0]), [0.0, 0.0, 0.0, 1.0], "position"),
+        ([1.0, 2.0, 3.0], [0.0, 0.0, 0.0, 2.0], "orientation"),
+        ([1.0, 2.0, 3.0], np.full(4, np.nan), "orientation"),
+        ([1.0, 2.0, 3.0], np.eye(3), "orientation"),
+    ],
+)
+def test_what_is_no_pose_is_refused_by_name(position, orientation, argument):
+    with pytest.raises(ValueError, match=f"^{argument} must"):
+        Pose(position, orientation)
+
+
+def test_what_is_no_point_is_refused():
+    with pytest.raises(ValueError, match=r"^points must have shape \(\.\.\., 3\), got \(4,\)"):
+        Pose() @ np.ones(4)

@@ -81,22 +81,21 @@ def drives():
     return estimates, [truth_of(estimate, seed) for seed, estimate in enumerate(estimates)]
 
 
+@pytest.fixture(scope="module")
+def claims(drives):
+    """What the right model claims of each of them."""
+    return [sse.claim(estimate, sse.DriftModel(VARIANCES)) for estimate in drives[0]]
+
+
 @pytest.mark.parametrize("seconds", [1, 10, 30])
-def test_a_claim_is_right_where_errors_grow_as_the_model_says(drives, seconds):
-    model = sse.DriftModel(VARIANCES)
-    values = [
-        window_nees(sse.claim(estimate, model), truth, seconds)
-        for estimate, truth in zip(drives[0], drives[1], strict=True)
-    ]
+def test_a_claim_is_right_where_errors_grow_as_the_model_says(drives, claims, seconds):
+    values = [window_nees(claimed, truth, seconds) for claimed, truth in zip(claims, drives[1], strict=True)]
     assert np.mean(values) / 6.0 == pytest.approx(1.0, abs=0.2)
 
 
-def test_each_pose_is_claimed_as_seen_from_the_first(drives):
+def test_each_pose_is_claimed_as_seen_from_the_first(drives, claims):
     """Whole runs, judged by `evaluate_trajectory` in the gauge that the claim was made in."""
-    scores = [
-        sse.evaluate_trajectory(sse.claim(estimate, sse.DriftModel(VARIANCES)), truth)
-        for estimate, truth in zip(*drives, strict=True)
-    ]
+    scores = [sse.evaluate_trajectory(claimed, truth) for claimed, truth in zip(claims, drives[1], strict=True)]
     assert {score.alignment for score in scores} == {"start"}
     assert np.mean([score.claims["pose"].nees.mean for score in scores]) / 6.0 == pytest.approx(1.0, abs=0.2)
 
@@ -113,8 +112,8 @@ def test_a_written_claim_has_the_covariances_of_all_motions(tmp_path, seconds):
     np.testing.assert_allclose(motion_covariances(read.rows(some), first // 5, last // 5), right, rtol=1e-6, atol=1e-14)
 
 
-def test_another_world_and_another_body_change_no_nees_of_a_motion(drives):
-    claimed, truth = sse.claim(drives[0][3], sse.DriftModel(VARIANCES)), drives[1][3]
+def test_another_world_and_another_body_change_no_nees_of_a_motion(drives, claims):
+    claimed, truth = claims[3], drives[1][3]
     world = Pose([100.0, -20.0, 5.0], rotations.exp_quaternion([0.3, -0.2, 1.0]))
     T_bc = Pose([0.3, 0.1, -1.0], rotations.exp_quaternion([0.0, 1.5, 0.2]))
     here = window_nees(claimed, truth, 10)

@@ -126,7 +126,6 @@ SCALAR_FIRST = text(
 ASTRAY = replace(ESTIMATE, positions=ESTIMATE.positions * np.where(np.arange(COUNT) > 200, 40.0, 1.0)[:, None])
 TURNED = replace(ESTIMATE, covariances=None).of_body(Pose([0.0, 0.0, 0.0], rotations.exp_quaternion([0.0, 1.5, 0.0])))
 TIMES_1E9 = 1e9 * ESTIMATE.timestamps
-T_SINCE_1970 = text(tum(TRUTH, 1.5e9 + TRUTH.timestamps))
 NAMES = "qy;qz;qw;qx;time;z;y;x\n"
 
 JUDGED = {

@@ -5,9 +5,11 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from stereo_slam_env.world import compiled
 from stereo_slam_env.world.layout import Layout
 from stereo_slam_env.world.road import RoadNetwork, network_along, road_along
 from stereo_slam_env.world.routes import ROUTES
+from stereo_slam_env.world.scene import BOX
 
 
 @pytest.fixture(params=["loop", "right-turn"])
@@ -22,6 +24,22 @@ def test_nearest_points_of_a_network_are_those_of_a_search_tree(route):
     np.testing.assert_array_equal(network.nearest(xy), network.points[nearest])
     np.testing.assert_allclose(network.distance(xy), away)
     assert network.nearest(xy.reshape(50, 10, 2)).shape == (50, 10, 2)
+
+
+def test_landmarks_are_on_what_is_turned_to_the_nearest_point_of_a_search_tree(route):
+    network = RoadNetwork([road_along(route), road_along(ROUTES["town"]())])
+    places, rng = cKDTree(network.points), np.random.default_rng(0)
+    low, high = network.points.min() - 120.0, network.points.max() + 120.0  # beyond the cells, too
+    shapes = np.array([[BOX, *rng.uniform(low, high, 2), 2.0, *rng.uniform(0.3, 9.0, 3), k] for k in range(300)])
+    counts = np.full(len(shapes), 20)
+    points, normals = compiled.sample(shapes, counts, np.random.default_rng(1))
+    ahead = network.points[places.query(points[:, :2])[1]] - points[:, :2]
+    turned = np.sum(normals[:, :2] * ahead, axis=1) > 0.2 * np.linalg.norm(ahead, axis=1)
+    wanted = points[turned & (points[:, 2] > 0.15) & (points[:, 2] < 3.0)]
+    for _ in range(2):  # the cells are empty, then known
+        roads = network.points, network.circles, *network.cells
+        found = compiled.sample_facing(shapes, counts, *roads, 3.0, np.random.default_rng(1))
+        np.testing.assert_array_equal(found, wanted)
 
 
 @pytest.mark.parametrize(("left", "free"), [(7.4, False), (7.6, True)])

@@ -63,6 +63,8 @@ def test_lists_name_them_with_a_line_each():
         (lambda: register_route("town", SLALOM), "name must be new, got 'town': there is such a route"),
         (lambda: register_scene("a/b", build_groves), "name must be letters, digits, .* got 'a/b'"),
         (lambda: register_route("", SLALOM), "name must be letters, digits, .* got ''"),
+        (lambda: register_scene("new", None), "builder must be a function .* got None"),
+        (lambda: register_route("new", 3), "route must be a Route or a function that makes one, got 3"),
         (lambda: register_scene("new", build_groves, walkway=-1.0), "walkway must be a finite number > 0, got -1.0"),
     ],
 )
