@@ -303,6 +303,8 @@ class FilterBatch(Sequence[StereoEKF]):
         for each in zip(steps, velocities, samples, strict=True):
             check_step(*each)
         first = self._filters[0]
+        if inertial is not None and any(velocities) and first.options.motion.takes is InertialSamples:
+            raise ValueError("odometry must be None in a batch with inertial samples: predict filters one by one")
         given = [input_of(first.options.motion, first, *each) for each in zip(velocities, samples, strict=True)]
         return None if odometry is None and inertial is None else Odometry.of(given)
 

@@ -34,6 +34,7 @@ from filters.geometry.poses import Pose, relative_jacobian
 from filters.landmarks.model import LandmarkModel
 from filters.measurements.model import MeasurementModel
 from filters.motions.model import CameraState, MotionModel, input_of
+from filters.motions.odometry import moved_by
 from filters.parts import Named
 from filters.state.joint_state import JointState
 from filters.updates.model import Linearisation
@@ -41,6 +42,9 @@ from filters.updates.model import Linearisation
 if TYPE_CHECKING:
     from filters.engine.engine import Engine
     from filters.engine.row import Row
+
+_STEP = "begin of the step"
+"""Clone of the pose before a step of samples, while odometry of that step is fused."""
 
 
 class StereoEKF(StereoFilter):
@@ -151,7 +155,18 @@ class StereoEKF(StereoFilter):
     def predict(self, dt: float, odometry: BodyVelocity | None = None, inertial: InertialSamples | None = None) -> None:
         """Move the belief forward (Eq. 6, 11, 12), then fuse what odometry adds."""
         dt = check_step(dt, odometry, inertial)
-        self._row.predict(dt, input_of(self.options.motion, self, odometry, inertial))
+        given = input_of(self.options.motion, self, odometry, inertial)
+        if odometry is None or given is odometry:
+            self._row.predict(dt, given)
+            return
+        self._row.clone_pose(_STEP)  # samples have moved the belief: odometry measures how far
+        self._row.predict(dt, given)
+        begun, now = self._row.clone_values()[_STEP], self._row.camera
+        first, last = Pose(begun[:3], begun[3:]), Pose(now.position, now.orientation)
+        innovation, R = moved_by(odometry, dt, first.inverse() @ last)
+        H = relative_jacobian(first, last)
+        self.correct(innovation, {_STEP: H[:, :6], POSE: H[:, 6:]}, R)
+        self._row.forget_clone(_STEP)
 
     def update(self, observation: StereoObservation) -> UpdateReport:
         """Known ids correct the state, unseen ones leave, new ones enter; see `StereoFilter.update`."""

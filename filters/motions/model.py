@@ -224,11 +224,10 @@ class MotionModel:
 def input_of(
     motion: MotionModel, slam: StereoFilter, odometry: BodyVelocity | None, inertial: InertialSamples | None
 ) -> StepInput | None:
-    """Of what is known of a step, what the motion takes; the filter says once what it makes no use of."""
-    takes_samples = motion.takes is InertialSamples
-    given, unused, name = (inertial, odometry, "odometry") if takes_samples else (odometry, inertial, "inertial")
-    if unused is not None:
-        slam.say_unused(name)
+    """Of what is known of a step, what the motion takes; the filter says once that it makes no use of samples."""
+    given = inertial if motion.takes is InertialSamples else odometry
+    if inertial is not None and given is not inertial:
+        slam.say_unused("inertial")
     motion.check_odometry(given)
     return given
 

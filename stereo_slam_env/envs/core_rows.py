@@ -25,19 +25,22 @@ from stereo_slam_env.frontend.recorder import TYPICAL_NOISE
 from stereo_slam_env.recording.recording import Frame, LandmarkTruth
 from stereo_slam_env.rendering.images import StereoImages
 from stereo_slam_env.rendering.overlay import annotated_pair
+from stereo_slam_env.sensing.imu import Imu
 from stereo_slam_env.sensing.padding import NO_LANDMARK, padded_extras
 from stereo_slam_env.sensing.pixel_noise import NOISE_MODELS
 from stereo_slam_env.simulator.motion import LOOK_AHEAD
 from stereo_slam_env.simulator.scenes import SceneArrays, scene_arrays
 from stereo_slam_env.simulator.show import MAX_VELOCITY
 from stereo_slam_env.simulator.simulator import Simulator
-from stereo_slam_env.simulator.state import ARENA, WEIGHTS, make_rules
+from stereo_slam_env.simulator.state import ARENA, RIDE_STEPS, WEIGHTS, make_rules
 from stereo_slam_env.world.routes import FRAME_PERIOD, RANDOM_ROUTES, Route, named_route
 from stereo_slam_env.world.surroundings import build_scene
 from stereo_slam_env.world.vehicle import Car, Head
 
 _IMAGE_SLACK = 10.0
 """px beyond the image that what is measured in it never is; disparities come out below 0 by less."""
+MAX_INERTIAL: FloatArray = np.repeat([35.0, 240.0], 3)
+"""Bounds of the inertial samples in the observation, rad/s and m/s^2: 2,000 degrees a second and 24 g."""
 _POOL = 7
 """Keeps the scenes of a pool apart from those of the episodes of the same seed."""
 
@@ -72,6 +75,8 @@ class CoreRows(Rows):
         self.generators: list[np.random.Generator | None] = [None] * count
         self._pixel_noise = NOISE_MODELS[options.noise](options.sigma)
         self._weights = {name: k for k, name in enumerate(WEIGHTS) if hasattr(options, f"{name}_weight")}
+        drive = options if isinstance(options, DriveOptions) else None
+        self._imu = Imu(drive.imu) if drive is not None and drive.imu is not None else None
         rules = make_rules(
             self.camera,
             options.tracking,
@@ -81,14 +86,18 @@ class CoreRows(Rows):
             lasting_time=options.lasting_time,
             odometry_sigmas=(options.odometry_sigma_linear, options.odometry_sigma_angular),
             perturbation=options.perturbation,
-            steered=isinstance(options, DriveOptions) and options.policy == "agent",
-            lane=options.lane if isinstance(options, DriveOptions) else np.inf,
+            steered=drive is not None and drive.policy == "agent",
+            lane=np.inf if drive is None else drive.lane,
+            smooth=drive is not None and drive.vehicle == "smooth",
+            roughness=1.0 if drive is None else drive.roughness,
             head=self.head,
             weights={name: getattr(options, f"{name}_weight") for name in self._weights},
             exact=options.physics == "exact",
         )
         self._sees_images = options.sensor == "images"
-        self.simulator = Simulator(rules, count, self._pixel_noise, threads, senses=not self._sees_images)
+        self.simulator = Simulator(
+            rules, count, self._pixel_noise, threads, imu=self._imu, senses=not self._sees_images
+        )
         self.observation_space = self._make_observation_space()
         size = 2 * (isinstance(options, DriveOptions) + isinstance(options, HeadOptions))
         self.action_space = spaces.Box(-1.0, 1.0, (size,), np.float32)
@@ -131,9 +140,10 @@ class CoreRows(Rows):
             if generator is None or seeds[b] is not None:
                 generator = self.generators[b] = np_random(seeds[b])[0]
             scene_rng, motion, landmark, odometry, start, camera = generator.spawn(6)
+            inertial = [] if self._imu is None else generator.spawn(1)
             kept = self.simulator.scenes[b]
             scene = kept if keep and kept is not None else self._scene(scene_rng)
-            self.simulator.put(b, scene, [motion, landmark, odometry, start])
+            self.simulator.put(b, scene, [motion, landmark, odometry, start, *inertial])
             if self._pictures:
                 self._pictures[b].build(scene.scene, camera)
             if self._sees_images:
@@ -208,6 +218,8 @@ class CoreRows(Rows):
         if not options.observe_ids:
             del observation["ids"]
         observation["progress"] = shown.progress
+        if self._imu is not None:
+            observation["imu"] = np.clip(sensed.inertial, -MAX_INERTIAL, MAX_INERTIAL).astype(np.float32)
         if self.simulator.rules.steered:
             observation |= {"car": shown.car, "route": shown.route}
         if self.head is not None:
@@ -361,6 +373,9 @@ class CoreRows(Rows):
         }
         if not options.observe_ids:
             del shapes["ids"]
+        if self._imu is not None:
+            most = np.tile(MAX_INERTIAL, (RIDE_STEPS, 1)).astype(np.float32)
+            shapes["imu"] = spaces.Box(-most, most)
         if self.simulator.rules.steered:
             car = np.array([Car.max_speed, Car.max_steering], dtype=np.float32)
             shapes["car"] = spaces.Box(-car, car)

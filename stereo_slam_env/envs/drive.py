@@ -52,6 +52,9 @@ class StereoDriveEnv(StereoEnv, gym.Env[Observation, NDArray[np.float32]]):
     | `route` | (5, 2) | float32 | points of the route 2, 5, 10, 20 and 30 m ahead: right and forward of the camera, m |
     | `left`, `right` | (H, W, 3) | uint8 | rendered views, only with `render_images=True` |
 
+    With `imu` there are also the samples of an inertial unit at 200 Hz over the last step, `imu`, (20, 6) float32:
+    angular rates, rad/s, and specific forces, m/s^2, in the frame of the unit; 0 at reset.
+
     The odometry is in the camera frame half-way through the turn of the step; at reset it is the initial velocity.
     `route` is what a perfect navigation system would show: it is made from the true pose and ends where the route ends.
     `stereo_slam_env.stereo_observation(observation, info)` makes a `StereoObservation` for a filter; learners can do
@@ -108,6 +111,9 @@ class StereoDriveEnv(StereoEnv, gym.Env[Observation, NDArray[np.float32]]):
     | `blank_from` | `None` | from then on nothing that is drawn has a texture, s; None: never |
     | `policy` | `"agent"` | `"agent"`: the action drives; `"route"`: a script does |
     | `lane` | `2.0` | how far beside the route an agent may drive, m |
+    | `vehicle` | `"kinematic"` | `"smooth"`: continuous accelerations, springs, uneven road; no head |
+    | `roughness` | `1.0` | scale of the unevenness of the road of a smooth vehicle |
+    | `imu` | `None` | inertial unit of a smooth vehicle: `"adis16448"`, `"bmi088"`, `"car"` |
     | `rig` | `"reference"` | `"reference"` 1344x391, f = 721.5 px; `"vga"` 640x480; `"qvga"` 320x240 |
     | `sensor` | `"landmarks"` | `"landmarks"`: projection, occlusion and noise; `"images"`: rendered, front end |
     | `renderer` | `"tiny"` | `"tiny"`, everywhere; `"gl"`, fast, needs the extra gl and EGL |
@@ -145,6 +151,12 @@ class StereoDriveEnv(StereoEnv, gym.Env[Observation, NDArray[np.float32]]):
     To these come, with `lasting`, errors that last: each landmark has one in each coordinate of both images, which
     changes as a Gauss-Markov process of first order. A filter is told the R of both parts together, and takes it for
     white noise; with `lasting_time` it is a `ColouredNoise`, and the filter `coloured-noise` knows better.
+
+    The velocity of the `"kinematic"` vehicle is constant in each step and jumps between them. With `vehicle="smooth"`
+    the camera follows that car through a low-pass, 67 ms behind it, pitches and rolls with the accelerations, and feels
+    the road; the car of contacts and rewards stays the same. `truth_*_velocity` is then that at the end of the step.
+    Samples of `imu` have the errors of its data sheet, see `stereo_slam_env.sensing.imu`; recordings carry them, and
+    the filters `inertial` and `msckf` (with `motion="strapdown"`) use them.
 
     `reset(options={"scene": "keep"})` drives through the same scene once more.
 

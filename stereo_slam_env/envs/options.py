@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin, get_type_h
 
 import numpy as np
 
-from filters.contract.known_names import did_you_mean, one_of
+from filters.contract.known_names import did_you_mean, one_of, require_known
 from filters.contract.validation import positive, whole_number
 from filters.geometry.camera import StereoCamera
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.rendering.backends import RendererName, image_quality
+from stereo_slam_env.sensing.imu import DATA_SHEETS
 from stereo_slam_env.sensing.pixel_noise import NoiseName
 from stereo_slam_env.sensing.rigs import RIGS, Rig, camera_of
 from stereo_slam_env.sensing.tracking import TrackingPolicy
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 
 Sensor = Literal["landmarks", "images"]
 DrivenBy = Literal["agent", "route"]
+Vehicle = Literal["kinematic", "smooth"]
 
 
 class UnknownArgument(TypeError, ValueError):
@@ -156,6 +158,9 @@ class DriveOptions(StereoOptions):
     route: str | None = None  # type: ignore[assignment]
     policy: DrivenBy = "agent"
     lane: float = 2.0
+    vehicle: Vehicle = "kinematic"
+    roughness: float = 1.0
+    imu: str | None = None
     progress_weight: float = 0.1
     collision_weight: float = 10.0
     goal_weight: float = 10.0
@@ -166,6 +171,15 @@ class DriveOptions(StereoOptions):
             object.__setattr__(self, "route", "random-town" if self.policy == "agent" else "town")
         super().__post_init__()
         positive("lane", self.lane)
+        positive("roughness", self.roughness, allow_zero=True)
+        if self.vehicle == "smooth" and isinstance(self, HeadOptions):
+            raise ValueError("vehicle must be 'kinematic' with a head that turns: its rates are not continuous")
+        if self.imu is not None:
+            require_known("imu has no data sheet", [self.imu], DATA_SHEETS)
+            if self.vehicle != "smooth":
+                raise ValueError(
+                    "imu must be None with vehicle='kinematic', whose velocity jumps: use vehicle='smooth'"
+                )
 
 
 @dataclass(frozen=True)

@@ -51,6 +51,8 @@ def run_batch(
         for recording, noise in zip(recordings, noises, strict=True):
             made.append(make_with_common_options(filter_name, recording.camera, noise, options, common_options))
         alike = all(r.camera == first.camera and r.reference.is_exact and len(r) > 0 for r in recordings)
+        if use_odometry and any(frame.inertial is not None for frame in first.frames):
+            return None  # a filter that takes samples fuses odometry by itself
         if not alike or not all(goes_in_a_batch(one.filter) for one in made):
             return None
         ready = iter(made)

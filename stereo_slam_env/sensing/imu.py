@@ -133,25 +133,24 @@ class Imu:
         (K, 6) ndarray
             Biases of gyros, rad/s, and accelerometers, m/s^2.
         """
-        sheet, unit = self._sheet, self.unit
-        bias = np.repeat([sheet.gyro_bias, sheet.accelerometer_bias], 3) * rng.standard_normal(6)
-        scales = 1.0 + sheet.scale * rng.standard_normal(6)
-        turn = Rotation.from_rotvec(sheet.misalignment * rng.standard_normal(3)).as_matrix()
-        densities = np.repeat([sheet.gyro_density, sheet.accelerometer_density], 3)
-        walks = np.repeat([sheet.gyro_walk, sheet.accelerometer_walk], 3)
+        errors, unit = self.errors(rng), self.unit
         samples: list[InertialSamples | None] = [None]
-        biases = [bias]
+        biases = [errors.bias]
         for begin, end in zip(frames[:-1].tolist(), frames[1:].tolist(), strict=True):
             count = max(1, round((end - begin) * self.rate))
             edges = np.linspace(begin, end, count + 1)
-            h = (end - begin) / count
-            numbers = self.means(path, edges + self.time_offset, gravity).reshape(-1, 2, 3) @ turn.T
-            numbers = scales * numbers.reshape(-1, 6) + bias
-            numbers += densities / np.sqrt(h) * rng.standard_normal((count, 6))
+            numbers = errors.added(self.means(path, edges + self.time_offset, gravity), end - begin)
             samples.append(InertialSamples(edges[1:] - begin, numbers[:, :3], numbers[:, 3:], unit))
-            bias = bias + walks * np.sqrt(end - begin) * rng.standard_normal(6)
-            biases.append(bias)
+            biases.append(errors.bias)
         return samples, np.array(biases)
+
+    def errors(self, rng: np.random.Generator) -> UnitErrors:
+        """The errors of one drive, drawn."""
+        sheet = self._sheet
+        bias = np.repeat([sheet.gyro_bias, sheet.accelerometer_bias], 3) * rng.standard_normal(6)
+        scales = 1.0 + sheet.scale * rng.standard_normal(6)
+        turn = Rotation.from_rotvec(sheet.misalignment * rng.standard_normal(3)).as_matrix()
+        return UnitErrors(sheet, bias, scales, turn, rng)
 
     def means(self, path: Path, edges: FloatArray, gravity: FloatArray) -> FloatArray:
         """Exact means of rates and specific forces between `edges` (N + 1,), s, in its frame; (N, 6)."""
@@ -161,3 +160,22 @@ class Imu:
         later, earlier = (at + turned.apply(self.position) for at, turned in (path(edges + e) for e in (_STEP, -_STEP)))
         forces = np.diff((later - earlier) / (2.0 * _STEP), axis=0) / h - gravity
         return np.hstack([rates, middle.inv().apply(forces)])
+
+
+class UnitErrors:
+    """Errors of an inertial unit on one drive: constant ones, biases that walk, and white noise."""
+
+    def __init__(
+        self, sheet: DataSheet, bias: FloatArray, scales: FloatArray, turn: FloatArray, rng: np.random.Generator
+    ) -> None:
+        self.bias, self._scales, self._turn, self._rng = bias, scales, turn, rng
+        self._densities = np.repeat([sheet.gyro_density, sheet.accelerometer_density], 3)
+        self._walks = np.repeat([sheet.gyro_walk, sheet.accelerometer_walk], 3)
+
+    def added(self, means: FloatArray, dt: float) -> FloatArray:
+        """What is measured of exact means (n, 6) over a step of `dt` seconds; afterwards the biases walk."""
+        numbers = (means.reshape(-1, 2, 3) @ self._turn.T).reshape(-1, 6)
+        numbers = self._scales * numbers + self.bias
+        numbers += self._densities / np.sqrt(dt / len(means)) * self._rng.standard_normal(numbers.shape)
+        self.bias = self.bias + self._walks * np.sqrt(dt) * self._rng.standard_normal(6)
+        return np.asarray(numbers)

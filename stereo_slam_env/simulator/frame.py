@@ -11,6 +11,7 @@ from filters.geometry.arrays import FloatArray, IntArray
 from stereo_slam_env.simulator.contacts import collides
 from stereo_slam_env.simulator.motion import (
     MOTION,
+    ODOMETRY,
     measure_odometry,
     move,
     nearest_frame,
@@ -20,6 +21,7 @@ from stereo_slam_env.simulator.motion import (
     times,
 )
 from stereo_slam_env.simulator.rays import KERNEL, OPTIONS
+from stereo_slam_env.simulator.ride import begin_ride, ride_step
 from stereo_slam_env.simulator.sensing import mark_in_view, observe
 from stereo_slam_env.simulator.state import ARENA, Fleet, Rules, Sensed
 from stereo_slam_env.simulator.traffic import bodies_of, move_bodies, touches_body
@@ -42,12 +44,14 @@ def _begin(rules: Rules, fleet: Fleet, b: int) -> None:
     if rules.steered:
         fleet.car[b, 0], fleet.car[b, 1], fleet.car[b, 2] = fleet.speeds[b, 0], 0.0, 0.0
         velocity[2] = fleet.speeds[b, 0]
-        return
-    used = fleet.used[b, MOTION]
-    for i in range(6):
-        fleet.sway[b, i] = rules.sway[0, i] * fleet.normals[b, MOTION, used + i]
-    fleet.used[b, MOTION] = used + 6
-    route_velocity(rules, fleet, b, 0)
+    else:
+        used = fleet.used[b, MOTION]
+        for i in range(6):
+            fleet.sway[b, i] = rules.sway[0, i] * fleet.normals[b, MOTION, used + i]
+        fleet.used[b, MOTION] = used + 6
+        route_velocity(rules, fleet, b, 0)
+    if rules.smooth:
+        begin_ride(rules, fleet, b, ODOMETRY)  # the car stays that of the steps
 
 
 @njit(**KERNEL)
@@ -117,7 +121,7 @@ def run_frame(
 ) -> None:
     """Parts of a frame of the rows from `first` to `last` - 1; `doing` (B,) is WAIT, FIRST or STEP."""
     most = fleet.landmarks.shape[2]
-    fresh, keys = np.empty(most, dtype=np.int64), np.empty(most)
+    fresh, keys, before, now = np.empty(most, dtype=np.int64), np.empty(most), np.zeros(13), np.zeros(13)
     for b in range(first, last):
         if doing[b] == WAIT:
             continue
@@ -131,7 +135,11 @@ def run_frame(
             q0, q1, q2, q3 = pose[3], pose[4], pose[5], pose[6]
             if doing[b] == STEP:
                 move(rules, fleet, b, actions[b])
+                if rules.smooth:
+                    ride_step(rules, fleet, sensed, b, before, now)
             measure_odometry(rules, fleet, b, q0, q1, q2, q3, sensed.odometry[b])
+            if rules.smooth and doing[b] == STEP:  # odometry is of the step, the truth of its end
+                fleet.velocity[b, :] = now[7:]
             move_bodies(fleet, b)
             mark_in_view(rules, fleet.landmarks[b], fleet.sizes[b, 0], pose, fleet.inside[b])
         if parts & SENSE:

@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from filters.contract.inertial import InertialSamples
 from filters.contract.observation import StereoObservation
 from filters.contract.odometry import BodyVelocity
 from filters.contract.start import Start
@@ -15,6 +16,7 @@ from filters.contract.validation import unchecked
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.geometry.poses import Pose
 from stereo_slam_env.recording.recording import Frame, Velocity
+from stereo_slam_env.sensing.imu import Imu, UnitErrors
 from stereo_slam_env.sensing.pixel_noise import PixelNoise
 from stereo_slam_env.simulator.bullet import BulletAnswers
 from stereo_slam_env.simulator.frame import FIRST, JUDGE, MOVE, SENSE, STEP, WAIT, run_frame
@@ -22,7 +24,7 @@ from stereo_slam_env.simulator.kept import Kept
 from stereo_slam_env.simulator.rays import traversal
 from stereo_slam_env.simulator.scenes import SceneArrays, put_scene, with_room
 from stereo_slam_env.simulator.show import Shown, show
-from stereo_slam_env.simulator.state import NO_NOISE, NOISE_KINDS, Rules, empty_fleet, empty_sensed
+from stereo_slam_env.simulator.state import NO_NOISE, NOISE_KINDS, RIDE_STEPS, Rules, empty_fleet, empty_sensed
 from stereo_slam_env.simulator.streams import Streams
 from stereo_slam_env.world.routes import Route
 
@@ -49,17 +51,33 @@ class Simulator(Kept):
         That of the rules.
     threads : int
         Threads over which the rows are spread.
+    imu : Imu, optional
+        Inertial unit on the camera, of rules with a smooth ride.
     senses : bool
         Whether landmarks are measured here. Otherwise `sensed` is filled by `sense`, of `move` and `judge`.
     """
 
-    changes = ("fleet", "sensed", "scenes", "_streams", "_noise_generators", "_start_errors", "_first_velocities")
+    changes = (
+        *("fleet", "sensed", "scenes", "_streams", "_noise_generators", "_start_errors", "_first_velocities"),
+        "_unit_errors",
+    )
 
-    def __init__(self, rules: Rules, count: int, noise: PixelNoise, threads: int = 1, *, senses: bool = True) -> None:
+    def __init__(
+        self,
+        rules: Rules,
+        count: int,
+        noise: PixelNoise,
+        threads: int = 1,
+        *,
+        imu: Imu | None = None,
+        senses: bool = True,
+    ) -> None:
         self.rules, self.count, self.threads = rules, count, min(threads, count)
         normals = (8 if rules.lasting[0] else 4) * rules.most  # of the noise of a frame
         self.fleet = empty_fleet(count, max(_FRAMES_AHEAD * normals, 512), lasting=rules.lasting[0] > 0)
-        self.sensed = empty_sensed(count, rules.most)
+        self.sensed = empty_sensed(count, rules.most, RIDE_STEPS if rules.smooth else 0)
+        self._imu = imu
+        self._unit_errors: list[UnitErrors | None] = [None] * count
         self.scenes: list[SceneArrays | None] = [None] * count
         """Of the rows."""
         self.bullet = None if rules.exact else BulletAnswers(count)
@@ -85,8 +103,10 @@ class Simulator(Kept):
                 self.bullet.build(b, scene.scene)
 
     def put(self, b: int, scene: SceneArrays, generators: Sequence[np.random.Generator]) -> None:
-        """Give row b a scene and the generators of motion, landmarks, odometry and start of its next episode."""
-        motion, landmark, odometry, start = generators
+        """Give row b a scene and the generators of its next episode: of motion, landmarks, odometry, start, IMU."""
+        motion, landmark, odometry, start, *inertial = generators
+        if self._imu is not None:
+            self._unit_errors[b] = self._imu.errors(inertial[0])
         self._start_errors[b] = START_SIGMAS[6:] * start.standard_normal(6)
         if self.scenes[b] is not scene:
             self.fleet = with_room(self.fleet, scene)
@@ -141,7 +161,7 @@ class Simulator(Kept):
 
     def body(self, b: int) -> Pose:
         """Pose of the left camera of a row if the head looked straight ahead."""
-        return _pose(self.fleet.body[b])
+        return self.pose(b) if self.rules.smooth else _pose(self.fleet.body[b])
 
     def frame(self, b: int, seen: StereoObservation | None = None) -> Frame:
         """The frame of a row in full precision; `seen` is what was measured elsewhere."""
@@ -160,7 +180,16 @@ class Simulator(Kept):
             truth=self.pose(b),
             truth_velocity=Velocity(velocity[:3], velocity[3:]),
             head=fleet.angles[b].copy() if self.rules.has_head else None,
+            inertial=self._samples(b) if step else None,
         )
+
+    def _samples(self, b: int) -> InertialSamples | None:
+        """Samples of the last step of a row; None: there is no unit."""
+        if self._imu is None:
+            return None
+        numbers, h = self.sensed.inertial[b], self.rules.dt / RIDE_STEPS
+        times = h * np.arange(1.0, RIDE_STEPS + 1.0)
+        return InertialSamples(times, numbers[:, :3].copy(), numbers[:, 3:].copy(), self._imu.unit)
 
     def start(self, b: int) -> Start:
         """What a filter is told of the start of a row: the pose, and the velocity with an error of the covariance."""
@@ -192,6 +221,10 @@ class Simulator(Kept):
             for b in np.flatnonzero(doing != WAIT).tolist():
                 self.bullet.answer(self.rules, self.fleet, self.sensed, b)
             self._run_parts(rest)
+        for b in np.flatnonzero(doing != WAIT).tolist() if self._imu is not None else ():
+            errors, numbers = self._unit_errors[b], self.sensed.inertial[b]
+            assert errors is not None
+            numbers[:] = errors.added(numbers, self.rules.dt) if doing[b] == STEP else 0.0
         if self.rules.noise == NO_NOISE and self._senses:
             for b in np.flatnonzero(doing != WAIT).tolist():
                 self._corrupt(b)

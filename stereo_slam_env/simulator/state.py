@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.geometry.camera import StereoCamera
+from filters.geometry.rotations import matrix
+from stereo_slam_env.sensing.imu import Imu
 from stereo_slam_env.sensing.rigs import CAMERA_HEIGHT
 from stereo_slam_env.sensing.tracking import TrackingPolicy
 from stereo_slam_env.simulator.rays import COLUMNS
@@ -26,6 +28,10 @@ ARENA = 60.0
 """m from the route: what is farther away has left the arena."""
 ODOMETRY_SIGMAS = (0.1, 0.01)
 """Usual standard deviations of the odometry, each axis, m/s and rad/s."""
+
+
+RIDE_STEPS, RIDE_WAVES = 20, 7
+"""Steps of a smooth ride in a frame, which are samples of an inertial unit, and waves of the road."""
 
 
 class Rules(NamedTuple):
@@ -57,6 +63,14 @@ class Rules(NamedTuple):
     """How far beside the route a car that is steered may be, m."""
     body: FloatArray
     """Half the size of the car's body, and its centre in the camera frame; (2, 3)."""
+    smooth: bool
+    """Whether the camera follows the car by `ride`, with continuous accelerations."""
+    roughness: float
+    """Scale of the unevenness of the road."""
+    imu_place: tuple[float, ...]
+    """Of an inertial unit in the camera frame, m."""
+    imu_turn: tuple[float, ...]
+    """Rotation matrix that takes its vectors to the camera frame, row by row."""
     has_head: bool
     head: FloatArray
     """Largest angles and largest rates; (2, 2)."""
@@ -79,6 +93,8 @@ class Fleet(NamedTuple):
     """Disturbance of a scripted drive, (B, 6)."""
     car: FloatArray
     """Speed, steering angle and heading, (B, 3)."""
+    ride: FloatArray
+    """State of a smooth ride, see `ride`; (B, 31)."""
     step: IntArray
     nearest: IntArray
     """Nearest frame of the route, (B,)."""
@@ -149,6 +165,9 @@ class Sensed(NamedTuple):
     """Of landmarks, (B,)."""
     odometry: FloatArray
     """(B, 6)."""
+    inertial: FloatArray
+    """Angular rates and specific forces in the frame of the inertial unit, over the step; (B, n, 6), n = 0 without a
+    smooth ride."""
     terms: FloatArray
     """Of the reward, with weights, (6, B)."""
     reward: FloatArray
@@ -174,6 +193,9 @@ def make_rules(
     head: Head | None = None,
     weights: Mapping[str, float] | None = None,
     exact: bool = True,
+    smooth: bool = False,
+    roughness: float = 1.0,
+    imu: Imu = Imu(),  # noqa: B008 (frozen)
 ) -> Rules:
     """Rules of vehicles that drive along the routes of their scenes.
 
@@ -203,6 +225,12 @@ def make_rules(
         Of the terms of the reward `WEIGHTS`; 0 where there is none.
     exact : bool
         Whether rays and contacts are computed in closed form.
+    smooth : bool
+        Whether the camera has continuous accelerations.
+    roughness : float
+        Scale of the unevenness of the road of a smooth ride.
+    imu : Imu
+        Where an inertial unit sits.
     """
     car, sway = Car(), Sway(perturbation)
     return Rules(
@@ -233,6 +261,10 @@ def make_rules(
         ),
         lane=float(lane),
         body=np.array([[0.5 * side for side in car.size], car.body_c]),
+        smooth=smooth,
+        roughness=float(roughness),
+        imu_place=tuple(map(float, imu.position)),
+        imu_turn=tuple(matrix(imu.orientation).ravel().tolist()),
         has_head=head is not None,
         head=np.array([head.max_angles, head.max_rates]) if head else np.ones((2, 2)),
         weights=np.array([(weights or {}).get(name, 0.0) for name in WEIGHTS], dtype=np.float64),
@@ -255,6 +287,7 @@ def empty_fleet(count: int, normals: int, *, lasting: bool) -> Fleet:
         angles=np.zeros((count, 2)),
         sway=np.zeros((count, 6)),
         car=np.zeros((count, 3)),
+        ride=np.zeros((count, 24 + RIDE_WAVES)),
         step=np.zeros(count, dtype=np.int64),
         nearest=np.zeros(count, dtype=np.int64),
         farthest=np.zeros(count),
@@ -288,14 +321,15 @@ def empty_fleet(count: int, normals: int, *, lasting: bool) -> Fleet:
     )
 
 
-def empty_sensed(count: int, most: int) -> Sensed:
-    """A frame that has brought nothing."""
+def empty_sensed(count: int, most: int, samples: int = 0) -> Sensed:
+    """A frame that has brought nothing, with room for so many landmarks and inertial samples."""
     return Sensed(
         ids=np.full((count, most), -1),
         uvd=np.zeros((count, most, 3)),
         v_right=np.zeros((count, most)),
         number=np.zeros(count, dtype=np.int64),
         odometry=np.zeros((count, 6)),
+        inertial=np.zeros((count, samples, 6)),
         terms=np.zeros((len(WEIGHTS), count)),
         reward=np.zeros(count),
         beside=np.zeros(count),

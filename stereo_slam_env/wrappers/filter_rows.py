@@ -9,6 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from filters.contract.foreign_text import first_line, type_name
+from filters.contract.odometry import BodyVelocity
 from filters.contract.start import Start
 from filters.contract.stereo_filter import StereoFilter
 from filters.contract.update_report import UpdateReport
@@ -133,7 +134,7 @@ def filter_rows(
         Whether they are given the odometry.
     """
     first = make()
-    if goes_in_a_batch(first):
+    if goes_in_a_batch(first) and first.options.motion.takes is BodyVelocity:  # samples come with whole frames
         return _Lockstep(make, name, R, count, threads, use_odometry=use_odometry)
     return _OneByOne([first, *(make() for _ in range(count - 1))], name, use_odometry=use_odometry)
 

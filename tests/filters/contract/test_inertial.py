@@ -8,12 +8,26 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from filters import BodyVelocity, FilterBatch, InertialSamples, InertialUnit, StereoEKF, make_filter, shown_arrays
+from filters import (
+    BodyVelocity,
+    FilterBatch,
+    InertialSamples,
+    InertialUnit,
+    Pose,
+    Start,
+    StereoEKF,
+    make_filter,
+    shown_arrays,
+)
+from filters.geometry import rotations
+from filters.geometry.differences import jacobian
+from filters.motions.odometry import moved_by
 
 from ..drives import CAMERA, INDEPENDENT_PIXELS
-from ..inertial_drives import DT, UNIT, Journey, driven
+from ..inertial_drives import DT, GRAVITY, TURN, UNIT, Journey, driven
 
 SAMPLES = InertialSamples([0.04, 0.1], np.ones((2, 3)), np.ones((2, 3)), UNIT)
+STILL = InertialSamples([0.04, 0.1], np.zeros((2, 3)), np.tile(TURN.inv().apply(-GRAVITY), (2, 1)), UNIT)
 ODOMETRY = BodyVelocity(np.zeros(3), np.zeros(3), np.eye(6))
 
 
@@ -58,20 +72,52 @@ def test_steps_are_joined() -> None:
     assert joined.specific_forces.shape == (4, 3)
 
 
-@pytest.mark.parametrize(
-    ("name", "given", "unused"),
-    [("inverse-depth", {"inertial": SAMPLES}, "inertial samples"), ("inertial", {"odometry": ODOMETRY}, "odometry")],
-)
-def test_a_filter_says_once_what_it_makes_no_use_of(
-    name: str, given: dict[str, object], unused: str, caplog: pytest.LogCaptureFixture
-) -> None:
-    slam = make_filter(name, camera=CAMERA, noise=INDEPENDENT_PIXELS)
+def test_a_filter_says_once_that_it_makes_no_use_of_samples(caplog: pytest.LogCaptureFixture) -> None:
+    slam = make_filter("inverse-depth", camera=CAMERA, noise=INDEPENDENT_PIXELS)
     with caplog.at_level(logging.WARNING):
         for _ in range(3):
-            slam.predict(DT, **{"inertial": SAMPLES, **given} if name == "inertial" else given)  # type: ignore[arg-type]
+            slam.predict(DT, inertial=SAMPLES)
     assert [record.getMessage() for record in caplog.records] == [
-        f"{type(slam).__name__} makes no use of the {unused} that it is given"
+        f"{type(slam).__name__} makes no use of the inertial samples that it is given"
     ]
+
+
+def test_odometry_is_fused_with_samples() -> None:
+    """Wheels of standard deviation .001 say that it stands still; no clone is left of the fusion."""
+    slam = make_filter("inertial", camera=CAMERA, noise=INDEPENDENT_PIXELS)
+    slam.reset(Start(linear_velocity=np.array([0.2, 0.0, 0.0]), covariance=np.diag(np.repeat([1e-6, 0.25], 6))))
+    slam.predict(DT, BodyVelocity(np.zeros(3), np.zeros(3), 1e-6 * np.eye(6)), STILL)
+    assert np.linalg.norm(slam.pose.position) < 1e-3
+    assert np.abs(slam.velocity.linear).max() < 0.02
+    assert np.sqrt(np.diag(slam.velocity.covariance)[:3]).max() < 0.03  # of .5: what is left is the accelerometers'
+    assert slam.clones == ()
+
+
+def test_odometry_as_a_relative_pose() -> None:
+    """Innovation of the pose that it says: none; covariance by differences of that pose, first order."""
+    rng = np.random.default_rng(3)
+    twist, A = rng.normal(0.0, 1.0, 6), rng.normal(0.0, 0.1, (6, 6))
+
+    def pose_of(numbers: np.ndarray) -> Pose:
+        turn = rotations.exp_quaternion(DT * numbers[3:])
+        return Pose(rotations.exp(0.5 * DT * numbers[3:]) @ numbers[:3] * DT, turn)
+
+    there = pose_of(twist)
+    innovation, R = moved_by(BodyVelocity(twist[:3], twist[3:], A @ A.T), DT, there)
+    np.testing.assert_allclose(innovation, 0.0, atol=1e-12)
+
+    def error(delta: np.ndarray) -> np.ndarray:
+        moved = pose_of(twist + delta)
+        return np.concatenate([moved.position - there.position, rotations.log(there.R_wc.T @ moved.R_wc)])
+
+    J = jacobian(error, 6)
+    np.testing.assert_allclose(R, J @ A @ A.T @ J.T, atol=1e-9)
+
+
+def test_a_batch_with_samples_refuses_odometry() -> None:
+    batch = FilterBatch(lambda: make_filter("inertial", camera=CAMERA, noise=INDEPENDENT_PIXELS), 2)
+    with pytest.raises(ValueError, match=r"^odometry must be None in a batch with inertial samples"):
+        batch.predict(DT, [ODOMETRY, None], [SAMPLES, SAMPLES])
 
 
 def test_a_subclass_of_odometry_is_refused() -> None:

@@ -30,6 +30,7 @@ OTHERS = {
     "lasting": ("Gaze", {"lasting": 0.7, "lasting_time": 2.0, "noise": "quantised"}),
     "heavy-tailed": ("DriveGaze", {"noise": "heavy-tailed", "randomise": True, "tracking_weight": 3.0}),
     "scripted": ("Drive", {"policy": "route", "max_landmarks": 60, "perturbation": 0.0}),
+    "inertial": ("Drive", {"vehicle": "smooth", "imu": "bmi088"}),
     "traffic": ("Drive", {"policy": "route", "moving_cars": 5, "pedestrians": 5}),
     "bullet": ("Drive", {"policy": "route", "moving_cars": 2, "physics": "bullet"}),
     "heavy-tailed bullet": ("Gaze", {"noise": "heavy-tailed", "physics": "bullet", "surroundings": "street"}),

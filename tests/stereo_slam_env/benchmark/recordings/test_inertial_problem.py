@@ -80,6 +80,22 @@ def test_few_landmarks_want_an_inertial_unit() -> None:
     assert errors["inertial"] < 0.7 * errors["right-invariant"]
 
 
+@pytest.mark.slow
+def test_wheels_and_samples_together_are_better_than_each() -> None:
+    """8 tracks on 8 drives of 12 s; and the fusion is consistent: mean NEES/6 within .7 to 1.4 (8 correlated runs)."""
+    runs = {
+        (name, wheels): [
+            evaluate(name, inertial_drive(s, frames=120, landmarks=8), gate=None, use_odometry=wheels).figures
+            for s in range(8)
+        ]
+        for name, wheels in (("inertial", False), ("inertial", True), ("right-invariant", True))
+    }
+    samples, both, wheels = ([run.position_rmse_m for run in each] for each in runs.values())
+    assert np.mean(both) < 0.55 * np.mean(samples)  # came out: .098 m, .217 m, and .128 m with wheels
+    assert np.mean(both) < 0.87 * np.mean(wheels)
+    assert 0.7 < np.mean([run.pose_anees / 6.0 for run in runs["inertial", True]]) < 1.4
+
+
 @pytest.mark.parametrize(
     ("option", "message"),
     [
