@@ -172,7 +172,7 @@ def _of_model(name: str, model: str | None) -> Any:
             f"{name} needs OpenCV 5, this is {cv2.__version__}: pip install 'opencv-python-headless>=5,<6'"
         )
     if model is None:
-        raise ValueError(f"{name} needs a network: give its ONNX file as model")
+        raise ValueError(f"{name} needs a network: give its ONNX file as model, in TrackerSettings or a scenario")
     if not Path(model).is_file():
         raise ValueError(f"{model} does not exist: give the ONNX file of {name}")
     try:

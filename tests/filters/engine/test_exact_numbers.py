@@ -20,7 +20,8 @@ from filters import (
     Strapdown,
     Variable,
 )
-from filters.geometry import symmetric
+from filters.engine.compiled.retraction import left_jacobian_derivative
+from filters.geometry import rotations, symmetric
 
 from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, SPEED, drive, start
 from ..inertial_drives import UNIT, driven, measured
@@ -154,3 +155,12 @@ def test_a_step_turns_the_vectors_of_the_world_with_it() -> None:
         found.append(symmetric.full(twin.state.P))
     there = twin.state.at_first_estimates().world_rotation()
     np.testing.assert_allclose(found[1] - found[0], there @ there.T, rtol=0, atol=1e-9 * np.abs(there).max() ** 2)
+
+
+@pytest.mark.parametrize("angle", [1e-9, 0.0999, 0.1001, 2.0])
+def test_the_kernel_of_the_derivative_of_j_l_is_its_numpy_form(angle: float) -> None:
+    """On both sides of where its series ends."""
+    theta, a = angle * np.array([2.0, -1.0, 2.0]) / 3.0, np.array([3.0, 5.0, -7.0])
+    expected = rotations.left_jacobian_derivative(theta, a[None])[0]
+    kernel = getattr(left_jacobian_derivative, "py_func", left_jacobian_derivative)
+    np.testing.assert_allclose(kernel(*theta, *a), expected.ravel(), rtol=0, atol=1e-11)

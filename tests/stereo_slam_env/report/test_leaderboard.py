@@ -1,7 +1,12 @@
 """The leaderboard of claims is that of the packets that are kept."""
 
+import re
 from pathlib import Path
 
+import pytest
+
+from stereo_slam_env.benchmark.packets import read_packet
+from stereo_slam_env.benchmark.scenarios.study import Study
 from stereo_slam_env.report.leaderboard import leaderboard, read_results
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -15,6 +20,20 @@ def trial(seed, scale_gap, **figures):
 
 def test_the_page_is_made_from_the_packets():
     assert (ROOT / "docs" / "leaderboard.md").read_text(encoding="utf-8") == leaderboard(read_results(ROOT / "results"))
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "results").glob("*.json")), ids=lambda path: path.stem)
+def test_each_packet_that_is_kept_can_be_repeated(path):
+    packet = read_packet(path)
+    cells = Study.from_dict(packet["study"]).cells
+    assert [cell.name for cell in cells] == [cell["name"] for cell in packet["cells"]]
+    for asked, kept in zip(cells, packet["cells"], strict=True):
+        seeds = [one["seed"] for one in kept["recordings"]]
+        assert all(re.fullmatch("[0-9a-f]{64}", one["stream_sha256"]) for one in kept["recordings"])
+        assert seeds == (list(asked.scenario.seeds) if asked.scenario.source.seeded else [None])
+        assert set(kept["trials"]) == {choice.label for choice in asked.scenario.competitors}
+        for trials in kept["trials"].values():
+            assert [trial["seed"] for trial in trials] == seeds
 
 
 def test_the_nearest_claim_comes_first_whichever_way_it_is_wrong_and_none_last():
