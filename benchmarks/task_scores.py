@@ -58,6 +58,8 @@ CARELESS = {
 ROWS: dict[str, dict[str, Choice]] = {
     "Drive-v0": {**CARELESS, "follow the route": driver(), "the same, 4.5 m/s^2": driver(lateral=4.5)},
     "ClosedLoop-v0": {**CARELESS, "5 m/s": lambda seen, *_: drive_slowly(seen), "follow the route": driver()},
+    "ClosedLoop-v0 latency": {"5 m/s": lambda seen, *_: drive_slowly(seen), "follow the route": driver()},
+    "ClosedLoop-v0 dead-reckoning": {"5 m/s": lambda seen, *_: drive_slowly(seen), "follow the route": driver()},
     "ClosedLoop-easy-v0": {"follow the route": driver()},
     "ClosedLoop-hard-v0": {"follow the route": driver()},
     "Explore-v0": {
@@ -78,7 +80,9 @@ ROWS: dict[str, dict[str, Choice]] = {
     "Revisit-easy-v0": {"close if it pays": lambda seen, *_: close_if_it_pays(seen)},
     "Revisit-hard-v0": {"close if it pays": lambda seen, *_: close_if_it_pays(seen)},
 }
-"""Agents by id."""
+"""Agents by id, and what it is given, see `GIVEN`."""
+GIVEN: dict[str, dict[str, Any]] = {"latency": {"latency": 5}, "dead-reckoning": {"filter": "dead-reckoning"}}
+"""Arguments of an id by the word behind it."""
 
 
 def episodes(name: str, choose: Choice, count: int, first: int = SEED, **options: Any) -> tuple[np.ndarray, ...]:
@@ -102,10 +106,11 @@ def episodes(name: str, choose: Choice, count: int, first: int = SEED, **options
     return returns, best, success, steps
 
 
-def row(name: str, agent: str, returns: np.ndarray, success: np.ndarray, steps: np.ndarray) -> list[str]:
+def row(short: str, agent: str, returns: np.ndarray, success: np.ndarray, steps: np.ndarray) -> list[str]:
     """Of the table."""
     middle = partial(trim_mean, proportiontocut=0.25)
     low, high = bootstrap((returns,), middle, method="percentile", rng=0).confidence_interval
+    name = f"StereoSlam/{short}"
     score = f"{normalised_score(name, returns).mean():.0f}" if name in REFERENCE_RETURNS else ""
     interval = f"{middle(returns):.1f} [{low:.1f}, {high:.1f}]"
     spread = f"{returns.std():.1f}"
@@ -117,15 +122,16 @@ def main() -> None:
     given = arguments(__doc__, episodes=50, seed=SEED, only="")
     heads = ("agent", "mean", "score", "interquartile mean", "sd of scenes", "success", "decisions")
     for short, agents in ROWS.items():
-        name, rows = f"StereoSlam/{short}", []
-        if given.only not in name:
+        (ident, _, variant), rows = short.partition(" "), []
+        name = f"StereoSlam/{ident}"
+        if given.only not in short:
             continue
         for label, choose in agents.items():
-            returns, best, success, steps = episodes(name, choose, given.episodes, given.seed)
-            rows.append(row(name, label, returns, success, steps))
+            returns, best, success, steps = episodes(name, choose, given.episodes, given.seed, **GIVEN.get(variant, {}))
+            rows.append(row(short, label, returns, success, steps))
             if label == "go on":  # who knows what comes stops at the highest return; no agent can
-                rows.append(row(name, "hindsight", best, best > 0.0, steps))
-        show(name, heads, rows)
+                rows.append(row(short, "hindsight", best, best > 0.0, steps))
+        show(short, heads, rows)
 
 
 if __name__ == "__main__":

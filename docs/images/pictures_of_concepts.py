@@ -281,22 +281,32 @@ def claimed_and_true() -> Figure:
     `results/active_policies.csv` is what `benchmarks/active_policies.py` has written.
     """
     figure = Figure(figsize=(WIDTH_INCHES, 3.8))
-    ax = figure.subplots()
-    figure.subplots_adjust(left=0.11, right=0.97, bottom=0.14, top=0.9)
+    panels = figure.subplots(1, 2, sharey=True)
+    figure.subplots_adjust(left=0.09, right=0.98, bottom=0.14, top=0.9, wspace=0.06)
     with (Path(__file__).resolve().parents[2] / "results" / "active_policies.csv").open(newline="") as stream:
         rows = list(csv.DictReader(stream))
-    for row in rows:
-        x, y = float(row["claimed"]), float(row["true"])
-        spread = [[x - float(row["claimed_low"])], [float(row["claimed_high"]) - x]]
-        height = [[y - float(row["true_low"])], [float(row["true_high"]) - y]]
-        colour = ORANGE if row["policy"] == "oracle" else BLUE
-        ax.errorbar(x, y, xerr=spread, yerr=height, fmt="o", color=colour, capsize=2)
-        words = f"{row['policy']}, {row['drives']} drives"
-        ax.annotate(words, (x, y), (10, -14), textcoords="offset points", color=colour)
-    ax.axline((0, 0), slope=1, color=MUTED, linestyle="--")
-    ax.annotate("as claimed", (-52, -52), (0, -16), textcoords="offset points", color=MUTED)
-    ax.set(title="Change against a fixed gaze, white errors, %", xlabel="claimed sigma", ylabel="true end error")
-    ax.set(xlim=(-60, 2), ylim=(-92, 2))
+    for ax, (world, title) in zip(
+        panels, {"white": "White errors", "lasting": "Errors that last"}.items(), strict=True
+    ):
+        ax.axline((0, 0), slope=1, color=MUTED, linestyle="--", linewidth=1.0)
+        here = sorted((row for row in rows if row["world"] == world), key=lambda row: -float(row["true"]))
+        for number, row in enumerate(here):
+            x, y = float(row["claimed"]), float(row["true"])
+            spread = [[x - float(row["claimed_low"])], [float(row["claimed_high"]) - x]]
+            height = [[y - float(row["true_low"])], [float(row["true_high"]) - y]]
+            colour = ORANGE if row["policy"] == "oracle" else BLUE
+            ax.errorbar(x, y, xerr=spread, yerr=height, fmt="o", markersize=4, color=colour, capsize=2)
+            arrow = {"arrowstyle": "-", "color": MUTED, "linewidth": 0.6} if x < -30 else None
+            ax.annotate(
+                f"{row['policy']}, {row['drives']} drives",
+                (x, y),
+                (-58.0, -52.0 - 8.0 * number) if x < -30 else (x + 1.5, y - 6.0),
+                color=colour,
+                arrowprops=arrow,
+            )
+        ax.annotate("as claimed", (-16, -8), color=MUTED)
+        ax.set(title=f"{title}, %", xlabel="change of the claimed sigma", xlim=(-60, 2), ylim=(-92, 2))
+    panels[0].set_ylabel("change of the true end error")
     return figure
 
 

@@ -27,7 +27,7 @@ from stereo_slam_env.benchmark import preset_study, run_benchmark
 from stereo_slam_env.report.benchmark_report import write_report_of
 from stereo_slam_env.report.charts.policies import plot_learning
 from stereo_slam_env.studies.paper import convergence, figures
-from stereo_slam_env.training.ppo import VALIDATION_SEEDS, LearningCurve, PPOSettings, train
+from stereo_slam_env.training.ppo import VALIDATION_SEEDS, LearningCurve, PPOSettings, merit, train
 from stereo_slam_env.training.task import GazeTask, evaluate
 from stereo_slam_env.viewer import Drive, RerunView
 
@@ -105,7 +105,7 @@ def learning_curve(path: Path, work: Path, *, small: bool) -> None:
         train(task, settings, work / f"training-{seed}")
         curves.append(LearningCurve(work / f"training-{seed}" / "learning_curve.csv").rows)
     seeds = VALIDATION_SEEDS[:2] if small else VALIDATION_SEEDS
-    plot_learning(curves, dataclasses.asdict(evaluate(None, task, seeds))).save(path)
+    plot_learning(curves, dataclasses.asdict(evaluate(None, task, seeds)), merit).save(path)
 
 
 @contextmanager

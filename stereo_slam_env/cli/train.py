@@ -10,10 +10,13 @@ import typer
 
 from stereo_slam_env.cli.parts import OutOption, console, new_directory
 
+GAZE = ("StereoSlam/Gaze-v0", "StereoSlam/ActiveGaze-v0")
+"""Ids of which where to look is learnt, by what a filter knows; every other id is learnt by its own reward."""
+
 
 def train(
     decisions: Annotated[
-        int, typer.Option("--decisions", help="How many the network makes; each holds for some steps.", min=1)
+        int, typer.Option("--decisions", help="How many the network makes; looks hold for some steps.", min=1)
     ] = 120_000,
     seed: Annotated[int, typer.Option("--seed", help="Of network, actions and episodes.", min=0)] = 0,
     minutes: Annotated[
@@ -21,49 +24,92 @@ def train(
     ] = None,
     environments: Annotated[int, typer.Option("--environments", help="How many run in lock-step.", min=1)] = 16,
     threads: Annotated[int, typer.Option("--threads", help="Over which they are spread.", min=1)] = 1,
-    environment: Annotated[str, typer.Option("--environment", help="Id of one with a head.")] = "StereoSlam/Gaze-v0",
+    environment: Annotated[
+        str, typer.Option("--environment", help="Any id. Gaze-v0, ActiveGaze-v0: where to look; others: their reward.")
+    ] = "StereoSlam/Gaze-v0",
     arguments: Annotated[str, typer.Option("--arguments", help="Of the environment, as JSON.")] = "{}",
-    filter_name: Annotated[str, typer.Option("--filter", help="The filter in the loop.")] = "shared-anchor",
-    reward: Annotated[
-        str, typer.Option("--reward", help="information: what a belief gains. error: the truth.")
-    ] = "error",
-    criterion: Annotated[str, typer.Option("--criterion", help="Of the information on the pose.")] = "log-det",
-    belief: Annotated[str, typer.Option("--belief", help="Whose information: filter or reference.")] = "filter",
-    nees_gate: Annotated[
-        float | None, typer.Option("--nees-gate", help="Nothing is paid while the NEES leaves this band.")
+    filter_name: Annotated[
+        str | None, typer.Option("--filter", help="Looks: the filter in the loop; shared-anchor.")
     ] = None,
+    reward: Annotated[
+        str | None, typer.Option("--reward", help="Looks: error, the truth (default), or information, of a belief.")
+    ] = None,
+    criterion: Annotated[
+        str | None, typer.Option("--criterion", help="Looks: of the information on the pose; log-det.")
+    ] = None,
+    belief: Annotated[
+        str | None, typer.Option("--belief", help="Looks: whose information: filter (default) or reference.")
+    ] = None,
+    nees_gate: Annotated[
+        float | None, typer.Option("--nees-gate", help="Looks: nothing is paid while the NEES leaves this band.")
+    ] = None,
+    discount: Annotated[
+        float | None, typer.Option("--discount", help="Of a decision later; 0.95 for looks, 0.99 for other ids.")
+    ] = None,
+    validation: Annotated[
+        int, typer.Option("--validation", help="Episodes on which the best network is chosen.", min=1, max=256)
+    ] = 256,
     out: OutOption = None,
 ) -> None:
-    """Train a network with PPO to look where a filter learns most; needs the extra rl."""
+    """Train a network with PPO on any task, by default to look where the estimate becomes true; needs the extra rl."""
     from stereo_slam_env.files.folders import require_writable
     from stereo_slam_env.report.charts.policies import plot_learning
     from stereo_slam_env.report.console import progress_bar
-    from stereo_slam_env.training.ppo import VALIDATION_SEEDS, LearningCurve, PPOSettings
+    from stereo_slam_env.training.ppo import VALIDATION_SEEDS, LearningCurve, PPOSettings, merit
     from stereo_slam_env.training.ppo import train as train_network
-    from stereo_slam_env.training.task import GazeTask, evaluate
+    from stereo_slam_env.training.task import evaluate
 
+    looks = {
+        **{"filter": filter_name, "reward": reward, "criterion": criterion, "belief": belief},
+        "nees_gate": nees_gate,
+    }
+    task = _task(environment, _arguments(arguments), {name: v for name, v in looks.items() if v is not None})
     directory = out or new_directory("train")
     require_writable(directory)
-    paid: dict[str, Any] = {"reward": reward, "criterion": criterion, "belief": belief, "nees_gate": nees_gate}
-    task = GazeTask(environment, _arguments(arguments), filter_name, **paid)
-    settings = PPOSettings(decisions=decisions, seed=seed, environments=environments, threads=threads)
+    later = discount if discount is not None else 0.95 if environment in GAZE else 0.99
+    settings = PPOSettings(
+        decisions=decisions,
+        seed=seed,
+        environments=environments,
+        threads=threads,
+        discount=later,
+        validation=validation,
+    )
     try:
         with progress_bar(console(stderr=True), "decisions") as progress:
             network = train_network(task, settings, directory, minutes=minutes, progress=progress)
     except KeyboardInterrupt:
         typer.echo(f"interrupted: to go on, run the same command with --out {directory}", err=True)
         raise typer.Exit(130) from None
-    straight = dataclasses.asdict(evaluate(None, task, VALIDATION_SEEDS[: settings.validation]))
+    idle = dataclasses.asdict(evaluate(None, task, VALIDATION_SEEDS[: settings.validation]))
     curve = LearningCurve(directory / "learning_curve.csv")
     rows = curve.rows
-    plot_learning([rows], straight).save(directory / "learning_curve.png")
-    best = curve.best
-    for name, value in straight.items():
-        typer.echo(f"{name:<24} network {best[name]:8.3f}   straight ahead {value:8.3f}")
+    plot_learning([rows], idle, merit).save(directory / "learning_curve.png")
+    best, held_against = curve.best, "straight ahead" if environment in GAZE else "action 0"
+    for name, value in idle.items():
+        typer.echo(f"{name:<24} network {best[name]:8.3f}   {held_against} {value:8.3f}")
     made = int(rows[-1]["decisions"])
     if made < decisions:
         typer.echo(f"stopped after {made:,} of {decisions:,} decisions; to go on: the same command, --out {directory}")
     typer.echo(f"network: {network.resolve()} (the best so far, after {int(best['decisions']):,} decisions)")
+
+
+def _task(environment: str, arguments: dict[str, Any], looks: dict[str, Any]) -> Any:
+    """What is learnt in an environment."""
+    from stereo_slam_env.training.registered_task import RegisteredTask
+    from stereo_slam_env.training.task import GazeTask
+
+    if environment == "StereoSlam/Gaze-v0":
+        return GazeTask(environment, arguments, **looks)
+    if environment in GAZE:
+        return GazeTask(**{**arguments, **looks})
+    if looks:
+        name = next(iter(looks))
+        raise ValueError(
+            f"--{name.replace('_', '-')} is of where to look ({', '.join(GAZE)}), and {environment!r} has its own "
+            "reward: give --arguments"
+        )
+    return RegisteredTask(environment, arguments)
 
 
 def _arguments(text: str) -> dict[str, object]:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 from gymnasium.utils.seeding import np_random
+from numpy.typing import NDArray
 
 from filters.contract.drift import LandmarkDrift
 from filters.contract.noise import ColouredNoise, StereoNoise
@@ -23,6 +24,7 @@ from stereo_slam_env.frontend.image_sensor import ImageSensor
 from stereo_slam_env.frontend.recorder import TYPICAL_NOISE
 from stereo_slam_env.recording.recording import Frame, LandmarkTruth
 from stereo_slam_env.rendering.images import StereoImages
+from stereo_slam_env.rendering.overlay import annotated_pair
 from stereo_slam_env.sensing.imu import Imu
 from stereo_slam_env.sensing.padding import NO_LANDMARK, padded_extras
 from stereo_slam_env.sensing.pixel_noise import NOISE_MODELS
@@ -66,6 +68,7 @@ class CoreRows(Rows):
         self, options: StereoOptions, count: int, *, threads: int = 1, pool: int | None = None, draws: bool = False
     ) -> None:
         self.options, self.count, self.world, self.threads = options, count, self, min(threads, count)
+        self.draws = draws or options.draws
         self.camera: StereoCamera = options.camera
         self._route: Route = named_route(options.route)
         self.head: Head | None = options.head(self.camera.baseline) if isinstance(options, HeadOptions) else None
@@ -98,7 +101,7 @@ class CoreRows(Rows):
         self.observation_space = self._make_observation_space()
         size = 2 * (isinstance(options, DriveOptions) + isinstance(options, HeadOptions))
         self.action_space = spaces.Box(-1.0, 1.0, (size,), np.float32)
-        self._pictures = [Pictures(options, self.camera) for _ in range(count if draws or options.draws else 0)]
+        self._pictures = [Pictures(options, self.camera) for _ in range(count if self.draws else 0)]
         self._image_sensors: list[ImageSensor | None] = [None] * count
         self._seen: list[StereoObservation | None] = [None] * count  # in images
         self._pool: list[SceneArrays] = []
@@ -326,6 +329,23 @@ class CoreRows(Rows):
     def images(self, b: int) -> StereoImages:
         """Both views of a row."""
         return self._pictures[b].images(self.simulator.pose(b))
+
+    def picture(self, b: int) -> NDArray[np.uint8]:
+        """Both views of a row with the observed landmarks and the map, (H, W, 3)."""
+        frame, fleet, route = self.frame(b), self.simulator.fleet, self.route_of(b)
+        assert frame.truth is not None
+        speed = float(np.linalg.norm(frame.truth_velocity.linear)) if frame.truth_velocity else 0.0
+        caption = [
+            f"route {self.options.route}",
+            f"t = {frame.timestamp:.1f} s",
+            f"{fleet.distance[b]:.0f} m driven",
+            f"{speed:.1f} m/s",
+            f"{len(frame.observation)} landmarks",
+        ]
+        camera, pan = (None, 0.0) if self.head is None else (self.camera, float(fleet.angles[b, 0]))
+        return annotated_pair(
+            self.images(b), frame.observation, caption, route.positions, frame.truth, camera=camera, pan=pan
+        )
 
     def image_sensor(self, b: int) -> ImageSensor:
         """What measures in the images of a row; a `RuntimeError` where nothing does."""

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
 from stereo_slam_env.envs.options import DriveOptions
-from stereo_slam_env.envs.stereo_env import StereoEnv
+from stereo_slam_env.envs.stereo_env import Observation, StereoEnv
 
 
-class StereoDriveEnv(StereoEnv):
+class StereoDriveEnv(StereoEnv, gym.Env[Observation, NDArray[np.float32]]):
     """A car with a stereo camera drives along a street; the camera tracks landmarks.
 
     ## Description

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
 from stereo_slam_env.envs.options import GazeOptions
-from stereo_slam_env.envs.stereo_env import StereoEnv
+from stereo_slam_env.envs.stereo_env import Observation, StereoEnv
 
 
-class StereoGazeEnv(StereoEnv):
+class StereoGazeEnv(StereoEnv, gym.Env[Observation, NDArray[np.float32]]):
     """A car with a stereo camera follows its route; the agent pans and tilts the head that carries the cameras.
 
     ## Description

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 
 from filters.geometry.arrays import BoolArray, FloatArray
@@ -42,6 +39,7 @@ class Pictures(Kept):
         self._drawn: Scene | None = None
         self._images: StereoImages | None = None
         self._number = 0
+        self._built: Scene | None = None  # what the renderer has: only what is looked at is built
 
     def build(self, scene: Scene, rng: np.random.Generator) -> None:
         """Draw another scene, by cameras whose faults are drawn from `rng`."""
@@ -49,29 +47,19 @@ class Pictures(Kept):
             scene = in_fog(scene, self._options.visibility)
         self._moving = MovingPoints(scene.moving)
         self._effects = CameraEffects.random(rng) if self._options.randomise else None
-        self._build(scene)
-        self._textured = scene
-
-    def restore(self, state: Mapping[str, Any]) -> None:
-        """See `Kept`; the renderer follows."""
-        before = self._drawn
-        super().restore(state)
-        if self._drawn is not None and self._drawn is not before:
-            self._build(self._drawn)
+        self._drawn = self._textured = scene
 
     def set_frame(self, number: int) -> None:
         """Go to a frame: moving bodies are elsewhere, and textures may be gone."""
         self._number, self._images = number, None
         blank_from = self._options.blank_from
         if self._textured is not None and blank_from is not None and self._time >= blank_from - 1e-9:
-            self._build(without_texture(self._textured))
-            self._textured = None
+            self._drawn, self._textured = without_texture(self._textured), None
 
     def images(self, pose: Pose) -> StereoImages:
         """Images of the cameras at `pose`; one pose a frame."""
         if self._images is None:
-            assert self._renderer is not None
-            clean = self._renderer.render_pair(pose, self._time)
+            clean = self._ready().render_pair(pose, self._time)
             self._images = clean if self._effects is None else self._effects.apply(clean, self._number)
         return self._images
 
@@ -83,14 +71,19 @@ class Pictures(Kept):
         """Stop the renderer; may be called at any time, also twice."""
         if self._renderer is not None:
             self._renderer.close()
-        self._renderer = self._drawn = None
+        self._renderer = self._drawn = self._built = None
         self._world.close()
 
     @property
     def _time(self) -> float:
         return self._number * FRAME_PERIOD
 
-    def _build(self, scene: Scene) -> None:
+    def _ready(self) -> StereoRenderer:
+        """The renderer with the scene of now."""
+        scene = self._drawn
+        assert scene is not None
+        if self._renderer is not None and self._built is scene:
+            return self._renderer
         if self._options.renderer == "tiny":
             self._world.build(scene, Car().size)
         if self._renderer is None:
@@ -102,4 +95,5 @@ class Pictures(Kept):
                 supersample=self._options.supersample,
             )
         self._renderer.build(scene)
-        self._drawn = scene
+        self._built = scene
+        return self._renderer

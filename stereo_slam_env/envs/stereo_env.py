@@ -21,8 +21,6 @@ from stereo_slam_env.envs.display import modes_here, window_for
 from stereo_slam_env.envs.options import StereoOptions
 from stereo_slam_env.frontend.tracks import TrackedPair
 from stereo_slam_env.recording.recording import Frame, LandmarkTruth
-from stereo_slam_env.rendering.images import StereoImages
-from stereo_slam_env.rendering.overlay import annotated_pair
 from stereo_slam_env.simulator.kept import Kept
 from stereo_slam_env.world.routes import Route
 from stereo_slam_env.world.vehicle import Head
@@ -33,7 +31,7 @@ _ALL = np.ones(1, dtype=np.bool_)
 
 def row_of(arrays: Any, b: int) -> Any:
     """What belongs to row b, of each key where there are keys."""
-    return {key: value[b] for key, value in arrays.items()} if isinstance(arrays, dict) else arrays[b]
+    return {key: row_of(value, b) for key, value in arrays.items()} if isinstance(arrays, dict) else arrays[b]
 
 
 class StereoEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle, Kept):
@@ -54,7 +52,7 @@ class StereoEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle, Kept):
         self._rows = CoreRows(self.options, 1, draws=render_mode is not None)
         self.observation_space, self.action_space = self._rows.observation_space, self._rows.action_space
         self._frame: Frame | None = None
-        self._begun, self._over = False, True
+        self._begun, self._over, self._closed = False, True, False
 
     @property
     def camera(self) -> StereoCamera:
@@ -135,13 +133,14 @@ class StereoEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle, Kept):
         super().reset(seed=seed)
         self._rows.generators[0] = self.np_random
         self._rows.begin(_ALL, [None], options or {})
-        self._begun, self._over = True, False
+        self._begun, self._over, self._closed = True, False, False
         return self._look()
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Drive for 0.1 s and measure."""
         if self._over:
-            raise RuntimeError("the episode is over: call reset before the next step")
+            what = "the environment is closed: reset opens it again" if self._closed else "the episode is over"
+            raise RuntimeError(f"{what}: call reset before the next step")
         command = np.clip(finite_array("action", action, self.action_space.shape or ()), -1.0, 1.0)
         rewards, terminated, _ = self._rows.advance(command[None], _ALL)
         self._over = bool(terminated[0])
@@ -153,36 +152,18 @@ class StereoEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle, Kept):
         if self.render_mode is None:
             gym.logger.warn("render() needs a render_mode: make the environment with render_mode='rgb_array'")
             return None
-        return self._picture() if self._window is None else None
+        return self._rows.picture(0) if self._window is None else None
 
     def close(self) -> None:
         """Stop the physics engine; may be called at any time, also twice."""
         self._rows.close()
         if self._window is not None:
             self._window.close()
-        self._over = True
+        self._over = self._closed = True
 
     def _look(self) -> tuple[Observation, dict[str, Any]]:
         self._frame = None
         if self._window is not None:
-            self._window.show(self._picture())
+            self._window.show(self._rows.picture(0))
         observation, info = self._rows.look()
         return row_of(observation, 0), row_of(info, 0)
-
-    def _picture(self) -> NDArray[np.uint8]:
-        frame, pair = self.frame, self._rendered()
-        assert frame.truth is not None
-        seen, fleet = frame.observation, self._rows.simulator.fleet
-        speed = float(np.linalg.norm(frame.truth_velocity.linear)) if frame.truth_velocity else 0.0
-        caption = [
-            f"route {self.options.route}",
-            f"t = {frame.timestamp:.1f} s",
-            f"{fleet.distance[0]:.0f} m driven",
-            f"{speed:.1f} m/s",
-            f"{len(seen)} landmarks",
-        ]
-        camera, pan = (None, 0.0) if self.head is None else (self.camera, float(fleet.angles[0, 0]))
-        return annotated_pair(pair, seen, caption, self.route.positions, frame.truth, camera=camera, pan=pan)
-
-    def _rendered(self) -> StereoImages:
-        return self._rows.images(0)

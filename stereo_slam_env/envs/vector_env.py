@@ -44,7 +44,8 @@ class RowsVectorEnv(gym.vector.VectorEnv[Arrays, NDArray[Any], NDArray[Any]], Ke
     def __init__(self, rows: Rows, autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP) -> None:
         self.rows, self.num_envs = rows, rows.count
         self.autoreset_mode = AutoresetMode(autoreset_mode)
-        self.metadata = {"render_modes": [], "autoreset_mode": self.autoreset_mode}
+        self.metadata = {"render_modes": ["rgb_array"], "render_fps": 10, "autoreset_mode": self.autoreset_mode}
+        self.render_mode = "rgb_array" if self.core.draws else None
         self.single_observation_space, self.single_action_space = rows.observation_space, rows.action_space
         self.observation_space = batch_space(rows.observation_space, self.num_envs)
         self.action_space = batch_space(rows.action_space, self.num_envs)
@@ -59,6 +60,8 @@ class RowsVectorEnv(gym.vector.VectorEnv[Arrays, NDArray[Any], NDArray[Any]], Ke
         `seed` is one of the first environment, the others have the following ones, or one for each. With
         `options={"scene": "keep"}` scenes stay.
         """
+        if self.closed:
+            raise RuntimeError("the environments are closed: make them again")
         given = dict(options or {})
         everybody = np.ones(self.num_envs, dtype=np.bool_)
         chosen = _mask(given.pop("reset_mask"), self._begun) if "reset_mask" in given else everybody
@@ -86,6 +89,16 @@ class RowsVectorEnv(gym.vector.VectorEnv[Arrays, NDArray[Any], NDArray[Any]], Ke
         info["final_info"] = {**last[1], **{name: ended for name in last[1] if name.startswith("_")}}
         info["_final_info"] = ended
         return observation, rewards, terminated, truncated, info
+
+    def render(self) -> Sequence[NDArray[np.uint8]] | None:  # type: ignore[override]
+        """Pictures of the environments, (H, W, 3) uint8 each, which are drawn when they are asked for one by one.
+
+        `gymnasium.wrappers.vector.RecordVideo` films the first environment, and draws no other.
+        """
+        if self.render_mode is None:
+            gym.logger.warn("render() needs a render_mode: make the environments with render_mode='rgb_array'")
+            return None
+        return _PicturesOfRows(self.core)
 
     def close_extras(self, **arguments: Any) -> None:
         """Stop threads and engines."""
@@ -150,19 +163,13 @@ class RowsVectorEnv(gym.vector.VectorEnv[Arrays, NDArray[Any], NDArray[Any]], Ke
         everybody = np.ones(self.num_envs, dtype=np.bool_)
         return observation, {**info, **{f"_{key}": everybody for key in info}}
 
-    def _command(self, actions: Any) -> NDArray[Any]:
+    def _command(self, actions: Any) -> Any:
         """The actions (B, ...), checked."""
         if self.closed:
             raise RuntimeError("the environments are closed: make them again")
         if not self._begun.all():
             raise RuntimeError("reset the environments before the first step")
-        if isinstance(self.single_action_space, gym.spaces.Box):
-            shape = self.single_action_space.shape
-            return np.clip(finite_array("actions", actions, (self.num_envs, *shape)), -1.0, 1.0)
-        if not self.action_space.contains(np.asarray(actions)):
-            last = getattr(self.single_action_space, "n", 1) - 1
-            raise ValueError(f"actions must be {self.num_envs} numbers from 0 to {last}, got {actions!r}")
-        return np.asarray(actions)
+        return _checked(actions, self.single_action_space, self.num_envs)
 
 
 def limited(rows: Rows, most: int | None) -> Rows:
@@ -188,8 +195,12 @@ def core_rows(
         An argument is impossible, or only single environments have it.
     """
     given = dict(options)
-    if given.pop("render_mode", None) is not None:
-        raise ValueError("render_mode must be None in a native vector environment: use vectorization_mode='sync'")
+    mode = given.pop("render_mode", None)
+    if mode not in (None, "rgb_array"):
+        raise ValueError(
+            f"render_mode must be None or 'rgb_array' in a native vector environment, got {mode!r}: "
+            "use vectorization_mode='sync'"
+        )
     checked = kind.checked(given)
     for name, value in {"sensor": "landmarks", "render_images": False}.items():
         if getattr(checked, name) != value:
@@ -199,7 +210,35 @@ def core_rows(
             )
     pool = None if scenes is None else whole_number("scenes", scenes, 1)
     count = whole_number("num_envs", num_envs, 1)
-    return CoreRows(checked, count, threads=whole_number("threads", threads, 1), pool=pool)
+    return CoreRows(checked, count, threads=whole_number("threads", threads, 1), pool=pool, draws=mode is not None)
+
+
+def _checked(actions: Any, space: gym.Space[Any], count: int) -> Any:
+    """Actions (B, ...), or each part of them: finite and within the space, or a `ValueError`."""
+    if isinstance(space, gym.spaces.Dict):
+        if not isinstance(actions, Mapping) or actions.keys() != space.keys():
+            raise ValueError(f"actions must have the keys {', '.join(space)}, got {actions!r}")
+        return {key: _checked(actions[key], part, count) for key, part in space.items()}
+    if isinstance(space, gym.spaces.Box):
+        return np.clip(finite_array("actions", actions, (count, *space.shape)), space.low, space.high)
+    numbers, last = np.asarray(actions), getattr(space, "n", 1) - 1
+    whole = np.issubdtype(numbers.dtype, np.integer) and numbers.shape == (count,)
+    if not whole or numbers.min() < 0 or numbers.max() > last:
+        raise ValueError(f"actions must be {count} numbers from 0 to {last}, got {actions!r}")
+    return numbers
+
+
+class _PicturesOfRows(Sequence[NDArray[np.uint8]]):
+    """Pictures of the frame of now."""
+
+    def __init__(self, rows: CoreRows) -> None:
+        self._rows = rows
+
+    def __len__(self) -> int:
+        return self._rows.count
+
+    def __getitem__(self, b: Any) -> Any:
+        return self._rows.picture(range(len(self))[b])
 
 
 def _mask(given: Any, begun: BoolArray) -> BoolArray:

@@ -61,8 +61,8 @@ class Network:
             x = x @ W.T + b
             if number < last:
                 x = np.tanh(x)
-        best = x if self.choices is None else self.choices[np.argmax(x, axis=1)]
-        return best.clip(-1.0, 1.0).astype(np.float32)
+        best = x.clip(-1.0, 1.0) if self.choices is None else self.choices[np.argmax(x, axis=1)]
+        return best.astype(np.float32)
 
     def save(self, path: Path) -> None:
         """Write it as arrays (.npz)."""

@@ -110,17 +110,17 @@ def true_figures(vector: RowsVectorEnv, begin: Callable[[Any], Actions], seeds: 
         Of the episodes.
     """
     observation, info = vector.reset(seed=list(seeds))
-    act, count = begin(observation), len(seeds)
+    act, count, beliefs = begin(observation), len(seeds), vector.rows.inner("beliefs")
     going, figures = np.ones(count, dtype=np.bool_), np.zeros((count, 6))
     squares, returns, steps = np.zeros(count), np.zeros(count), np.zeros(count)
     while going.any():
         observation, rewards, terminated, truncated, info = vector.step(act(observation, going))
-        offsets = vector.filters.poses[:, :3] - info["truth_position"]
+        offsets = beliefs.poses[:, :3] - info["truth_position"]
         errors = np.linalg.norm(offsets, axis=1)
         squares, steps, returns = squares + going * errors**2, steps + going, returns + np.where(going, rewards, 0.0)
         ended = going & (terminated | truncated)
         if ended.any():
-            P, e = vector.filters.pose_covariances[ended], offsets[ended]
+            P, e = beliefs.pose_covariances[ended], offsets[ended]
             sigmas, logdets = np.sqrt(np.einsum("bii->b", P[:, :3, :3])), np.linalg.slogdet(P)[1]
             nees = np.einsum("bi,bi->b", e, np.linalg.solve(P[:, :3, :3], e[:, :, None])[..., 0]) / 3.0
             rmse = np.sqrt(squares[ended] / steps[ended])

@@ -20,11 +20,11 @@ _STEER_BY, _BRAKE_BY = 1, 3
 
 REFERENCE_RETURNS: Mapping[str, tuple[float, float]] = MappingProxyType(
     {
-        "StereoSlam/Drive-v0": (-9.4, 31.4),
+        "StereoSlam/Drive-v0": (-9.63, 32.7),
         "StereoSlam/ActiveGaze-v0": (-5.35, -0.59),
         "StereoSlam/Explore-v0": (0.08, 8.34),
         "StereoSlam/Revisit-v0": (-0.77, 8.28),
-        "StereoSlam/ClosedLoop-v0": (-10.1, 20.8),
+        "StereoSlam/ClosedLoop-v0": (-10.1, 23.0),
     }
 )
 """Mean returns of actions at random and of the best policy known, by id, with default arguments; measured by

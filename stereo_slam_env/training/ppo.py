@@ -1,4 +1,4 @@
-"""Proximal policy optimisation (stable-baselines3) of a small network on a `GazeTask`; it can be interrupted."""
+"""Proximal policy optimisation (stable-baselines3) of a small network on any task; it can be interrupted."""
 
 from __future__ import annotations
 
@@ -26,12 +26,14 @@ from stereo_slam_env.files.opening import open_regular
 from stereo_slam_env.files.package_versions import commit, version_of
 from stereo_slam_env.files.readers import read_json, read_text
 from stereo_slam_env.policies.network import Network
+from stereo_slam_env.training.registered_task import Outcome, RegisteredTask
 from stereo_slam_env.training.task import Evaluation, GazeTask, evaluate
 
 if TYPE_CHECKING:
     from stable_baselines3 import PPO
     from stable_baselines3.common.vec_env import VecNormalize
 
+Task = GazeTask | RegisteredTask
 Progress = Callable[..., None]
 """Called with decisions made, decisions wanted, and the latest result in words."""
 
@@ -63,7 +65,7 @@ class PPOSettings:
     """
 
     decisions: int = 120_000
-    """How many are made in all; each holds for `GazeTask.hold` steps."""
+    """How many are made in all; in a `GazeTask` each holds for `hold` steps."""
     seed: int = 0
     """Of the network, of chance in its actions, and of the episodes."""
     environments: int = 16
@@ -115,6 +117,11 @@ class PPOSettings:
         return max(self.rollout // self.environments, 1)
 
 
+def merit(row: Mapping[str, float]) -> float:
+    """What a network is chosen by: the least true error of the position in the end, else the largest return."""
+    return -row["final_position_error_m"] if "final_position_error_m" in row else row["validation_return"]
+
+
 class LearningCurve:
     """Learning curve in a CSV file, read back when a training goes on.
 
@@ -143,18 +150,18 @@ class LearningCurve:
 
     @property
     def best(self) -> dict[str, float]:
-        """The row of the network that is kept: the least true error of the position in the end."""
-        return min(self.rows, key=lambda row: row["final_position_error_m"])
+        """The row of the network that is kept, by `merit`."""
+        return max(self.rows, key=merit)
 
     def add(
         self,
         decisions: int,
         seconds: float,
         mean_return: float,
-        results: Evaluation,
+        results: Evaluation | Outcome,
         diagnostics: Mapping[str, float] = MappingProxyType({}),
     ) -> bool:
-        """Add a row; whether it is the best so far, by the true error of the position in the end."""
+        """Add a row; whether it is the best so far."""
         made = decisions - (self.rows[-1]["decisions"] if self.rows else 0.0)
         speed = made / max(seconds - self.seconds, 1e-9) if made else np.nan
         row = {"decisions": float(decisions), "seconds": seconds, "mean_return": mean_return, **asdict(results)}
@@ -169,7 +176,7 @@ class LearningCurve:
 
 
 def train(
-    task: GazeTask,
+    task: Task,
     settings: PPOSettings,
     out: Path,
     *,
@@ -178,15 +185,15 @@ def train(
 ) -> Path:
     """Train a network, or go on where an interrupted run in `out` stopped.
 
-    `out` gets `run.json` (task, settings, versions, commit), `learning_curve.csv` (claim, true error, losses, entropy,
-    KL, explained variance, throughput), `policy.npz` (the network with the least true error on the validation episodes,
-    see `policies.network`), `state.pt` (to go on) and, where TensorBoard is installed, `tensorboard/` with all that
-    stable-baselines3 logs. A training that was stopped between two looks at the validation episodes goes on from the
-    last look, with the bits of one that was not stopped.
+    `out` gets `run.json` (task, settings, versions, commit), `learning_curve.csv` (return, claim, true error, losses,
+    entropy, KL, explained variance, throughput), `policy.npz` (of a `GazeTask` the network with the least true error on
+    the validation episodes, else that with the largest return, see `policies.network`), `state.pt` (to go on) and,
+    where TensorBoard is installed, `tensorboard/` with all that stable-baselines3 logs. A training that was stopped
+    between two looks at the validation episodes goes on from the last look, with the bits of one that was not stopped.
 
     Parameters
     ----------
-    task : GazeTask
+    task : GazeTask or RegisteredTask
         What on.
     settings : PPOSettings
         How.
@@ -231,7 +238,7 @@ def train(
             if curve.add(model.num_timesteps, time.monotonic() - began, float(np.mean(returns)), results, found):
                 network.save(out / "policy.npz")
             _save_state(out / "state.pt", model, scaling)
-            words = f"true error {results.final_position_error_m:.3f} m, claimed {results.final_position_sigma_m:.3f} m"
+            words = task.words(results)
             _log.info("%d decisions: %s", model.num_timesteps, words)
             return words
 
@@ -248,7 +255,7 @@ def train(
     return out / "policy.npz"
 
 
-def _claim(out: Path, task: GazeTask, settings: PPOSettings) -> None:
+def _claim(out: Path, task: Task, settings: PPOSettings) -> None:
     """Write task and settings, or check that those of the run in `out` are the same but for its length and threads."""
     versions = {name: version_of(name) for name in _PACKAGES} | {"python": platform.python_version()}
     made_with = {"task": asdict(task), "settings": asdict(settings), "versions": versions, "commit": commit()}
@@ -268,7 +275,7 @@ def _claim(out: Path, task: GazeTask, settings: PPOSettings) -> None:
 
 
 @contextmanager
-def _learner(task: GazeTask, settings: PPOSettings, out: Path) -> Iterator[tuple[PPO, VecNormalize]]:
+def _learner(task: Task, settings: PPOSettings, out: Path) -> Iterator[tuple[PPO, VecNormalize]]:
     from stable_baselines3 import PPO
     from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 

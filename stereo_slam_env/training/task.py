@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal, get_args
 
 import gymnasium as gym
@@ -17,7 +17,8 @@ from stereo_slam_env.envs.rows import Rows
 from stereo_slam_env.envs.vector_env import RowsVectorEnv, limited
 from stereo_slam_env.policies.interface import require_head
 from stereo_slam_env.policies.network import Network
-from stereo_slam_env.policies.rows import TrueFigures, true_figures
+from stereo_slam_env.policies.rows import true_figures
+from stereo_slam_env.policies.scores import normalised_score
 from stereo_slam_env.wrappers import (
     BeliefObservation,
     BeliefPanorama,
@@ -36,6 +37,11 @@ GAZE_FILTER: Mapping[str, Any] = {"drop_unseen": False, "motion": "velocity-driv
 because landmarks that come back into view correct it by a lot at once."""
 POLICY_KEYS = ("belief_sigmas", "head", "panorama")
 """Keys of the observation that a network decides by, in their order."""
+_ID = "StereoSlam/ActiveGaze-v0"
+_MEANS = (
+    *("final_position_sigma_m", "final_pose_logdet", "position_rmse_m"),
+    *("final_position_error_m", "final_position_nees"),
+)
 Reward = Literal["information", "error"]
 """What is paid for: what a belief gained (`InformationGain`), or the true error after a decision (`TrueError`)."""
 
@@ -139,6 +145,30 @@ class GazeTask:
         """Pan and tilt to choose from, as shares of the largest; (pans, 2)."""
         return None if self.pans is None else directions(self.pans)
 
+    def evaluate(self, network: Network | None, seeds: Sequence[int], threads: int = 1) -> Evaluation:
+        """See `evaluate`; without a network the head looks straight ahead."""
+        vector = replace(self, pans=None).make_vector(len(seeds), threads=threads)
+        actions = np.zeros(vector.action_space.shape or (), dtype=np.float32)
+
+        def act(observation: Any, going: BoolArray) -> Any:
+            if network is not None:
+                actions[:, -2:] = network.actions(observation)
+            return actions
+
+        try:
+            figures = true_figures(vector, lambda _: act, seeds)
+        finally:
+            vector.close()
+        means = {name: float(getattr(figures, name).mean()) for name in _MEANS}
+        return Evaluation(**means, validation_return=float(figures.returns.mean()))
+
+    def words(self, results: Evaluation) -> str:
+        """What a progress bar says of results; the score is that of the id, with its own arguments."""
+        said = f"true error {results.final_position_error_m:.3f} m, claimed {results.final_position_sigma_m:.3f} m"
+        if self != GazeTask():
+            return said
+        return f"{said}, score {float(normalised_score(_ID, results.validation_return)):.0f}"
+
 
 def active_gaze(render_mode: str | None = None, *, many: Mapping[str, Any] | None = None, **arguments: Any) -> Any:
     """`StereoSlam/ActiveGaze-v0`: decide where to look so that the estimate of the pose is as true as it can be.
@@ -166,9 +196,8 @@ def active_gaze(render_mode: str | None = None, *, many: Mapping[str, Any] | Non
         There is no argument of that name.
     """
     task = GazeTask(**arguments)
-    if many is not None:
-        return task.make_rows(**many)
-    return replace(task, arguments={**task.arguments, "render_mode": render_mode}).make_for_learning()
+    task = replace(task, arguments={**task.arguments, "render_mode": render_mode})
+    return task.make_for_learning() if many is None else task.make_rows(**many)
 
 
 active_gaze_vector = vector_of(active_gaze)
@@ -188,25 +217,13 @@ class Evaluation:
     """True position error at the end."""
     final_position_nees: float
     """NEES of the position at the end, over its 3 degrees of freedom: more than 1 is claimed than is true."""
+    validation_return: float = float("nan")
+    """Sum of the rewards."""
 
 
-def network_figures(network: Network | None, task: GazeTask, seeds: Sequence[int], *, threads: int = 1) -> TrueFigures:
-    """Run an episode for each seed, all in lock-step; without a network the head looks straight ahead."""
-    vector = replace(task, pans=None).make_vector(len(seeds), threads=threads)
-    actions = np.zeros(vector.action_space.shape or (), dtype=np.float32)
+def evaluate(network: Network | None, task: Any, seeds: Sequence[int], *, threads: int = 1) -> Any:
+    """Means over an episode for each seed, all in lock-step; without a network the action is 0: straight ahead.
 
-    def act(observation: Any, going: BoolArray) -> Any:
-        if network is not None:
-            actions[:, -2:] = network.actions(observation)
-        return actions
-
-    try:
-        return true_figures(vector, lambda _: act, seeds)
-    finally:
-        vector.close()
-
-
-def evaluate(network: Network | None, task: GazeTask, seeds: Sequence[int], *, threads: int = 1) -> Evaluation:
-    """Means of `network_figures`."""
-    figures = network_figures(network, task, seeds, threads=threads)
-    return Evaluation(**{part.name: float(getattr(figures, part.name).mean()) for part in fields(Evaluation)})
+    `task` is a `GazeTask`, whose means are an `Evaluation`, or a `RegisteredTask`, whose means are an `Outcome`.
+    """
+    return task.evaluate(network, seeds, threads)

@@ -10,6 +10,7 @@ from .information_gain import InformationGain as InformationGain
 from .observation_shapes import FlattenUVD as FlattenUVD
 from .observation_shapes import SelectedKeys as SelectedKeys
 from .observation_shapes import SequenceObservation as SequenceObservation
+from .position_prediction import PositionPrediction as PositionPrediction
 from .record_consistency import RecordConsistency as RecordConsistency
 from .snapshots import Snapshot as Snapshot
 from .snapshots import restore as restore

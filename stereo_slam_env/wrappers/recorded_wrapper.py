@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from inspect import signature
 from typing import Any, ClassVar
 
@@ -84,13 +84,20 @@ class RowWrapper(RecordedWrapper, Kept):
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Step the environment."""
-        rewards, terminated, truncated = self.rows.advance(np.asarray(action)[None], _ALL)
+        rewards, terminated, truncated = self.rows.advance(_one_row(action), _ALL)
         observation, info = self._look()
         return observation, float(rewards[0]), bool(terminated[0]), bool(truncated[0]), info
 
     def _look(self) -> tuple[Any, dict[str, Any]]:
         observation, info = self.rows.look()
         return row_of(observation, 0), row_of(info, 0)
+
+
+def _one_row(action: Any) -> Any:
+    """An action, or each part of one, with a first axis of one row."""
+    if isinstance(action, Mapping):
+        return {key: _one_row(part) for key, part in action.items()}
+    return np.asarray(action)[None]
 
 
 def _made_again(kind: type[RecordedWrapper], env: gym.Env[Any, Any], arguments: dict[str, Any]) -> RecordedWrapper:

@@ -16,6 +16,7 @@ from stereo_slam_env.wrappers.belief_panorama import BeliefPanorama
 from stereo_slam_env.wrappers.direction_of_gaze import DirectionOfGaze
 from stereo_slam_env.wrappers.information_gain import InformationGain
 from stereo_slam_env.wrappers.observation_shapes import FlattenUVD, SelectedKeys, SequenceObservation
+from stereo_slam_env.wrappers.position_prediction import PositionPrediction
 from stereo_slam_env.wrappers.record_consistency import RecordConsistency
 from stereo_slam_env.wrappers.recorded_wrapper import RowWrapper
 from stereo_slam_env.wrappers.true_error import TrueError
@@ -50,6 +51,7 @@ def stereo_vector(
     keys: Sequence[str] | None = None,
     consistency: Mapping[str, Any] | None = None,
     pans: int | None = None,
+    prediction: Mapping[str, Any] | None = None,
     shape: Shape | None = None,
     **options: Any,
 ) -> RowsVectorEnv:
@@ -80,10 +82,12 @@ def stereo_vector(
         Arguments of `RecordConsistency`.
     pans : int, optional
         The action is the number of one of so many directions, see `DirectionOfGaze`.
+    prediction : mapping, optional
+        Arguments of `PositionPrediction`: the agent says where it is, too.
     shape : {"flat", "sequences"}, optional
         The observation as `FlattenUVD` or `SequenceObservation` gives it.
     **options
-        Of the single environment; `sensor` must be "landmarks", without images and `render_mode`.
+        Of the single environment; `sensor` must be "landmarks", without images. `render_mode` is None or "rgb_array".
 
     Raises
     ------
@@ -105,6 +109,8 @@ def stereo_vector(
         rows = TrueError.around(rows, **error)
     if pans is not None:
         rows = DirectionOfGaze.around(rows, pans=pans)
+    if prediction is not None:
+        rows = PositionPrediction.around(rows, **prediction)
     if keys is not None:
         rows = SelectedKeys.around(rows, keys=keys)
     return RowsVectorEnv(_told(rows, consistency, shape), autoreset_mode)
@@ -152,8 +158,6 @@ def vector_of(task: Callable[..., Any]) -> Callable[..., RowsVectorEnv]:
         shape: Shape | None = None,
         **arguments: Any,
     ) -> RowsVectorEnv:
-        if arguments.pop("render_mode", None) is not None:
-            raise ValueError("render_mode must be None in a native vector environment: use vectorization_mode='sync'")
         many = {"num_envs": num_envs, "scenes": scenes, "threads": threads}
         rows = limited(task(many=many, **arguments), max_episode_steps)
         return RowsVectorEnv(_told(rows, consistency, shape), autoreset_mode)

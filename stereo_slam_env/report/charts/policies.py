@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -97,17 +98,27 @@ def plot_claim_and_truth(runs: Sequence[FilterRun]) -> Chart:
     return figure(panels, colours)
 
 
-def plot_learning(runs: Sequence[Sequence[Mapping[str, float]]], straight_ahead: Mapping[str, float]) -> Chart:
-    """Claimed uncertainty and true error on the validation episodes against the decisions made; a curve a training."""
+def plot_learning(
+    runs: Sequence[Sequence[Mapping[str, float]]], idle: Mapping[str, float], merit: Callable[[Any], float]
+) -> Chart:
+    """What counts on the validation episodes against the decisions made; a curve a training.
+
+    Claimed uncertainty and true error where there are such columns, else the return; `idle` has those of action 0,
+    which looks straight ahead. The row with the largest `merit` is marked.
+    """
     rows = [row for run in runs for row in run]
-    kept = min(rows, key=lambda row: row["final_position_error_m"])
+    judged = set(_LEARNT) <= rows[0].keys()
+    kept = max(rows, key=merit)
     x = Axis(0, max(row["decisions"] for row in rows) / 1000.0 or 1.0, "decisions, thousands")
     panels = []
-    for name, title in _LEARNT.items():
-        y = Axis(0, 1.15 * max(*(row[name] for row in rows), straight_ahead[name]))
+    for name, title in _LEARNT.items() if judged else [("validation_return", "Return of the validation episodes")]:
+        seen = [idle[name], *(row[name] for row in rows)]
+        room = 0.15 * (max(seen) - min(0.0, *seen))
+        y = Axis(min(0.0, min(seen) - room * (min(seen) < 0.0)), max(0.0, max(seen)) + room)
         panel = Panel(x, y, 0.5 * WIDTH - 70, 240.0, title)
-        panel.rule(y=straight_ahead[name], dash=DASHED)
-        panel.text("straight ahead", panel.width, panel.place(0, straight_ahead[name])[1] - 9, align="right")
+        panel.rule(y=idle[name], dash=DASHED)
+        label = "straight ahead" if judged else "action 0"
+        panel.text(label, panel.width, panel.place(0, idle[name])[1] - 9, align="right")
         for run in runs:
             thousands = np.array([row["decisions"] / 1000.0 for row in run])
             panel.lines([Curve("learnt", thousands, np.array([row[name] for row in run]), PALETTE[0])])

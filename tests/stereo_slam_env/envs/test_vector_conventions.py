@@ -288,7 +288,7 @@ class TestWrongInput:
             ({"rout": "loop"}, TypeError, "unexpected keyword argument 'rout', did you mean 'route'"),
             ({"sensor": "images"}, ValueError, "sensor must be 'landmarks'"),
             ({"render_images": True}, ValueError, "render_images must be False"),
-            ({"render_mode": "human"}, ValueError, "render_mode must be None"),
+            ({"render_mode": "human"}, ValueError, "render_mode must be None or 'rgb_array' in a native"),
             ({"sigma": -1.0}, ValueError, "sigma must be"),
             ({"num_envs": 0}, ValueError, "num_envs must be a whole number >= 1, got 0"),
             ({"threads": 0}, ValueError, "threads must be a whole number >= 1, got 0"),

@@ -5,6 +5,7 @@ import dataclasses
 import json
 import sys
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
@@ -12,8 +13,10 @@ from filters.contract import extras
 from stereo_slam_env.cli import app as cli
 from stereo_slam_env.policies import make_policy
 from stereo_slam_env.policies.network import Network
+from stereo_slam_env.policies.scores import normalised_score
 from stereo_slam_env.training import ppo
 from stereo_slam_env.training.ppo import LearningCurve, PPOSettings, train
+from stereo_slam_env.training.registered_task import Outcome, RegisteredTask
 from stereo_slam_env.training.task import Evaluation, GazeTask
 
 TASK = GazeTask(arguments={"route": "right-turn"}, hold=8)
@@ -72,23 +75,35 @@ def test_a_run_leaves_a_network_a_curve_and_what_it_was_made_with(quick, tmp_pat
 
 
 @pytest.mark.slow
-def test_a_resumed_training_has_the_bits_of_an_unbroken_one(tmp_path):
+@pytest.mark.parametrize(
+    "task",
+    [
+        TASK,
+        RegisteredTask("StereoSlam/ClosedLoop-v0", {"arguments": {"route": "right-turn"}}),
+        RegisteredTask("StereoSlam/Drive-v0", {"route": "right-turn", "max_landmarks": 8}),
+        RegisteredTask("StereoSlam/Explore-v0", {"max_episode_steps": 30}),
+    ],
+    ids=["looks", "ClosedLoop", "Drive", "Explore"],
+)
+def test_a_resumed_training_has_the_bits_of_an_unbroken_one(tmp_path, task):
     pytest.importorskip("stable_baselines3", reason="needs the extra rl")
     settings = dataclasses.replace(SETTINGS, decisions=60, validation=2)
     unbroken, resumed = tmp_path / "unbroken", tmp_path / "resumed"
-    train(TASK, settings, unbroken)
+    train(task, settings, unbroken)
     for decisions in (20, 40, 60):
-        train(TASK, dataclasses.replace(settings, decisions=decisions), resumed)
+        train(task, dataclasses.replace(settings, decisions=decisions), resumed)
     clock = ("seconds", "decisions_per_second")
     curves = [[{k: v for k, v in row.items() if k not in clock} for row in rows(out)] for out in (unbroken, resumed)]
     assert curves[0] == curves[1]
     assert len(curves[0]) == 4
+    assert float(curves[0][-1]["decisions"]) == 60
     one, other = (Network.load(out / "policy.npz") for out in (unbroken, resumed))
     for a, b in zip(one.weights, other.weights, strict=True):
         np.testing.assert_array_equal(a, b)
     last = {name: float(value) for name, value in curves[0][-1].items()}
     assert all(np.isfinite(last[name]) for name in ppo.DIAGNOSTICS)
-    assert last["final_position_nees"] > 0.0
+    assert last.get("final_position_nees", 1.0) > 0.0
+    assert np.isfinite(last["validation_return"])
     made_with = json.loads((resumed / "run.json").read_text())
     assert {"python", "numpy", "torch", "stable-baselines3"} <= made_with["versions"].keys()
     assert "commit" in made_with
@@ -110,6 +125,54 @@ def test_the_network_decides_as_the_model_does(tmp_path, pans):
             np.testing.assert_allclose(network.action(observation), expected, atol=1e-5)
             observation, *_ = env.step(env.action_space.sample())
     env.close()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", sorted(name for name in gym.registry if name.startswith("StereoSlam/")))
+def test_every_id_can_be_trained_by_the_command(tmp_path, capsys, name):
+    pytest.importorskip("stable_baselines3", reason="needs the extra rl")
+    command = ["train", "--environment", name, "--decisions", "2", "--environments", "1", "--validation", "1"]
+    assert cli.main([*command, "--minutes", "1e-9", "--out", str(tmp_path)]) == 0
+    said = capsys.readouterr().out
+    assert "validation_return" in said
+    assert "stopped after 0 of 2 decisions" in said
+    assert Network.load(tmp_path / "policy.npz").about["task"]["environment"].startswith("StereoSlam/")
+
+
+def test_options_of_looks_are_refused_where_the_id_has_its_own_reward(tmp_path, capsys):
+    command = ["train", "--environment", "StereoSlam/Drive-v0", "--nees-gate", "0.95", "--out", str(tmp_path)]
+    assert cli.main(command) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("--nees-gate is of where to look (StereoSlam/Gaze-v0, StereoSlam/ActiveGaze-v0)") or (
+        "--nees-gate is of where to look" in said
+    )
+    assert not list(tmp_path.iterdir())
+    assert cli.main(["train", "--environment", "StereoSlam/Fly-v0", "--out", str(tmp_path)]) == 2
+    assert "environment must be one of StereoSlam/ActiveGaze-v0, " in capsys.readouterr().err
+
+
+def test_the_words_of_a_progress_bar_have_the_score_of_the_task_as_it_is():
+    assert RegisteredTask("StereoSlam/Drive-v0").words(Outcome(31.4, 1.0, 300.0)) == (
+        f"return 31.40, success 100%, score {float(normalised_score('StereoSlam/Drive-v0', 31.4)):.0f}"
+    )
+    assert RegisteredTask("StereoSlam/Drive-v0", {"route": "loop"}).words(Outcome(3.0, np.nan, 9.0)) == "return 3.00"
+    figures = Evaluation(0.5, -40.0, 0.2, 0.4, 1.0, -5.35)
+    assert GazeTask().words(figures) == "true error 0.400 m, claimed 0.500 m, score 0"
+    assert GazeTask(hold=3).words(figures) == "true error 0.400 m, claimed 0.500 m"
+
+
+def test_tensorboard_gets_what_the_curve_has(tmp_path):
+    """Where it is installed; losses, KL, entropy, explained variance and throughput under their usual names."""
+    pytest.importorskip("stable_baselines3", reason="needs the extra rl")
+    events = pytest.importorskip(
+        "tensorboard.backend.event_processing.event_accumulator", reason="TensorBoard is not installed"
+    )
+    train(TASK, dataclasses.replace(SETTINGS, validation=2), tmp_path)
+    (folder,) = (tmp_path / "tensorboard").iterdir()
+    read = events.EventAccumulator(str(folder)).Reload()
+    assert {*ppo.DIAGNOSTICS.values(), "time/fps"} <= set(read.Tags()["scalars"])
+    kl = [event.value for event in read.Scalars("train/approx_kl")]
+    assert float(rows(tmp_path)[-1]["kl"]) == pytest.approx(kl[-1], rel=1e-4)
 
 
 def test_without_the_extra_one_line_says_what_to_install(monkeypatch, tmp_path):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from stereo_slam_env.report.charts.policies import plot_claim_and_truth, plot_gaze, plot_gaze_map, plot_learning
+from stereo_slam_env.training.ppo import merit
 
 from ....synthetic_runs import Behaviour, make_runs
 from ...benchmark.small_recordings import small_recording
@@ -71,6 +72,13 @@ def test_a_learning_curve_marks_what_is_kept_and_what_it_is_held_against():
     values_of = {"final_position_sigma_m": 2.0, "position_rmse_m": 1.0}
     errors = enumerate((1.0, 0.5, 0.7))
     rows = [{"decisions": 1000.0 * k, "final_position_error_m": found, **values_of} for k, found in errors]
-    for panel in panels(plot_learning([rows], {"final_position_sigma_m": 1.0, "position_rmse_m": 2.0})):
+    for panel in panels(plot_learning([rows], {"final_position_sigma_m": 1.0, "position_rmse_m": 2.0}, merit)):
         assert values(panel.curves("dots")["learnt"], "x").tolist() == [1.0]
         assert {"kept", "straight ahead"} <= set(panel.words())
+
+
+def test_a_learning_curve_of_returns_has_one_panel_and_what_idle_agents_get():
+    rows = [{"decisions": 1000.0 * k, "validation_return": found} for k, found in enumerate((-9.0, 4.0, 3.0))]
+    (panel,) = panels(plot_learning([rows], {"validation_return": -8.0}, merit))
+    assert values(panel.curves("dots")["learnt"], "x").tolist() == [1.0]
+    assert {"kept", "action 0"} <= set(panel.words())
