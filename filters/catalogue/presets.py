@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from filters.contract.start import Start
 from filters.contract.stereo_filter import AT_ORIGIN, StereoFilter
 from filters.engine.stereo_ekf import StereoEKF
 from filters.geometry import rotations
+from filters.geometry.arrays import FloatArray, IntArray
 from filters.geometry.camera import StereoCamera
 from filters.geometry.poses import Pose
 from filters.submaps.submap_ekf import SubmapEKF
@@ -143,6 +144,18 @@ class ColouredNoiseEKF(StereoEKF):
     def relative_pose(self, name: str) -> PoseBelief:
         """As of `StereoEKF`, with the doubt about the way from the clone."""
         return self._in_doubt(super().relative_pose(name), Pose())
+
+    def joint_covariance(self, ids: Sequence[int] | IntArray | None = None) -> FloatArray:
+        """As of `StereoEKF`, with the covariance of `pose`."""
+        joint = super().joint_covariance(ids)
+        joint[:6, :6] = self.pose.covariance
+        return joint
+
+    def pose_landmark_covariances(self, ids: Sequence[int] | IntArray | None = None) -> FloatArray:
+        """As of `StereoEKF`, with the covariance of `pose`."""
+        joint = super().pose_landmark_covariances(ids)
+        joint[:, :6, :6] = self.pose.covariance
+        return joint
 
     def reset(self, start: Start = AT_ORIGIN) -> None:
         """As of `StereoEKF`."""

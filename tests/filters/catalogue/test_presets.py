@@ -74,3 +74,8 @@ def test_what_no_image_shows_of_the_rig_is_added_to_the_covariance_of_the_way(dr
 
     J = jacobian(changed, 4) * [scale, turn, turn, turn]
     np.testing.assert_allclose(doubting.covariance, plain.covariance + J @ J.T, atol=1e-9)
+    slam = slams[1]
+    joint, pairs = slam.joint_covariance(), slam.pose_landmark_covariances()
+    np.testing.assert_array_equal(joint[:6, :6], doubting.covariance)
+    np.testing.assert_array_equal(pairs[:, :6, :6], [doubting.covariance] * len(pairs))
+    np.testing.assert_allclose(joint[:6, 6:9], pairs[0, :6, 6:], rtol=1e-9)

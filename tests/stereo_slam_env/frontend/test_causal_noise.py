@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import stereo_slam_env as sse
-from filters import ColouredNoise, StereoNoise
+from filters import ColouredNoise, StereoNoise, check_filter
 from filters.catalogue.presets import ColouredNoiseEKF
 from stereo_slam_env.frontend.causal_noise import CausalNoiseEKF
 from stereo_slam_env.frontend.track_noise import COMMON_WALK, with_measured_noise
@@ -85,3 +85,7 @@ def test_a_filter_goes_on_with_what_it_is_told_to_assume() -> None:
     with pytest.raises(ValueError, match="gauge_walk"):
         told.assume(StereoNoise(noise.white), None, -1.0)
     assert told.options.drift == noise.drift
+
+
+def test_it_keeps_the_contract() -> None:
+    check_filter(CausalNoiseEKF)
