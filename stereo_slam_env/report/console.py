@@ -35,7 +35,6 @@ from stereo_slam_env.benchmark.storage.tables import CellResult
 from stereo_slam_env.evaluation.figures import FIGURES, UNKNOWN, Figure
 from stereo_slam_env.evaluation.results import FilterSummary
 from stereo_slam_env.evaluation.rig_errors import rig_errors
-from stereo_slam_env.frontend.reference_audit import audit_of
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.recording.recording import Recording
 
@@ -156,6 +155,8 @@ def _audit(recording: Recording) -> dict[str, str]:
     reference = recording.reference
     if not reference.counts_as_truth or reference.kind == "simulation":
         return {}
+    from stereo_slam_env.frontend.reference_audit import audit_of  # needs OpenCV, which a judge of filters may lack
+
     return {"its steps": str(audit_of(recording))}
 
 

@@ -314,7 +314,7 @@ def test_visible_landmarks_are_where_the_renderer_draws_a_surface(make):
     """The depth image agrees with the true depth of the landmarks the rays call visible. About 2 s."""
     env = make(route="right-turn", render_mode="rgb_array", rig="vga")
     env.reset(seed=1)
-    depth = env._rendered().depth
+    depth = env._rows.images(0).depth
     landmarks, observation = env.landmark_truth(), env.frame.observation
     positions = landmarks.positions[np.searchsorted(landmarks.ids, observation.ids)]
     u, v, _ = np.rint(env.camera.project(positions)).astype(int).T
@@ -411,13 +411,12 @@ def test_rendered_images_are_in_the_observation(make):
 
 
 def test_rgb_array_shows_both_views_with_the_landmarks(make):
-    env = make(render_mode="rgb_array", **QUICK)
-    env.reset(seed=0)
+    env = make(render_mode="rgb_array", render_images=True, **QUICK)
+    observation, _ = env.reset(seed=0)
     picture = env.render()
     assert picture.dtype == np.uint8
     assert picture.shape == (260, 644, 3)
-    left = env._rendered().left
-    drawn = (picture[-240:, :320] != left).any(axis=2)
+    drawn = (picture[-240:, :320] != observation["left"]).any(axis=2)
     u, v = np.rint(env.frame.observation.uvd[:, :2]).astype(int).T
     inside = (u >= 0) & (u < 320) & (v >= 0) & (v < 240)
     assert drawn[v[inside], u[inside]].mean() > 0.95
