@@ -416,7 +416,7 @@ def test_rgb_array_shows_both_views_with_the_landmarks(make):
     picture = env.render()
     assert picture.dtype == np.uint8
     assert picture.shape == (260, 644, 3)
-    left = env._rendered().left
+    left = env._rows.images(0).left
     drawn = (picture[-240:, :320] != left).any(axis=2)
     u, v = np.rint(env.frame.observation.uvd[:, :2]).astype(int).T
     inside = (u >= 0) & (u < 320) & (v >= 0) & (v < 240)
