@@ -314,7 +314,7 @@ def test_visible_landmarks_are_where_the_renderer_draws_a_surface(make):
     """The depth image agrees with the true depth of the landmarks the rays call visible. About 2 s."""
     env = make(route="right-turn", render_mode="rgb_array", rig="vga")
     env.reset(seed=1)
-    depth = env._rendered().depth
+    depth = env._rows.images(0).depth
     landmarks, observation = env.landmark_truth(), env.frame.observation
     positions = landmarks.positions[np.searchsorted(landmarks.ids, observation.ids)]
     u, v, _ = np.rint(env.camera.project(positions)).astype(int).T
