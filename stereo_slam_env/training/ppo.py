@@ -226,6 +226,7 @@ def train(
     limit = None if minutes is None else curve.seconds + 60.0 * positive("minutes", minutes)
     with claimed_folder(out), _learner(task, settings, out) as (model, scaling):
         seeds, said = VALIDATION_SEEDS[: settings.validation], ""
+        found: dict[str, float] = {}
 
         def look() -> str:
             """Evaluate the network, keep it if it is the best so far, and save the state of the training."""
@@ -233,8 +234,6 @@ def train(
             network = network_of(model, scaling, about, task.choices)
             results = evaluate(network, task, seeds, threads=settings.threads)
             returns = [episode["r"] for episode in model.ep_info_buffer or ()] or [np.nan]
-            logged = getattr(model, "logger", None) and model.logger.name_to_value
-            found = {name: float(logged[key]) for name, key in DIAGNOSTICS.items() if logged and key in logged}
             if curve.add(model.num_timesteps, time.monotonic() - began, float(np.mean(returns)), results, found):
                 network.save(out / "policy.npz")
             _save_state(out / "state.pt", model, scaling)
@@ -249,6 +248,9 @@ def train(
             _begin_stage(model, settings.seed)
             while model.num_timesteps < target:
                 model.learn(settings.steps * settings.environments, reset_num_timesteps=False)
+                logged = model.logger.name_to_value
+                found = {name: float(logged[key]) for name, key in DIAGNOSTICS.items() if key in logged}
+                model.logger.dump(model.num_timesteps)  # each `learn` begins with a new logger: TensorBoard's share
                 if progress is not None:
                     progress(min(model.num_timesteps, settings.decisions), settings.decisions, said)
             said = look()
