@@ -41,7 +41,7 @@ def build_avenue(route, rng):
         for side in (-1, 1):
             place, yaw = road.place(station, side * rng.uniform(9.0, 13.0))
             layout.claim(place, yaw, (1.4, 1.4), room=1.0, clearance=6.0, make=column)
-    points = facing_points(layout.primitives, 25 * len(layout.primitives), 12.0, network.nearest, rng)
+    points = facing_points(layout.primitives, 25 * len(layout.primitives), 12.0, network, rng)
     ground, lane = network.ground(150.0, GRASS), paved([road], [LANE])
     return Scene(ground, tuple(layout.primitives), lane, points)
 

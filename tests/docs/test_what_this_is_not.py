@@ -26,7 +26,6 @@ from filters import (
     StereoObservation,
     available_filters,
     make_filter,
-    make_part,
 )
 from filters.parts import SLOTS
 from stereo_slam_env.benchmark.scenarios.scenario import Scenario
@@ -110,32 +109,26 @@ def each_sentence_is_a_test():
     assert f"tests/docs/{Path(__file__).name}" in PAGE.read_text(encoding="utf-8")
 
 
-@says("No inertial sensor in the environments.")
+@says("No inertial sensor on a head that turns.")
+@says('Drive-v0 with vehicle="smooth" has one; the rates of a head jump.')
+def a_head_has_no_inertial_sensor():
+    with gym.make("StereoSlam/Drive-v0", vehicle="smooth", imu="bmi088") as env:
+        assert "imu" in env.observation_space.spaces
+    with pytest.raises(ValueError, match="with a head that turns"):
+        gym.make("StereoSlam/DriveGaze-v0", vehicle="smooth", imu="bmi088")
+    with pytest.raises(TypeError, match="imu"):
+        gym.make("StereoSlam/Gaze-v0", imu="bmi088")
+
+
 @says(
-    "A filter takes inertial samples, a recording keeps them, the readers of EuRoC, KITTI raw and KITTI 00 read them, "
-    "and the problems inertial_drive and inertial_flight simulate them, but no environment does."
+    "A filter takes inertial samples, a recording keeps them, and the readers of EuRoC, KITTI raw and KITTI 00 read "
+    "them."
 )
-def readers_make_inertial_samples_and_no_environment_does():
+def readers_make_inertial_samples():
     assert "inertial" in inspect.signature(StereoFilter.predict).parameters
     assert "inertial" in fields(Frame) & fields(StereoPair)
-    makes = {path.name for path in SOURCES if re.search(r"InertialSamples\(", path.read_text(encoding="utf-8"))}
-    assert makes == {
-        "inertial.py",
-        "drives.py",
-        "motions.py",
-        "archive.py",
-        "imu.py",
-    }  # its own module, checks, archives
     reads = {path.name for path in SOURCES if re.search(r"samples_of_steps\(", path.read_text(encoding="utf-8"))}
     assert reads == {"inertial.py", "euroc.py", "kitti_raw.py", "kitti00_stereo_tracks.py"}
-    simulates = {path.name for path in SOURCES if re.search(r"\bImu\(", path.read_text(encoding="utf-8"))}
-    assert simulates == {"inertial_problem.py"}
-
-
-@says("Samples and odometry are not fused in one filter.")
-def samples_or_odometry():
-    takes = {name: make_part("motion", name).takes for name in SLOTS["motion"].named}
-    assert [name for name, kind in takes.items() if kind is filters.InertialSamples] == ["strapdown"]
 
 
 @says("Images are rectified pairs.")
