@@ -1,7 +1,7 @@
 """Train a network to look where the estimate becomes true (stable-baselines3), and compare it with a fixed gaze.
 
-Run it (extra rl): python examples/train_ppo.py --decisions 30000. Half a minute of one core; it shows how far it is, and
-prints both true errors of the position at the end, m.
+Run it (extra rl): python examples/train_ppo.py --decisions 30000. Half a minute of one core; it shows how far it is,
+and prints both true errors of the position at the end, m.
 """
 
 import argparse
