@@ -94,6 +94,7 @@ def main():
     parser.add_argument("--route", default="straight")
     given = parser.parse_args()
     torch.manual_seed(given.seed)
+    torch.set_num_threads(1)  # so small a network is slower on several
     loop = {"belief": {"options": FILTER, "hold": 4}, "panorama": {}, "error": {}}  # a decision holds for 0.4 s
     kind = {**loop, "keys": ["belief_sigmas", "head", "panorama"], "route": given.route}
     envs = FlattenObservation(gym.make_vec("StereoSlam/Gaze-v0", given.environments, **kind))
