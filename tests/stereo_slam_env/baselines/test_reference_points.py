@@ -17,6 +17,7 @@ from stereo_slam_env.datasets import load
 from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.evaluation.results import FilterRun
 from stereo_slam_env.evaluation.trajectory_metrics import ate_rigid
+from stereo_slam_env.frontend.causal_noise import CausalNoiseEKF
 
 from ..real_data import real_data
 
@@ -40,12 +41,12 @@ def test_every_baseline_keeps_the_contract(name: str) -> None:
     check_filter(lambda camera, noise: make_filter(name, camera=camera, noise=noise))
 
 
-def test_every_baseline_has_an_entry_point() -> None:
+def test_every_baseline_and_the_causal_filter_have_an_entry_point() -> None:
     """In `pyproject.toml`, since what is installed may be older."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     named = project["entry-points"][ENTRY_POINT_GROUP]
     made = {EntryPoint(name, value, ENTRY_POINT_GROUP).load() for name, value in named.items()}
-    assert made == {getattr(baselines, name) for name in baselines.__all__}
+    assert made == {*(getattr(baselines, name) for name in baselines.__all__), CausalNoiseEKF}
     assert named["filterpy-ekf"] == "stereo_slam_env.baselines.filterpy_ekf:FilterpyEKF"
 
 
