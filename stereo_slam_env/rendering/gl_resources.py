@@ -8,7 +8,6 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache, cached_property
 from importlib import import_module
-from importlib.util import find_spec
 from typing import Any
 
 import cv2
@@ -133,9 +132,8 @@ def _load_triton() -> None:
 
     PyTorch built for CUDA brings Triton (seen: 3.7.1 with LLVM 15 of Mesa, segmentation fault) and loads it late.
     """
-    if find_spec("triton") is not None:
-        with suppress(ImportError):
-            import_module("triton")
+    with suppress(ImportError):
+        import_module("triton")
 
 
 def new_context() -> Any:
