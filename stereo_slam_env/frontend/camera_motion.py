@@ -38,10 +38,8 @@ def needed_motion(recording: Recording, usual: ConstantVelocity | None = None) -
     step = None
     for before, now in pairwise(recording.frames):
         dt = now.timestamp - before.timestamp
-        first, second = before.observation, now.observation
-        _, i, j = np.intersect1d(first.ids, second.ids, assume_unique=True, return_indices=True)
-        R_first, R_second = first.covariances(recording.noise)[i], second.covariances(recording.noise)[j]
-        found = robust_step(recording.camera, Pairs(first.uvd[i], second.uvd[j], R_first, R_second), step)
+        pairs = Pairs.between(before.observation, now.observation, recording.noise)
+        found = robust_step(recording.camera, pairs, step)
         step = None if found is None else found.step
         if found is None:
             last = None

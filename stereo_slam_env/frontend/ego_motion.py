@@ -16,7 +16,7 @@ import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from scipy.stats import chi2
 
-from filters import StereoCamera
+from filters import StereoCamera, StereoNoise, StereoObservation
 from filters.engine.gating import gate_limit
 from filters.geometry import rotations
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
@@ -87,6 +87,13 @@ class Pairs:
     second: FloatArray
     R_first: FloatArray
     R_second: FloatArray
+
+    @classmethod
+    def between(cls, first: StereoObservation, second: StereoObservation, noise: StereoNoise) -> Pairs:
+        """What both observations have measured; `noise` where they bring no R of their own."""
+        _, i, j = np.intersect1d(first.ids, second.ids, assume_unique=True, return_indices=True)
+        R_first, R_second = first.covariances(noise)[i], second.covariances(noise)[j]
+        return cls(first.uvd[i], second.uvd[j], R_first, R_second)
 
     def select(self, index: IntArray | BoolArray) -> Pairs:
         """Those at `index`."""

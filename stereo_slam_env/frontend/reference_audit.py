@@ -16,7 +16,7 @@ from filters import StereoCamera
 from filters.geometry.arrays import BoolArray, FloatArray
 from stereo_slam_env.frontend.ego_motion import Pairs, Step, robust_step, transfer
 from stereo_slam_env.frontend.track_noise import FIRST_GUESS
-from stereo_slam_env.recording.recording import Frame, Recording
+from stereo_slam_env.recording.recording import Recording
 
 FACTOR, LEAST = 3.0, 0.5
 """A step is doubtful whose median residual is so many times that of the images, and larger by so many pixels: turns of
@@ -65,7 +65,7 @@ def audit_of(recording: Recording) -> ReferenceAudit:
     """Hold each step of the reference against the motion of the tracks, where both are known."""
     rows, found = [], None
     for k, (before, now) in enumerate(pairwise(recording.frames), start=1):
-        pairs = _pairs(before, now)
+        pairs = Pairs.between(before.observation, now.observation, FIRST_GUESS)
         found = robust_step(recording.camera, pairs, None if found is None else found.step)
         if found is None or before.truth is None or now.truth is None:
             continue
@@ -73,10 +73,3 @@ def audit_of(recording: Recording) -> ReferenceAudit:
         by_reference = median_residual(recording.camera, pairs, Step(step.R_wc, step.position))
         rows.append((k, by_reference, median_residual(recording.camera, pairs, found.step)))
     return ReferenceAudit(*np.array(rows, dtype=np.float64).reshape(-1, 3).T)
-
-
-def _pairs(before: Frame, now: Frame) -> Pairs:
-    one, other = before.observation, now.observation
-    _, i, j = np.intersect1d(one.ids, other.ids, assume_unique=True, return_indices=True)
-    R = one.covariances(FIRST_GUESS)[i], other.covariances(FIRST_GUESS)[j]
-    return Pairs(one.uvd[i], other.uvd[j], *R)
