@@ -113,6 +113,7 @@ def test_landmarks_with_a_bias_are_those_of_the_textbook(options: dict[str, obje
             np.testing.assert_allclose(state.parameters()[n], book.landmark(i)[3:], atol=1e-9)
             P = state.P[np.maximum(own[:, None], own), np.minimum(own[:, None], own)]
             np.testing.assert_allclose(P, covariance[np.ix_(rows[i], rows[i])], rtol=1e-6, atol=1e-9)
+        assert np.linalg.eigvalsh(symmetric.full(state.P))[0] > -1e-8  # anchors fill three of four rows
 
 
 def covariance_rows(book: textbook.TextbookEKF, identity: int) -> np.ndarray:
