@@ -414,7 +414,7 @@ def _may_change(routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch) 
 
 
 @njit(**KERNEL)
-def _drop_unseen(plan: Plan, S: Storage, b: int, s: Scratch, frame: Frame, first: int, last: int) -> None:
+def _drop_unseen(plan: Plan, S: Storage, b: int, s: Scratch, frame: FrameArrays, first: int, last: int) -> None:
     """Take landmarks that are not seen out of the map, before the update: it would correct them for nothing."""
     ids, counts = S.ids[b], S.counts[b]
     landmarks = counts[LANDMARKS]
