@@ -96,6 +96,17 @@ def test_a_correction_along_gamma_turns_the_world(landmark: str, side: str) -> N
     np.testing.assert_allclose(standard_error(expected, moved), 0.0, rtol=0, atol=1e-12)
 
 
+@pytest.mark.parametrize("side", SIDES)
+@pytest.mark.parametrize("landmark", LANDMARKS)
+def test_a_correction_of_the_camera_alone_leaves_the_map_where_it_is(landmark: str, side: str) -> None:
+    """However large: a surprising turn of the camera says nothing of the map."""
+    state = some_state(landmark)
+    delta = np.zeros(len(state.P))
+    delta[ROTATION], delta[POSITION] = [0.3, -1.1, 0.7], [0.5, 0.2, -0.4]
+    moved = SIDES[side].moved(state, delta)
+    np.testing.assert_allclose(moved.blocks, state.blocks, rtol=0, atol=1e-12)
+
+
 @pytest.mark.parametrize("measurement", ["joint", "sequential"])
 @pytest.mark.parametrize("landmark", LANDMARKS)
 def test_both_sides_are_one_filter(landmark: str, measurement: str) -> None:
