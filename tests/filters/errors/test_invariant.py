@@ -200,15 +200,11 @@ def test_a_still_camera_learns_nothing_about_its_own_pose(landmark: str) -> None
 
 
 @pytest.mark.parametrize("error", SIDES.values(), ids=SIDES)
-def test_the_reset_keeps_that_where_every_point_is_an_anchor_and_loses_it_with_points(error: ErrorDefinition) -> None:
-    """The Jacobian of the group turns the unobservable directions by what separates its points.
-
-    Anchors of a still camera are where it is itself; XYZ landmarks are not.
-    """
-    for landmark in ("inverse-depth", "shared-anchor"):
-        assert kept_by_a_still_camera(landmark, error) == pytest.approx(1.0, abs=1e-7)
-    plain, kept = kept_by_a_still_camera("euclidean", "so3"), kept_by_a_still_camera("euclidean", error)
-    assert 2.0 * plain < kept < 0.99
+def test_the_reset_loses_that_but_less_than_a_plain_ekf(error: ErrorDefinition) -> None:
+    """The Jacobian of the group turns the unobservable directions by what separates its points, rays among them."""
+    for landmark in ("inverse-depth", "shared-anchor", "euclidean"):
+        plain, kept = kept_by_a_still_camera(landmark, "so3"), kept_by_a_still_camera(landmark, error)
+        assert 2.0 * plain < kept < 0.99
 
 
 @pytest.mark.parametrize("landmark", ["shared-anchor", "spherical", "polar"])
