@@ -206,7 +206,8 @@ class SmoothingGraph:
         """Derivative (12, 12) of our error of the current state by GTSAM's of the two last poses."""
         before, after = self._state_at(self.last - 1), self.state()
         J = np.vstack([np.eye(6, 12, 6), _velocity_jacobian(before, after, self._time_steps[-1])])
-        return J @ block_diag(_tangent(before), _tangent(after))
+        by_poses: FloatArray = J @ block_diag(_tangent(before), _tangent(after))
+        return by_poses
 
     def _state_at(self, k: int) -> CameraState:
         """Pose `k` with the velocity of the move to it; that of the start has the one it was given."""

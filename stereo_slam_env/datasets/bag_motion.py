@@ -134,8 +134,10 @@ def _inertial(
     sheet, variances = DATA_SHEETS[ASSUMED], np.median(stated, axis=0).mean(axis=1)
     step = float(np.median(np.diff(rows[:, 0])))
     known = bool((variances > 0.0).all())
-    densities = np.sqrt(variances * step) if known else np.array([sheet.gyro_density, sheet.accelerometer_density])
-    unit = InertialUnit(T_ci.position, T_ci.orientation, *densities, sheet.gyro_walk, sheet.accelerometer_walk)
+    gyro, accelerometer = sheet.gyro_density, sheet.accelerometer_density
+    if known:
+        gyro, accelerometer = np.sqrt(variances * step).tolist()
+    unit = InertialUnit(T_ci.position, T_ci.orientation, gyro, accelerometer, sheet.gyro_walk, sheet.accelerometer_walk)
     assumed = "walks of the biases" if known else "densities and walks"
     origin = times[0]
     samples = samples_of_steps(mounting.path, rows[:, 0] - origin, rows[:, 1:], times - origin, unit)

@@ -80,7 +80,8 @@ def open_sequence(
         pairs = _chosen(_pairs(path, eyes, [_stamps(reader, topic) for topic in eyes]), path, choice)
         calibration = calibration_of(rig) if rig is not None else _calibration(path, eyes, infos)
         turn = calibration.R_left if isinstance(calibration, Rectification) and calibration.needed else np.eye(3)
-        motion = motion_of_bag(reader, path, eyes[0], 1e-9 * pairs[:, 0], turn, imu, odometry)
+        times = 1e-9 * np.asarray(pairs[:, 0], dtype=np.float64)
+        motion = motion_of_bag(reader, path, eyes[0], times, turn, imu, odometry)
     return BagSequence(path, eyes, calibration, pairs, choice, motion)
 
 
