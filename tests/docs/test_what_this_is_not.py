@@ -436,8 +436,8 @@ def no_deadline():
 
 @says("No ROS in the package.")
 @says(
-    "Bags are read without it; the node is a template, and convert writes neither the odometry nor the inertial samples "
-    "of a bag."
+    "Bags are read without it; the node is a template, and convert writes neither the odometry nor the inertial "
+    "samples of a bag."
 )
 def no_ros():
     assert {name.split(".")[0] for _, name in imported()}.isdisjoint({"rospy", "rclpy"})
