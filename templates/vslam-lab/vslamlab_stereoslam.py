@@ -7,10 +7,10 @@ import csv
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 import stereo_slam_env as sse
 from filters import Pose
-from filters.geometry import rotations
 from stereo_slam_env.datasets import open_for_front_end
 from stereo_slam_env.frontend import record_tracks
 
@@ -29,7 +29,7 @@ def main(arguments: list[str] | None = None) -> None:
     sequence, settings = open_for_front_end(given.sequence_path, use_truth=False, **files)
     recording = record_tracks(sequence, settings)
     epoch = round(1e9 * sequence.source["epoch_s"])
-    turn = Pose(np.zeros(3), rotations.from_matrix(sequence.R_left))
+    turn = Pose(np.zeros(3), Rotation.from_matrix(sequence.R_left).as_quat())
     with (given.exp_folder / f"{given.exp_it.zfill(5)}_KeyFrameTrajectory.csv").open("w", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(HEADER)
