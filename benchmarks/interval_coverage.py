@@ -7,7 +7,8 @@ Coverage of a 95 % interval of the mean, by kind of interval (`stereo_slam_env.e
 the symmetric studentised bootstrap), number of recordings, and distribution of the log ratios; in brackets the width
 by that of Student's t of a normal distribution. Then how often a difference is said to be shown where there is none,
 and where the errors differ by 10 %; and the same of the comparison of consistency, whose values are not logarithms of
-single runs.
+single runs. Last, systems that are run three times on each recording: means of each recording, all runs as if they were
+recordings, and a bootstrap of recordings and, within them, of runs.
 """
 
 from __future__ import annotations
@@ -141,6 +142,27 @@ def consistency(counts: list[int], experiments: int) -> None:
     show(title, ("NEES / 6 of both", "n", "mean over runs", "each single run"), rows)
 
 
+def repeated(counts: list[int], experiments: int, runs: int = 3) -> None:
+    """Coverage where each recording has several runs, by how much of the scatter is that of the runs."""
+    rows = []
+    for between, within in ((1.0, 0.3), (1.0, 1.0), (0.3, 1.0)):
+        for count in counts:
+            rng = np.random.default_rng(count)
+            values = between * rng.standard_normal((count, 1, experiments))
+            values = values + within * rng.standard_normal((count, runs, experiments))
+            means, pooled = values.mean(axis=1), values.reshape(-1, experiments)
+            resampled = np.empty((RESAMPLES // 10, experiments))
+            for k in range(len(resampled)):
+                recordings = rng.integers(count, size=(count, 1))
+                resampled[k] = values[recordings, rng.integers(runs, size=(count, runs))].mean(axis=(0, 1))
+            ends = [studentised_interval(means, 0.95), studentised_interval(pooled, 0.95)]
+            ends.append(tuple(np.quantile(resampled, [0.025, 0.975], axis=0)))
+            held = (f"{100 * np.mean((low <= 0) & (high >= 0)):.1f}" for low, high in ends)
+            rows.append((f"{between:g}, {within:g}", str(count), *held))
+    title = f"coverage of 95 % intervals, {runs} runs of each recording, % of {experiments} experiments"
+    show(title, ("scatter of recordings, of runs", "n", "means, symmetric", "all runs", "both resampled"), rows)
+
+
 def main() -> None:
     """Run and print."""
     given = arguments(__doc__, experiments=2000, runs=[8, 10, 20, 50])
@@ -148,6 +170,7 @@ def main() -> None:
         coverage(given.runs, given.experiments, comparisons)
     findings(given.runs, max(given.experiments // 4, 50))
     consistency(given.runs, max(given.experiments // 4, 50))
+    repeated(given.runs, given.experiments)
 
 
 if __name__ == "__main__":

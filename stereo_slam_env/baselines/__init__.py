@@ -1,4 +1,4 @@
-"""Baseline filters to compare with: `dead-reckoning`, `frame-to-frame`, `batch` and `filterpy-ekf`.
+"""Baseline filters to compare with, from `dead-reckoning` to smoothing by GTSAM.
 
 They implement `filters.StereoFilter` and are found by their entry points, like anybody's filter. They live here and not
 in `filters` because they need more than numpy and scipy.
@@ -7,6 +7,7 @@ in `filters` because they need more than numpy and scipy.
 from stereo_slam_env.baselines.batch import BatchSmoother
 from stereo_slam_env.baselines.dead_reckoning import DeadReckoning
 from stereo_slam_env.baselines.filterpy_ekf import FilterpyEKF
+from stereo_slam_env.baselines.fixed_lag import FixedLagSmoother
 from stereo_slam_env.baselines.frame_to_frame import FrameToFrame
 
-__all__ = ["BatchSmoother", "DeadReckoning", "FilterpyEKF", "FrameToFrame"]
+__all__ = ["BatchSmoother", "DeadReckoning", "FilterpyEKF", "FixedLagSmoother", "FrameToFrame"]

@@ -1,4 +1,4 @@
-"""The factors of `batch`: full smoothing of all poses and landmarks with GTSAM.
+"""The factors of `batch` and `fixed-lag`: poses and landmarks, stereo and motion, with GTSAM.
 
 GTSAM's error of a pose is (rotation, translation), both in the camera frame; ours is (position in W, rotation on the
 right). `_tangent` is the change between the two and the only place that knows it.
@@ -9,16 +9,19 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from types import ModuleType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.linalg import solve_triangular
+from scipy.linalg import block_diag, solve_triangular
 
 from filters import BodyVelocity, CameraState, MotionModel, StereoCamera
 from filters.contract.extras import install_command
 from filters.geometry import rotations
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.motions.model import POSE_SIZE, POSITION, ROTATION, predict_camera
+
+if TYPE_CHECKING:
+    from typing import Self
 
 # How far a landmark may lie from where it starts, m: it decides nothing, and keeps a point whose depth is not told by
 # its views from running away.
@@ -35,7 +38,7 @@ def load_gtsam() -> ModuleType:
     try:
         import gtsam
     except ImportError as error:
-        raise ValueError(f"the batch smoother needs gtsam: {install_command('gtsam')}") from error
+        raise ValueError(f"this smoother needs gtsam: {install_command('gtsam')}") from error
     module: ModuleType = gtsam
     return module
 
@@ -87,7 +90,8 @@ class SmoothingGraph:
         self._start = start
         self._start_velocity_covariance = P[POSE_SIZE:, POSE_SIZE:]
         self._time_steps: list[float] = []
-        self._keys: dict[int, int] = {}
+        self._keys: dict[int, int] = {}  # of the landmarks, by track
+        self._entered = 0
         self._rows = 0
         T = _tangent(start)
         inverse = np.linalg.inv(T)
@@ -97,9 +101,9 @@ class SmoothingGraph:
         model = self._gtsam.noiseModel.Gaussian.Covariance(covariance)
         self._measure(self._gtsam.PriorFactorPose3(self._pose_key(0), pose, model), POSE_SIZE)
 
-    def __deepcopy__(self, memo: dict[int, Any]) -> SmoothingGraph:
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
         """GTSAM's own copies; factors are immutable and shared."""
-        twin = object.__new__(SmoothingGraph)
+        twin = object.__new__(type(self))
         twin.__dict__.update(self.__dict__)
         twin._factors = self._factors.clone()
         twin._values = self._gtsam.Values(self._values)
@@ -164,7 +168,10 @@ class SmoothingGraph:
         `located` says of tracks whose depth is known the number of a pose, and where it sees them, (3,) m. The
         landmarks of the others have no depth yet, or would lie behind a camera that saw them.
         """
-        cameras = np.array([self._values.atPose3(self._pose_key(k)).matrix() for k in range(self.last + 1)])
+        needed = {*seen.pose.tolist(), *(pose for pose, _ in located.values())}
+        cameras = np.zeros((self.last + 1, 4, 4))
+        for k in needed:
+            cameras[k] = self._values.atPose3(self._pose_key(k)).matrix()
         waits = np.zeros(len(seen.track), dtype=bool)
         order = np.argsort(seen.track, kind="stable")
         values, first = np.unique(seen.track[order], return_index=True)
@@ -195,6 +202,13 @@ class SmoothingGraph:
         dof = self._rows - 6 * len(trajectory) - 3 * len(self._keys)
         return Smoothed(positions, orientations, 2.0 * float(self._factors.error(self._values)), dof)
 
+    def last_move_jacobian(self) -> FloatArray:
+        """Derivative (12, 12) of our error of the current state by GTSAM's of the two last poses."""
+        before, after = self._state_at(self.last - 1), self.state()
+        J = np.vstack([np.eye(6, 12, 6), _velocity_jacobian(before, after, self._time_steps[-1])])
+        by_poses: FloatArray = J @ block_diag(_tangent(before), _tangent(after))
+        return by_poses
+
     def _state_at(self, k: int) -> CameraState:
         """Pose `k` with the velocity of the move to it; that of the start has the one it was given."""
         if k == 0:
@@ -208,7 +222,8 @@ class SmoothingGraph:
         return CameraState(position, orientation, (position - before.translation()) / dt, turn / dt)
 
     def _add_landmark(self, i: int, point: FloatArray) -> None:
-        key = self._keys[i] = int(self._gtsam.symbol("l", len(self._keys)))
+        key = self._keys[i] = int(self._gtsam.symbol("l", self._entered))
+        self._entered += 1
         self._values.insert(key, point)
         near = self._gtsam.noiseModel.Isotropic.Sigma(3, SPREAD)
         self._factors.add(self._gtsam.PriorFactorPoint3(key, point, near))

@@ -76,6 +76,15 @@ class ImagesOptions:
             show_default="the left camera",
         ),
     ] = None
+    imu_topic: Annotated[
+        str | None,
+        typer.Option(
+            "--imu-topic", help="Inertial unit of a bag.", show_default="the only one with a place on the rig"
+        ),
+    ] = None
+    odometry_topic: Annotated[
+        str | None, typer.Option("--odometry-topic", help="Wheels of a bag, not an odometry from its pictures.")
+    ] = None
 
     def given(self) -> dict[str, Any]:
         """Arguments of `open_image_sequence`, JSON-able."""
@@ -90,6 +99,8 @@ class ImagesOptions:
             given["truth"] = self.truth
         if self.truth_body is not None:
             given["body"] = str(self.truth_body)
+        topics = {"imu": self.imu_topic, "odometry": self.odometry_topic}
+        given |= {name: topic for name, topic in topics.items() if topic is not None}
         return given
 
 

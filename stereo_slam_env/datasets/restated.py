@@ -112,7 +112,12 @@ class WithTruth:
             first = origin is None
             origin = origin or pose
             truth = None if pose is None or origin is None else origin.inverse() @ pose
-            yield replace(pair, truth=truth, odometry=None if first else pair.odometry)
+            yield replace(
+                pair,
+                truth=truth,
+                odometry=None if first else pair.odometry,
+                inertial=None if first else pair.inertial,
+            )
         self._outside = outside
         if origin is None:
             times = self._truth.timestamps

@@ -2,7 +2,7 @@
 
 The pair of cameras is found by their CameraInfo: the right one has P = K [I | -b, 0, 0]. Images of a topic with "rect"
 in its name are taken as rectified; others are rectified by D, K, R and P of CameraInfo, where that is needed. Images
-belong together by the stamps of their headers.
+belong together by the stamps of their headers. Inertial samples and odometry: see `bag_motion`.
 """
 
 from __future__ import annotations
@@ -14,12 +14,14 @@ from typing import Any
 
 import numpy as np
 
-from filters import Start, StereoCamera
+from filters import BodyVelocity, InertialSamples, Start, StereoCamera
 from filters.contract.extras import require_module
 from filters.contract.foreign_text import plain
 from filters.geometry.arrays import IntArray
+from stereo_slam_env.datasets.bag_motion import BagMotion, motion_of_bag
 from stereo_slam_env.datasets.image_files import MAX_PIXELS, BrokenPair, decoded_grey
 from stereo_slam_env.datasets.sequence import Choice, Faults
+from stereo_slam_env.recording.inertial import joined
 from stereo_slam_env.recording.recording import NO_REFERENCE, GreyImage, StereoPair
 from stereo_slam_env.recording.trajectory_bags import opened_bag
 from stereo_slam_env.sensing.lenses import Rectification
@@ -39,7 +41,14 @@ _BAYER = ("bayer_rggb8", "bayer_bggr8", "bayer_gbrg8", "bayer_grbg8")
 
 
 def open_sequence(
-    path: Path, choice: Choice, *, left: str | None = None, right: str | None = None, rig: Rig | None = None
+    path: Path,
+    choice: Choice,
+    *,
+    left: str | None = None,
+    right: str | None = None,
+    rig: Rig | None = None,
+    imu: str | None = None,
+    odometry: str | None = None,
 ) -> BagSequence:
     """Open a bag.
 
@@ -53,6 +62,8 @@ def open_sequence(
         Topics of the images; None: those of the only pair of cameras that CameraInfo shows.
     rig : str, StereoCamera or mapping, optional
         In place of what CameraInfo says, see `sensing.rigs.camera_of`; needed where there is none.
+    imu, odometry : str, optional
+        Topics of inertial samples and of wheels, see `motion_of_bag`.
 
     Raises
     ------
@@ -66,9 +77,12 @@ def open_sequence(
         topics = {c.topic: c.msgtype for c in reader.connections}
         infos = _infos(reader)
         eyes = _cameras(path, topics, infos, left, right)
-        stamps = [_stamps(reader, topic) for topic in eyes]
-    calibration = calibration_of(rig) if rig is not None else _calibration(path, eyes, infos)
-    return BagSequence(path, eyes, calibration, _pairs(path, eyes, stamps), choice)
+        pairs = _chosen(_pairs(path, eyes, [_stamps(reader, topic) for topic in eyes]), path, choice)
+        calibration = calibration_of(rig) if rig is not None else _calibration(path, eyes, infos)
+        turn = calibration.R_left if isinstance(calibration, Rectification) and calibration.needed else np.eye(3)
+        times = 1e-9 * np.asarray(pairs[:, 0], dtype=np.float64)
+        motion = motion_of_bag(reader, path, eyes[0], times, turn, imu, odometry)
+    return BagSequence(path, eyes, calibration, pairs, choice, motion)
 
 
 class BagSequence:
@@ -77,12 +91,17 @@ class BagSequence:
     start, truth_from = Start(), NO_REFERENCE
 
     def __init__(
-        self, path: Path, eyes: tuple[str, str], calibration: Calibration, pairs: IntArray, choice: Choice
+        self,
+        path: Path,
+        eyes: tuple[str, str],
+        calibration: Calibration,
+        pairs: IntArray,
+        choice: Choice,
+        motion: BagMotion,
     ) -> None:
-        first, last = choice.first or 0, len(pairs) - 1 if choice.last is None else choice.last
-        self._pairs, self._first = pairs[first : last + 1], first
-        if not len(self._pairs):
-            raise ValueError(f"first={choice.first}, last={choice.last} select no frame of {path}: it has {len(pairs)}")
+        first = choice.first or 0
+        self._pairs, self._motion = pairs, motion
+        self._seconds = 1e-9 * (pairs[:, 0] - pairs[0, 0])
         self._path, self._eyes, self._on_broken = path, eyes, choice.on_broken
         self._rectify = calibration if isinstance(calibration, Rectification) and calibration.needed else None
         self.name = path.stem
@@ -95,6 +114,7 @@ class BagSequence:
             "last": first + len(self._pairs) - 1,
             "on_broken": choice.on_broken,
             "epoch_s": 1e-9 * int(self._pairs[0, 0]),
+            **motion.source,
         }
         self._skipped: Mapping[str, int] = {}
 
@@ -117,7 +137,7 @@ class BagSequence:
         faults = Faults(self._on_broken)
         wanted = [set(column.tolist()) for column in self._pairs.T]
         waiting: tuple[dict[int, Any], dict[int, Any]] = ({}, {})
-        number = 0
+        number, used = 0, -1  # the pair at hand, and the last one that was good
         with opened_bag(self._path) as reader:
             chosen = [c for c in reader.connections if c.topic in self._eyes]
             for connection, _, raw in reader.messages(chosen):
@@ -136,9 +156,19 @@ class BagSequence:
                         faults.meet(fault)
                     else:
                         left, right = images if self._rectify is None else self._rectify(images[0], images[1])
-                        yield StereoPair(1e-9 * (times[0] - int(self._pairs[0, 0])), left, right)
+                        yield StereoPair(float(self._seconds[number]), left, right, None, *self._step(used, number))
+                        used = number
                     number += 1
         self._skipped = dict(faults.counts)
+
+    def _step(self, begin: int, end: int) -> tuple[BodyVelocity | None, InertialSamples | None]:
+        """Odometry and inertial samples from pair `begin` to pair `end`; nothing before the first."""
+        if begin < 0:
+            return None, None
+        epoch, t = float(self.source["epoch_s"]), self._seconds
+        steps = self._motion.inertial[begin + 1 : end + 1]
+        samples = joined(steps, np.diff(t[begin : end + 1])) if steps else None
+        return self._motion.step(epoch + t[begin], epoch + t[end]), samples
 
     def _image(self, reader: Any, topic: str, kind: str, raw: bytes) -> GreyImage:
         size = self.camera.width, self.camera.height
@@ -263,6 +293,13 @@ def _stamp(raw: bytes) -> int:
 def _stamps(reader: Any, topic: str) -> IntArray:
     chosen = [c for c in reader.connections if c.topic == topic]
     return np.unique(np.array([_stamp(raw) for _, _, raw in reader.messages(chosen) if len(raw) >= 12], dtype=np.int64))
+
+
+def _chosen(pairs: IntArray, path: Path, choice: Choice) -> IntArray:
+    first, last = choice.first or 0, len(pairs) - 1 if choice.last is None else choice.last
+    if not len(chosen := pairs[first : last + 1]):
+        raise ValueError(f"first={choice.first}, last={choice.last} select no frame of {path}: it has {len(pairs)}")
+    return chosen
 
 
 def _pairs(path: Path, eyes: tuple[str, str], stamps: list[IntArray]) -> IntArray:

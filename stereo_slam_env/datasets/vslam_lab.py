@@ -33,7 +33,14 @@ LARGEST_SHIFT_NS = 5_000_000
 """Images of one pair are taken no further apart."""
 
 
-def open_sequence(path: Path, choice: Choice, *, use_truth: bool = True) -> RecordedSequence:
+def open_sequence(
+    path: Path,
+    choice: Choice,
+    *,
+    use_truth: bool = True,
+    rgb_csv: str | Path | None = None,
+    calibration: str | Path | None = None,
+) -> RecordedSequence:
     """Open the folder of one sequence.
 
     Parameters
@@ -44,18 +51,22 @@ def open_sequence(path: Path, choice: Choice, *, use_truth: bool = True) -> Reco
         Frames to use, see `open_image_sequence`, also for what is raised; frame k is row k of `rgb.csv`.
     use_truth : bool
         Whether to read the true poses, where there are any, and to leave out the frames that they do not cover.
+    rgb_csv, calibration : str or Path, optional
+        Files in place of `rgb.csv` and `calibration.yaml`, as an experiment of VSLAM-LAB has its own.
     """
     path = path.resolve()
-    listing, calibration, table = path / "rgb.csv", path / "calibration.yaml", path / "groundtruth.csv"
+    listing = path / "rgb.csv" if rgb_csv is None else Path(rgb_csv)
+    sheet = path / "calibration.yaml" if calibration is None else Path(calibration)
+    table = path / "groundtruth.csv"
     stamps, images = _read_listing(listing, path)
-    found = read_calibration(calibration)
+    found = read_calibration(sheet)
     rectify = found if isinstance(found, Rectification) and found.needed else None
     camera = found.camera if isinstance(found, Rectification) else found
     seconds = 1e-9 * (stamps - stamps[0])
     truth, truth_from = None, NO_REFERENCE
     if use_truth and table.exists() and (rows := _rows(table)).size:
         trajectory = Trajectory(rows[:, 1:4], rows[:, 4:8], 1e-9 * (rows[:, 0] - stamps[0]), gauge=None)
-        T_bc = _of_matrix(body_of_camera(calibration))
+        T_bc = _of_matrix(body_of_camera(sheet))
         if rectify is not None:
             T_bc = T_bc @ Pose(np.zeros(3), rotations.from_matrix(rectify.R_left.T))
         truth = [pose_at(trajectory, time, T_bc) for time in seconds]

@@ -58,7 +58,7 @@ def read_bag(path: Path, topic: str | None) -> Trajectory:
         types = {c.topic: c.msgtype for c in reader.connections}
         name, _, pair = (topic or "").partition(":")
         asked = [c for c in types if topic and c.strip("/") == name.strip("/")]
-        moving = _links(reader) if pair or _TRANSFORMS in types.values() else {}
+        moving = transforms_of(reader) if pair or _TRANSFORMS in types.values() else {}
         if pair or [types[c] for c in asked] == [_TRANSFORMS]:
             return _of_transforms(path, name, pair, moving)
         with_poses = sorted(c for c, kind in types.items() if kind in _TYPES)
@@ -130,11 +130,12 @@ def _rows(reader: Any, topic: str) -> tuple[list[list[float]], list[Any]]:
     return rows, doubts
 
 
-def _links(reader: Any) -> dict[str, Link]:
+def transforms_of(reader: Any) -> dict[str, Link]:
     """All transforms of a bag, whatever their topics are called, by the frame that they are of."""
 
     def told() -> Iterator[tuple[str, str, bool, list[float]]]:
-        for connection, _, raw in reader.messages([c for c in reader.connections if c.msgtype == _TRANSFORMS]):
+        chosen = [c for c in reader.connections if c.msgtype == _TRANSFORMS]
+        for connection, _, raw in reader.messages(chosen) if chosen else ():  # of no connections it gives all messages
             is_static = connection.topic.endswith(_STATIC)
             for one in reader.deserialize(raw, connection.msgtype).transforms:
                 stamp, p, q = one.header.stamp, one.transform.translation, one.transform.rotation

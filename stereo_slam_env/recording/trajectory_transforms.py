@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
+from filters import Pose
 from filters.contract.foreign_text import plain
 from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray
@@ -94,6 +95,23 @@ def poses_between(links: Mapping[str, Link], pair: str) -> FloatArray:
         positions = positions + rotations.turned(rotations.matrix(orientations), step)
         orientations = rotations.multiply(orientations, turn)
     return np.column_stack([times, positions, orientations])
+
+
+def fixed_pose(links: Mapping[str, Link], parent: str, child: str) -> Pose | None:
+    """The pose of frame `child` in frame `parent` by static transforms alone; None where none lead there."""
+    ways = [_in_fixed_ancestors(links, frame) for frame in (parent, child)]
+    common = next((name for name in ways[0] if name in ways[1]), None)
+    return None if common is None else ways[0][common].inverse() @ ways[1][common]
+
+
+def _in_fixed_ancestors(links: Mapping[str, Link], frame: str) -> dict[str, Pose]:
+    """Poses of a frame in itself and in the frames above it that it is fixed to."""
+    found, name = {frame: Pose()}, frame
+    while name in links and links[name].is_static and links[name].parent not in found:
+        link = links[name]
+        found[link.parent] = Pose(link.rows[-1, 1:4], link.rows[-1, 4:]) @ found[name]
+        name = link.parent
+    return found
 
 
 def listed(links: Mapping[str, Link]) -> str:

@@ -15,6 +15,7 @@ from stereo_slam_env.benchmark.statistics.differences import MIN_PAIRS
 from stereo_slam_env.benchmark.statistics.measures import PairwiseTable, compare_all
 from stereo_slam_env.benchmark.statistics.policy_verdict import Looks, judge_policies
 from stereo_slam_env.benchmark.statistics.remarks import innovation_remarks, reference_remarks
+from stereo_slam_env.benchmark.statistics.repeats import compare_systems, run_spread, systems
 from stereo_slam_env.benchmark.statistics.verdict import Verdict, judge
 from stereo_slam_env.evaluation.reference_audit import ReferenceAudit
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
@@ -320,7 +321,28 @@ def _pairs(summaries: Sequence[FilterSummary], figures: Figures, verdict: Verdic
     if len(summaries) < 2:
         return Markup()
     baseline = verdict.best if len(summaries) > MOST_SHOWN else None
-    return _against(compare_all(summaries, figures, baseline=baseline), baseline, "Filter", out)
+    return _repeated(figures, out) + _against(
+        compare_all(summaries, figures, baseline=baseline), baseline, "Filter", out
+    )
+
+
+def _repeated(figures: Figures, out: Path) -> Markup:
+    """Systems over runs and recordings, where one is run several times."""
+    compared = compare_systems(figures)
+    if compared is None:
+        return Markup()
+    many = {name: labels for name, labels in systems(list(figures)).items() if len(labels) > 1}
+    told = [
+        f"{name}: {len(labels)} runs of each recording, whose position errors scatter by "
+        f"{100 * run_spread(figures, labels):.2g} % (standard deviation)"
+        for name, labels in many.items()
+    ]
+    guide = (
+        f"{'; '.join(told)}. Of each recording the mean over runs counts, and the recordings are the sample: their"
+        " scatter holds that of the runs, too. A system that is run once counts as it is."
+    )
+    table = tables.pair_table(compared, "System", out / TABLES / "systems.tex")
+    return part("section", "Systems, over runs and recordings", guide, [table])
 
 
 def _against(compared: PairwiseTable, baseline: str | None, who: str, out: Path) -> Markup:

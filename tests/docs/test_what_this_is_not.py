@@ -436,13 +436,14 @@ def no_deadline():
 
 @says("No ROS in the package.")
 @says(
-    "Bags are read without it; the node is a template, and the odometry and the inertial samples of a bag are not read."
+    "Bags are read without it; the node is a template, and convert writes neither the odometry nor the inertial "
+    "samples of a bag."
 )
 def no_ros():
     assert {name.split(".")[0] for _, name in imported()}.isdisjoint({"rospy", "rclpy"})
     assert "rclpy" in (ROOT / "templates" / "ros2-node" / "stereo_slam_node" / "node.py").read_text(encoding="utf-8")
-    reader = (ROOT / "stereo_slam_env" / "datasets" / "ros_bag.py").read_text(encoding="utf-8")
-    assert not re.search(r"nav_msgs|sensor_msgs/msg/Imu", reader)
+    writer = (ROOT / "stereo_slam_env" / "datasets" / "bag_writer.py").read_text(encoding="utf-8")
+    assert not re.search(r"nav_msgs|sensor_msgs/msg/Imu", writer)
 
 
 @says("Nothing is downloaded.")

@@ -34,9 +34,9 @@ def ate(run: FilterRun) -> float:
     return ate_rigid(run.positions[scored], run.true_positions[scored])
 
 
-@pytest.mark.parametrize("name", ["dead-reckoning", "frame-to-frame", "batch"])
+@pytest.mark.parametrize("name", ["dead-reckoning", "frame-to-frame", "batch", "fixed-lag"])
 def test_every_baseline_keeps_the_contract(name: str) -> None:
-    if name == "batch":
+    if name in ("batch", "fixed-lag"):
         pytest.importorskip("gtsam", reason="needs the extra gtsam")
     check_filter(lambda camera, noise: make_filter(name, camera=camera, noise=noise))
 

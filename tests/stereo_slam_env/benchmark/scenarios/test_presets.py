@@ -22,8 +22,8 @@ def data(tmp_path):
 @pytest.mark.parametrize("name", presets())
 def test_a_preset_has_its_name_a_line_on_itself_and_filters_that_exist(name, data):
     study = preset_study(name, data=data)
-    if any(choice.name == "batch" for cell in study.cells for choice in cell.scenario.filters):
-        pytest.importorskip("gtsam", reason="the filter batch needs the extra gtsam")
+    if any(choice.name in ("batch", "fixed-lag") for cell in study.cells for choice in cell.scenario.filters):
+        pytest.importorskip("gtsam", reason="batch and fixed-lag need the extra gtsam")
     assert study.name == name
     assert 20 < len(presets()[name]) < 120
     check_study(study)

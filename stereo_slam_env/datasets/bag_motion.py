@@ -1,0 +1,189 @@
+"""What a bag tells of the motion besides its pictures: inertial samples (Imu) and the steps of an odometry (Odometry).
+
+Where the unit, and the body of the odometry, are on the rig is asked of the static transforms (/tf_static), from their
+frames to that of the left images. Noise is what the messages state.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from filters import BodyVelocity, InertialSamples, InertialUnit, Pose
+from filters.contract.foreign_text import plain
+from filters.geometry import rotations
+from filters.geometry.arrays import FloatArray
+from stereo_slam_env.datasets.restated import pose_at
+from stereo_slam_env.recording.inertial import samples_of_steps
+from stereo_slam_env.recording.trajectory import Trajectory
+from stereo_slam_env.recording.trajectory_bags import transforms_of
+from stereo_slam_env.recording.trajectory_transforms import fixed_pose
+from stereo_slam_env.sensing.imu import DATA_SHEETS
+
+IMU, ODOMETRY = "sensor_msgs/msg/Imu", "nav_msgs/msg/Odometry"
+ASSUMED = "bmi088"
+"""Data sheet of what messages do not state: the walks of the biases, and densities where a covariance is zero."""
+
+
+@dataclass(frozen=True, eq=False)
+class BagMotion:
+    """Inertial samples and odometry of a bag; either may be absent."""
+
+    inertial: list[InertialSamples | None]
+    """Of the step to each pair; empty without a unit."""
+    odometry: Trajectory | None
+    """Poses of the left camera by the odometry, on the clock of the pairs."""
+    twist: FloatArray
+    """(6, 6): covariance of the camera's mean velocity over a step, linear before angular."""
+    source: Mapping[str, Any]
+    """Topics, and whose noise was assumed."""
+
+    def step(self, begin: float, end: float) -> BodyVelocity | None:
+        """The mean velocity of the camera between two times, s; None where the odometry does not cover them."""
+        if self.odometry is None:
+            return None
+        before, after = pose_at(self.odometry, begin), pose_at(self.odometry, end)
+        if before is None or after is None:
+            return None
+        moved, dt = before.inverse() @ after, end - begin
+        turn = rotations.log(moved.R_wc)
+        return BodyVelocity(rotations.exp(-0.5 * turn) @ moved.position / dt, turn / dt, self.twist)
+
+
+def motion_of_bag(
+    reader: Any, path: Path, images: str, times: FloatArray, R_left: FloatArray, imu: str | None, odometry: str | None
+) -> BagMotion:
+    """Read what there is.
+
+    Parameters
+    ----------
+    reader : AnyReader
+        The bag, open.
+    path : Path
+        Its name, for messages.
+    images : str
+        Topic of the left images.
+    times : (K,) ndarray
+        Of the left images, s, on the robot's clock.
+    R_left : (3, 3) ndarray
+        From the left camera as it is mounted to the rectified one.
+    imu, odometry : str, optional
+        Topics. Without `imu` the only one that is linked with the camera is taken; no odometry is taken unasked, since
+        it may come from the same pictures.
+
+    Raises
+    ------
+    ValueError
+        No such topic, a frame that no static transform links with the camera, or an odometry without a covariance.
+    """
+    kinds = {c.topic: c.msgtype for c in reader.connections}
+    for topic, kind, option in ((imu, IMU, "imu"), (odometry, ODOMETRY, "odometry")):
+        if topic is not None and kinds.get(topic) != kind:
+            offered = ", ".join(plain(name) for name, one in sorted(kinds.items()) if one == kind) or "none"
+            raise ValueError(f"{path} has no {kind} on {topic!r}: {option} must be one of its topics ({offered})")
+    units = [topic for topic, kind in kinds.items() if kind == IMU] if imu is None else [imu]
+    mounting = _Mounting(reader, path, images, R_left) if units or odometry is not None else None
+    inertial, source = list[InertialSamples | None](), dict[str, Any]()
+    if mounting is not None and (imu is not None or len(units) == 1):
+        inertial, source = _inertial(reader, mounting, units[0], times, asked=imu is not None)
+    if mounting is None or odometry is None:
+        return BagMotion(inertial, None, np.zeros((6, 6)), source)
+    poses, twist = _odometry(reader, mounting, odometry)
+    return BagMotion(inertial, poses, twist, {**source, "odometry": odometry})
+
+
+class _Mounting:
+    """Poses of the rectified left camera in the frames that static transforms link with it."""
+
+    def __init__(self, reader: Any, path: Path, images: str, R_left: FloatArray) -> None:
+        self.path, self._links = path, transforms_of(reader)
+        self._camera = _first(reader, images).header.frame_id.strip("/")
+        self._turn = Pose(np.zeros(3), rotations.from_matrix(R_left.T))
+
+    def camera_in(self, frame: str) -> Pose:
+        """T_fc of the camera in a frame."""
+        found = fixed_pose(self._links, frame.strip("/"), self._camera)
+        if found is None:
+            said = f"no static transform links {plain(frame)!r} with the camera's frame {plain(self._camera)!r}"
+            raise ValueError(f"{self.path}: {said}: record /tf_static with it")
+        return found @ self._turn
+
+
+def _inertial(
+    reader: Any, mounting: _Mounting, topic: str, times: FloatArray, *, asked: bool
+) -> tuple[list[InertialSamples | None], dict[str, Any]]:
+    """Samples of the steps between `times`; nothing where the unit is not asked for and its place is not known."""
+    messages = [(stamp, message) for stamp, message in _messages(reader, topic)]
+    try:
+        if len(messages) < 2:
+            raise ValueError(f"{mounting.path}: {topic} has {len(messages)} messages: record it again")
+        T_ci = mounting.camera_in(messages[0][1].header.frame_id).inverse()
+    except ValueError as error:
+        if asked:
+            raise
+        return [], {"imu": None, "imu_unused": str(error)}
+    rows = np.array([[stamp, *_vector(m.angular_velocity), *_vector(m.linear_acceleration)] for stamp, m in messages])
+    rows = rows[np.unique(rows[:, 0], return_index=True)[1]]
+    stated = np.array(
+        [[m.angular_velocity_covariance[::4], m.linear_acceleration_covariance[::4]] for _, m in messages]
+    )
+    sheet, variances = DATA_SHEETS[ASSUMED], np.median(stated, axis=0).mean(axis=1)
+    step = float(np.median(np.diff(rows[:, 0])))
+    known = bool((variances > 0.0).all())
+    gyro, accelerometer = sheet.gyro_density, sheet.accelerometer_density
+    if known:
+        gyro, accelerometer = np.sqrt(variances * step).tolist()
+    unit = InertialUnit(T_ci.position, T_ci.orientation, gyro, accelerometer, sheet.gyro_walk, sheet.accelerometer_walk)
+    assumed = "walks of the biases" if known else "densities and walks"
+    origin = times[0]
+    samples = samples_of_steps(mounting.path, rows[:, 0] - origin, rows[:, 1:], times - origin, unit)
+    return samples, {"imu": topic, "imu_assumed": f"{assumed} of {ASSUMED}"}
+
+
+def _odometry(reader: Any, mounting: _Mounting, topic: str) -> tuple[Trajectory, FloatArray]:
+    """Poses of the camera, and the covariance of its velocity: that of the twists, carried from the body to it."""
+    rows, doubts, body = [], [], ""
+    for stamp, message in _messages(reader, topic):
+        p, q = message.pose.pose.position, message.pose.pose.orientation
+        rows.append([stamp, p.x, p.y, p.z, q.x, q.y, q.z, q.w])
+        doubts.append(np.asarray(message.twist.covariance).reshape(6, 6))
+        body = message.child_frame_id
+    table = np.array(rows).reshape(-1, 8)
+    table = table[np.unique(table[:, 0], return_index=True)[1]]
+    if len(table) < 2:
+        raise ValueError(f"{mounting.path}: {topic} has {len(table)} messages: record it again")
+    covariance = np.median(doubts, axis=0)
+    if not covariance.any():
+        said = f"{topic} states no covariance of its twist, so that nobody knows what it is worth"
+        raise ValueError(f"{mounting.path}: {said}: have the driver state one, or leave it out")
+    T_bc = mounting.camera_in(body)
+    R_cb = T_bc.R_wc.T
+    J = np.block([[R_cb, -R_cb @ rotations.skew(T_bc.position)], [np.zeros((3, 3)), R_cb]])
+    twist = J @ covariance @ J.T
+    poses = [Pose(row[1:4], row[4:8]) @ T_bc for row in table]
+    found = Trajectory(
+        np.array([pose.position for pose in poses]),
+        np.array([pose.orientation for pose in poses]),
+        table[:, 0],
+        gauge=None,
+    )
+    return found, 0.5 * (twist + twist.T)
+
+
+def _messages(reader: Any, topic: str) -> Any:
+    """Stamps, s, and messages of a topic."""
+    for connection, _, raw in reader.messages([c for c in reader.connections if c.topic == topic]):
+        message = reader.deserialize(raw, connection.msgtype)
+        yield message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec, message
+
+
+def _first(reader: Any, topic: str) -> Any:
+    return next(message for _, message in _messages(reader, topic))
+
+
+def _vector(of: Any) -> tuple[float, float, float]:
+    return of.x, of.y, of.z

@@ -1,0 +1,88 @@
+"""Fixed-lag smoothing: its window, its covariance by Monte Carlo, and its copies (15 s)."""
+
+from __future__ import annotations
+
+import copy
+
+import numpy as np
+import pytest
+
+from stereo_slam_env.benchmark.recordings.reference_problem import long_drive, short_turn
+
+pytest.importorskip("gtsam", reason="needs the extra gtsam")
+
+from stereo_slam_env.baselines.batch import BatchSmoother
+from stereo_slam_env.baselines.fixed_lag import FixedLagSmoother
+
+from .test_batch import driven, with_outliers
+
+
+def smoother(recording, **options):
+    return driven(FixedLagSmoother(recording.camera, recording.noise, **options), recording)
+
+
+def test_a_window_that_holds_the_whole_drive_is_full_smoothing():
+    recording = short_turn(0)
+    full = driven(BatchSmoother(recording.camera, recording.noise, gate=None), recording).smooth()
+    windowed = smoother(recording, gate=None, lag=100)
+    np.testing.assert_allclose(windowed.pose.position, full.positions[-1], atol=2e-4)
+
+
+def test_the_window_has_the_poses_of_its_lag_and_the_landmarks_they_saw():
+    recording = long_drive(0, frames=25, landmarks=30)
+    graph = smoother(recording, gate=None, lag=5)._graph
+    stamps = graph._smoother.timestamps()
+    assert min(stamps.values()) == 24 - 5
+    poses = [key for key in stamps if graph._values.exists(key) and key not in graph._keys.values()]
+    assert len(poses) == 6
+    recent = {i for frame in recording.frames[-6:] for i in frame.observation.ids.tolist()}
+    assert 0 < len(graph._keys) <= len(recent)
+
+
+def test_the_covariance_is_that_of_the_errors():
+    """Pose NEES / 6 at the end of 16 turns, mean of a chi-square with 96 degrees of freedom: 99.9 % band."""
+    nees = []
+    for seed in range(16):
+        recording = short_turn(seed)
+        truth = recording.frames[-1].truth
+        error, covariance = smoother(recording, gate=None, lag=4).pose_error(truth.position, truth.orientation)
+        nees.append(error @ np.linalg.solve(covariance, error) / 6.0)
+    assert 0.59 < np.mean(nees) < 1.53
+
+
+def test_velocity_and_its_covariance_are_those_of_the_last_move():
+    recording = short_turn(1)
+    slam = smoother(recording, gate=None)
+    truth, before = recording.frames[-1].truth, recording.frames[-2].truth
+    dt = recording.frames[-1].timestamp - recording.frames[-2].timestamp
+    error = (truth.position - before.position) / dt - slam.velocity.linear
+    assert error @ np.linalg.solve(slam.velocity.covariance[:3, :3], error) < 16.3  # chi-square of 3, 99.9 %
+
+
+def test_a_deep_copy_goes_its_own_way_to_the_same_bits():
+    recording = short_turn(3)
+    slam = smoother(recording)
+    twin = copy.deepcopy(slam)
+    for one in (slam, twin):
+        one.predict(0.1)
+        one.update(recording.frames[-1].observation)
+    np.testing.assert_array_equal(slam.pose.position, twin.pose.position)
+    np.testing.assert_array_equal(slam.pose.covariance, twin.pose.covariance)
+
+
+def test_the_guide_keeps_outliers_out():
+    recording = with_outliers(short_turn(4), 0.25)
+    end = recording.frames[-1].truth.position
+    defended, bare = (
+        np.linalg.norm(smoother(recording, **options).pose.position - end)
+        for options in ({"consensus": True}, {"gate": None})
+    )
+    assert defended < 0.2
+    assert bare > 3 * defended
+
+
+@pytest.mark.parametrize("lag", [1, 2.5, True])
+def test_an_impossible_lag_is_refused(lag):
+    recording = short_turn(0, frames=2)
+    with pytest.raises(ValueError, match="lag must be"):
+        FixedLagSmoother(recording.camera, recording.noise, lag=lag)
