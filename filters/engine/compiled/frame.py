@@ -38,7 +38,7 @@ from filters.engine.compiled.recipe import Plan, Recipe
 from filters.engine.compiled.retraction import move, retract, retract_by_numbers, scales_blocks
 from filters.engine.compiled.scratch import Scratch
 from filters.engine.compiled.sigma_points import fit
-from filters.engine.compiled.storage import BEHIND, BLOCKS, FAILED, GATED, LANDMARKS, OWN, USED, Frame, Storage
+from filters.engine.compiled.storage import BEHIND, BLOCKS, FAILED, GATED, LANDMARKS, OWN, USED, FrameArrays, Storage
 from filters.engine.compiled.units import (
     ADDRESSES,
     AGREE,
@@ -113,13 +113,13 @@ def _linearise(
 
 
 @njit(**KERNEL)
-def _size(plan: Plan, frame: Frame, variant: int, stage: int) -> int:
+def _size(plan: Plan, frame: FrameArrays, variant: int, stage: int) -> int:
     """Rows of a stage."""
     return frame.sizes[variant, stage] if plan.by_numbers else plan.rows[variant, stage, 0]
 
 
 @njit(**KERNEL)
-def _limit(plan: Plan, frame: Frame, variant: int, stage: int) -> float:
+def _limit(plan: Plan, frame: FrameArrays, variant: int, stage: int) -> float:
     """Squared distance up to which a measurement of a stage is believed."""
     return frame.limits[variant, stage] if plan.by_numbers else plan.limits[variant, stage]
 
@@ -309,7 +309,15 @@ def _apply(
 
 @njit(**KERNEL)
 def _stage(
-    routines: Routines, plan: Plan, variant: int, stage: int, S: Storage, b: int, s: Scratch, frame: Frame, known: int
+    routines: Routines,
+    plan: Plan,
+    variant: int,
+    stage: int,
+    S: Storage,
+    b: int,
+    s: Scratch,
+    frame: FrameArrays,
+    known: int,
 ) -> tuple[float, int]:
     """One stage of the update, with the measurements whose fate so far is USED; NIS and dof."""
     x, blocks, P = S.x[b], S.blocks[b], S.P[b]
@@ -370,7 +378,7 @@ def _stage(
 
 @njit(**KERNEL)
 def _candidates(
-    routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch, frame: Frame, first: int, last: int
+    routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch, frame: FrameArrays, first: int, last: int
 ) -> int:
     """Landmarks that start from measurements of unknown ones, in `place`, with their fates; their number."""
     if plan.by_numbers:
@@ -411,7 +419,15 @@ def _may_change(routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch) 
 
 @njit(**KERNEL)
 def _renew(
-    routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch, frame: Frame, first: int, last: int, found: int
+    routines: Routines,
+    plan: Plan,
+    S: Storage,
+    b: int,
+    s: Scratch,
+    frame: FrameArrays,
+    first: int,
+    last: int,
+    found: int,
 ) -> None:
     """Landmarks that were not seen leave, new ones enter, and some change over to points."""
     landmarks, new, gone = S.counts[b, LANDMARKS], 0, 0
@@ -459,7 +475,7 @@ def _carry(routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch, back:
 
 
 @njit(**KERNEL)
-def _predict(routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch, frame: Frame) -> None:
+def _predict(routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch, frame: FrameArrays) -> None:
     """The step of one filter, and odometry as a measurement after it."""
     P, x = S.P[b], S.x[b]
     n, before = plan.leading + plan.size * S.counts[b, BLOCKS], pose_variances(P)
@@ -487,7 +503,7 @@ def _predict(routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch, fra
 
 
 @njit(**KERNEL)
-def _advance(routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch, frame: Frame) -> None:
+def _advance(routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch, frame: FrameArrays) -> None:
     """The frame of one filter."""
     if not (frame.seen[b] or frame.dt[b] > 0.0):
         return
