@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from filters import BodyVelocity, Pose, Start, StereoCamera, StereoObservation
 from filters.geometry.arrays import FloatArray, IntArray
 from stereo_slam_env.recording.recording import SIMULATION, Frame, LandmarkTruth, Recording, Velocity
-from stereo_slam_env.sensing.imu import GRAVITY, Imu, Path
+from stereo_slam_env.sensing.imu import GRAVITY, DataSheet, Imu, Path
 from stereo_slam_env.sensing.pixel_noise import NOISE_MODELS
 from stereo_slam_env.sensing.rigs import Rig, camera_of
 
@@ -46,7 +46,7 @@ def _recorded(
     frames: int = 200,
     landmarks: int = 40,
     rig: Rig = "reference",
-    imu: str = "adis16448",
+    imu: str | DataSheet = "adis16448",
     imu_rate: float = 200.0,
     time_offset: float = 0.0,
 ) -> Recording:
@@ -68,8 +68,8 @@ def _recorded(
         Length, 0.1 s each.
     landmarks : int
         Tracks in a frame.
-    imu : str
-        Data sheet of the unit, see `sensing.imu.DATA_SHEETS`.
+    imu : str or DataSheet
+        Data sheet of the unit, or the name of one of `sensing.imu.DATA_SHEETS`.
     imu_rate, time_offset : float
         Samples a second, and the error of its clock, s.
 
