@@ -20,7 +20,6 @@ from filters import (
     Strapdown,
     Variable,
 )
-from filters.engine.compiled.retraction import left_jacobian_derivative
 from filters.geometry import rotations, symmetric
 
 from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, SPEED, drive, start
@@ -120,6 +119,19 @@ def test_what_is_considered_stays_as_it_was_to_the_bit(error: str, measurement: 
         np.testing.assert_array_equal(slam.belief(name).covariance, belief.covariance)
 
 
+def test_iterations_do_not_move_what_is_considered() -> None:
+    """Next to certain, it is as if it were not there."""
+    found = []
+    for measurement in (CalibratedPair(baseline_sigma=1e-9, considered=True), "joint"):
+        slam = start(make(measurement=measurement, iterations=2))
+        for k, frame in enumerate(drive(33, 6, visible=12, depths=(6.0, 30.0))):
+            if k:
+                slam.predict(DT)
+            slam.update(frame.observation)
+        found.append(np.concatenate([slam.pose.position, slam.pose.covariance.ravel()]))
+    np.testing.assert_allclose(*found, rtol=1e-7, atol=1e-10)
+
+
 def test_a_random_walk_grows_with_time_and_not_with_the_number_of_steps() -> None:
     walk = np.array([0.02, 0.003])
     pair = ShearedPair((replace(DISPARITY, random_walk=walk),))
@@ -162,5 +174,4 @@ def test_the_kernel_of_the_derivative_of_j_l_is_its_numpy_form(angle: float) -> 
     """On both sides of where its series ends."""
     theta, a = angle * np.array([2.0, -1.0, 2.0]) / 3.0, np.array([3.0, 5.0, -7.0])
     expected = rotations.left_jacobian_derivative(theta, a[None])[0]
-    kernel = getattr(left_jacobian_derivative, "py_func", left_jacobian_derivative)
-    np.testing.assert_allclose(kernel(*theta, *a), expected.ravel(), rtol=0, atol=1e-11)
+    np.testing.assert_allclose(rotations.left_jacobian_derivative_of(*theta, *a), expected.ravel(), rtol=0, atol=1e-11)
