@@ -152,9 +152,9 @@ def test_raw_packets_are_inertial_samples_of_the_unit_that_is_calibrated(tmp_pat
         R_ci = Rotation.from_quat(np.array(samples.unit.orientation))
         assert samples.times.tolist() == pytest.approx([pair.timestamp - before.timestamp])
         np.testing.assert_allclose(samples.unit.position, R_RECT @ T_ci[:3, 3], atol=1e-9)
-        np.testing.assert_allclose((R_wc * R_ci).apply(samples.specific_forces)[0], up, atol=0.2)
+        np.testing.assert_allclose((R_wc * R_ci).apply(np.array(samples.specific_forces[0])), up, atol=0.2)
         turn = (Rotation.from_quat(before.truth.orientation).inv() * R_wc).as_rotvec() / DT
-        np.testing.assert_allclose(R_ci.apply(samples.angular_rates)[0], turn, atol=0.2)
+        np.testing.assert_allclose(R_ci.apply(np.array(samples.angular_rates[0])), turn, atol=0.2)
 
 
 def test_a_raw_drive_with_samples_is_saved_loaded_and_replayed_to_the_same_bits(tmp_path):
