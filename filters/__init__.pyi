@@ -40,6 +40,7 @@ from .contract.update_report import UpdateReport as UpdateReport
 from .contract.variables import Variable as Variable
 from .contract.variables import VariableBelief as VariableBelief
 from .engine.batch import FilterBatch as FilterBatch
+from .engine.kernel import kernel as kernel
 from .engine.stereo_ekf import StereoEKF as StereoEKF
 from .errors.first_estimates import FirstEstimates as FirstEstimates
 from .errors.invariant import LeftInvariant as LeftInvariant

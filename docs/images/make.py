@@ -21,6 +21,7 @@ from pathlib import Path
 
 import pictures_of_concepts as concepts
 import pictures_of_drives as drives
+import pictures_of_inertial as inertial
 import pictures_of_runs as runs
 
 HERE = Path(__file__).resolve().parent
@@ -40,6 +41,8 @@ OF_RUNS: Mapping[str, Callable[..., None]] = {
     "paper_cloud.png": runs.paper_cloud,
     "paper_depth.png": runs.paper_depth,
     "learning_curve.png": runs.learning_curve,
+    "inertial_nees.png": inertial.nees,
+    "inertial_worth.png": inertial.worth,
 }
 """Pictures of runs that measure time, take long, or are drawn by another program."""
 PICTURES = [*REPEATABLE, *OF_RUNS]

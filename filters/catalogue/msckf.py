@@ -8,28 +8,27 @@ room, landmarks are in the map instead (Li and Mourikis 2013). Derivation: docs/
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
-from functools import cache
-from itertools import chain
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import qr
+from scipy.special import chdtri
 
-from filters.contract.noise import StereoNoise
-from filters.contract.observation import StereoObservation
-from filters.contract.start import Start
-from filters.contract.stereo_filter import AT_ORIGIN
-from filters.contract.update_report import Correction, UpdateReport
-from filters.contract.validation import unique_ids
-from filters.engine.gating import gate_limit
-from filters.engine.stereo_ekf import StereoEKF
-from filters.geometry.arrays import FloatArray, IntArray
-from filters.geometry.camera import StereoCamera
-from filters.geometry.rotations import matrix_of
-from filters.geometry.three_by_three import cross_matrix, multiply, put, times, transposed
-from filters.measurements.rectified_pair import LeftOnly, RangeBearing
+from filters import (
+    LeftOnly,
+    RangeBearing,
+    Start,
+    StereoCamera,
+    StereoEKF,
+    StereoNoise,
+    StereoObservation,
+    UpdateReport,
+    kernel,
+)
 
+Array = NDArray[np.float64]
 _LEAST = 3
 """Frames of a track that is used: with two, little is left beside the landmark."""
 _STEPS, _SETTLED = 10, 1e-14
@@ -38,110 +37,79 @@ _NEAREST, _BLIND = 0.05, 1e-12
 """Depth of a point over that at its first sight, and information on the inverse depth over that on the ray."""
 
 
-def _constraints(
-    camera: FloatArray,
-    clones: FloatArray,
-    P: FloatArray,
-    first: IntArray,
-    count: IntArray,
-    uvd: FloatArray,
-    whitening: FloatArray,
-    limits: FloatArray,
-    H: FloatArray,
-    nu: FloatArray,
-    distances: FloatArray,
-) -> int:
-    """Write what tracks say of the clones, whitened, into H and nu, and its squared distance into `used`; the rows.
+@kernel
+def _constrain(
+    size: int,
+    rig: tuple[float, float, float],
+    clones: Array,
+    P: Array,
+    counts: NDArray[np.int64],
+    tracks: Array,
+    limits: Array,
+    H: Array,
+    nu: Array,
+) -> Array:
+    """Write what tracks say of the clones, whitened, into H and nu; returns the squared distance of each track.
 
-    A track begins at clone `first` and goes on for `count`; `uvd` are its measurements, those of the tracks one after
-    the other. `whitening` (N, r, 3) makes numbers of variance one of them. `used` is minus the distance where it is
-    above the limit, NaN where no believable landmark was found.
+    `clones` (N, 7) have the covariance P; `rig` is fx, fy and f b. `tracks` (sum of counts, 4, 3) has what whitens a
+    measurement, then (u, v, d) less the centre: of the last `counts` clones, track by track. `size` numbers are used.
+    The distance is negative where it is above the limit, and NaN where no believable landmark was found.
     """
-    fx, fy, cx, cy, fb = camera[0], camera[1], camera[2], camera[3], camera[0] * camera[4]
-    size, top, end = whitening.shape[1], 0, 0
-    b, g, V, by_pose = np.zeros(4), np.zeros(3), np.zeros((3, 3)), np.zeros((3, 6))
-    for t in range(len(first)):
-        K, a, begin = count[t], first[t], end
-        rows, width, end = size * K, 6 * K, begin + K
-        A = np.zeros((rows, 4 + width))  # by the landmark, innovation, by the clones
-        R_wa = matrix_of(clones[a, 3], clones[a, 4], clones[a, 5], clones[a, 6])
-        x, y = (uvd[begin, 0] - cx) / fx, (uvd[begin, 1] - cy) / fy
-        rho = uvd[begin, 2] / fb if size == 3 else 0.0  # of z, in the first camera
-        settled, good = False, True
+    (fx, fy, fb), top, end, distances = rig, 0, 0, np.full(len(counts), np.nan)
+    ps, Rs = clones[:, :3], np.zeros((len(clones), 3, 3))
+    for k in range(len(clones)):
+        q0, q1, q2, q3 = clones[k, 3:]
+        C = np.array([[0.0, -q2, q1], [q2, 0.0, -q0], [-q1, q0, 0.0]])
+        Rs[k] = np.eye(3) + 2.0 * (q3 * C + C @ C)
+    for t in range(len(counts)):
+        K, a, begin, end, fell, settled = counts[t], len(ps) - counts[t], end, end + counts[t], np.inf, False
+        A, B, E, M = np.zeros((size * K, 6 * K + 4)), np.zeros((3, 4)), np.zeros((4, 6)), np.zeros((K, 4, 4))
+        for k in range(K):  # at clone k the direction and inverse depth are M[k] (x, y, inverse depth, 1)
+            R = Rs[a + k].T
+            M[k, :3, :3], M[k, 3, 2] = R @ Rs[a], 1.0
+            M[k, :3, 3], M[k, :3, 2] = M[k, :3, 2], R @ (ps[a] - ps[a + k])
+        z = tracks[begin, 3]
+        x = np.array([z[0] / fx, z[1] / fy, z[2] / fb if size == 3 else 0.0, 1.0])
         for step in range(_STEPS):
-            settled |= step == _STEPS - 1
-            g[:], V[:] = 0.0, 0.0
+            settled = not fell > _SETTLED or step == _STEPS - 1
             for k in range(K):
-                clone = clones[a + k]
-                R = transposed(matrix_of(clone[3], clone[4], clone[5], clone[6]))
-                turn = multiply(R, R_wa)
-                way = times(R, clones[a, 0] - clone[0], clones[a, 1] - clone[1], clones[a, 2] - clone[2])
-                h0, h1, h2 = times(turn, x, y, 1.0)
-                h0, h1, h2 = h0 + rho * way[0], h1 + rho * way[1], h2 + rho * way[2]
-                if not h2 > _NEAREST:
-                    good = False
+                h, W, row = M[k] @ x, tracks[begin + k], size * k
+                if not h[2] > _NEAREST:
+                    fell = np.nan
                     break
-                u, v, d = fx * h0 / h2, fy * h1 / h2, fb * rho / h2
-                z = uvd[begin + k]
-                for i in range(size):
-                    row, w = A[size * k + i], whitening[begin + k, i]
-                    b[0], b[1], b[3] = w[0] * fx / h2, w[1] * fy / h2, w[2] * fb / h2
-                    b[2] = -(w[0] * u + w[1] * v + w[2] * d) / h2
-                    row[0] = b[0] * turn[0] + b[1] * turn[3] + b[2] * turn[6]
-                    row[1] = b[0] * turn[1] + b[1] * turn[4] + b[2] * turn[7]
-                    row[2] = b[0] * way[0] + b[1] * way[1] + b[2] * way[2] + b[3]
-                    row[3] = w[0] * (z[0] - cx - u) + w[1] * (z[1] - cy - v) + w[2] * (z[2] - d)
-                    for c in range(3):
-                        g[c] += row[c] * row[3]
-                        for e in range(3):
-                            V[c, e] += row[c] * row[e]
-                    if settled:
-                        put(by_pose, 0, 0, R, -rho)
-                        put(by_pose, 0, 3, cross_matrix(h0, h1, h2), 1.0)
-                        for c in range(6):
-                            row[4 + 6 * k + c] = b[0] * by_pose[0, c] + b[1] * by_pose[1, c] + b[2] * by_pose[2, c]
-            if settled or not good:
+                u, v, d = fx * h[0] / h[2], fy * h[1] / h[2], fb * h[3] / h[2]
+                B[0, 0], B[1, 1], B[2, 3] = fx / h[2], fy / h[2], fb / h[2]
+                B[0, 2], B[1, 2], B[2, 2] = -u / h[2], -v / h[2], -d / h[2]
+                J = W[:size] @ B
+                A[row : row + size, :4] = J @ M[k]
+                A[row : row + size, 3] = W[:size] @ (W[3] - np.array([u, v, d]))
+                if settled:
+                    E[:3, :3] = -h[3] * Rs[a + k].T
+                    E[1, 3], E[0, 4], E[2, 3], E[0, 5], E[2, 4], E[1, 5] = h[2], -h[2], -h[1], h[1], h[0], -h[0]
+                    A[row : row + size, 4 + 6 * k : 10 + 6 * k] = J @ E
+            if settled or np.isnan(fell):
                 break
-            if V[2, 2] < _BLIND * V[0, 0]:  # nothing moved: the depth cannot be seen
-                good = False
-                break
-            move = np.linalg.solve(V, g)
-            x, y, rho = x + move[0], y + move[1], rho + move[2]
-            settled = bool(g @ move < _SETTLED)
-        distances[t] = np.nan
-        if not good:
+            C = A[:, :4].copy()
+            V = C.T @ C
+            move = np.linalg.solve(V[:3, :3].copy(), V[:3, 3].copy())
+            x[:3] += move
+            fell = move @ V[:3, 3].copy() if V[2, 2] > _BLIND * V[0, 0] else np.nan  # else no depth can be seen
+        if np.isnan(fell):
             continue
         for c in range(3):  # Householder: afterwards the landmark is in the first three rows alone
-            normal = A[c:, c].copy()
-            normal[0] += np.copysign(np.sqrt(normal @ normal), normal[0])
-            normal *= np.sqrt(2.0 / (normal @ normal))
-            A[c:] -= np.outer(normal, normal @ A[c:])
+            n = A[c:, c].copy()
+            n[0] += np.copysign(np.sqrt(n @ n), n[0])
+            n *= np.sqrt(2.0 / (n @ n))
+            A[c:] -= np.outer(n, n @ A[c:])
         H_o, r_o = A[3:, 4:].copy(), A[3:, 3].copy()
-        S = H_o @ P[6 * a : 6 * a + width, 6 * a : 6 * a + width].copy() @ H_o.T + np.eye(rows - 3)
+        S = H_o @ P[6 * a :, 6 * a :].copy() @ H_o.T + np.eye(len(r_o))
         distances[t] = r_o @ np.linalg.solve(S, r_o)
         if distances[t] > limits[K]:
             distances[t] *= -1.0
             continue
-        H[top : top + rows - 3, 6 * a : 6 * a + width], nu[top : top + rows - 3] = H_o, r_o
-        top += rows - 3
-    return top
-
-
-@cache
-def _kernel() -> Any:
-    from filters.engine.compiled.blas import entry  # Numba takes longer to import than all the rest
-
-    return entry(_constraints)
-
-
-@dataclass
-class _Track:
-    """Measurements of a landmark that is not in the map, one a frame."""
-
-    first: int
-    """Number of its first frame."""
-    numbers: list[tuple[FloatArray, FloatArray]] = field(default_factory=list)
-    """(u, v, d), and what makes its errors of variance one."""
+        H[top : top + len(r_o), 6 * a :], nu[top : top + len(r_o)] = H_o, r_o
+        top += len(r_o)
+    return distances
 
 
 class MultiStateConstraintEKF(StereoEKF):
@@ -180,93 +148,72 @@ class MultiStateConstraintEKF(StereoEKF):
             raise ValueError(f"measurement must be 'joint' or 'left' with a window, got {type(sensor).__name__}")
         if not error.linearises_at_the_state:
             raise ValueError(f"error must linearise at the state with a window, got {type(error).__name__}")
-        self._numbers = 2 if type(sensor) is LeftOnly else 3
-        if self._numbers < 3 and map_landmarks:
+        if type(sensor) is LeftOnly and map_landmarks:
             raise ValueError(f"map_landmarks must be 0 with measurement='left', got {map_landmarks}: see its page")
-        self._own_whitening = _whitening(noise.R, self._numbers)
-        self._limits = np.full(window + 1, np.inf)
-        if gate is not None:
-            self._limits[_LEAST:] = [gate_limit(gate, self._numbers * k - 3) for k in range(_LEAST, window + 1)]
+        self._size = 2 if type(sensor) is LeftOnly else 3
+        dof = np.maximum(self._size * np.arange(window + 1) - 3, 1)
+        self._limits = chdtri(dof, 0.0 if gate is None else 1.0 - gate)
 
-    def reset(self, start: Start = AT_ORIGIN) -> None:
+    def reset(self, start: Start = Start()) -> None:  # noqa: B008  frozen
         """Start again, without clones, tracks and landmarks."""
         super().reset(start)
         self._frame = 0
-        self._tracks: dict[int, _Track] = {}
+        self._tracks: dict[int, list[Array]] = {}
 
     def update(self, observation: StereoObservation) -> UpdateReport:
         """Complete tracks correct the window, then landmarks of the map the pose, which becomes a clone."""
         if not isinstance(observation, StereoObservation):
             raise ValueError(f"observation must be a StereoObservation, got {type(observation).__name__}")
-        ids, in_map = observation.ids.tolist(), set(self.ids.tolist())
-        seen = dict(zip(ids, zip(observation.uvd, self._whitening(observation), strict=True), strict=True))
-        full = [i for i in ids if i in self._tracks and len(self._tracks[i].numbers) == self.window]
+        ids, in_map = (observation := observation.ordered()).ids.tolist(), set(self.ids.tolist())
+        numbers, r = np.zeros((len(ids), 4, 3)), self._size
+        R = self.noise.R[None] if observation.R is None else observation.R
+        numbers[:, :r, :r] = np.linalg.inv(np.linalg.cholesky(R[:, :r, :r]))  # whitens
+        numbers[:, 3] = observation.uvd - [self.camera.cx, self.camera.cy, 0.0]
+        seen = dict(zip(ids, numbers, strict=True))
+        full = sorted(i for i, track in self._tracks.items() if len(track) == self.window and i in seen)
         ended = [i for i in self._tracks if i not in seen]
-        report = self._correct_by({i: self._tracks.pop(i) for i in (*ended, *full)})
+        told = self._correct_by({i: self._tracks.pop(i) for i in (*ended, *full)})
         new = [i for i in ids if i not in in_map and i not in self._tracks and i not in full]
         in_map.update((full + new)[: max(self.map_landmarks - len(in_map & seen.keys()), 0)])
         mine = super().update(observation.select(np.array([i in in_map for i in ids], dtype=np.bool_)))
         if self._frame >= self.window:
             self.forget_clone(self._names[0])
         self.clone_pose(f"window {self._frame}")
-        for i in seen.keys() - set(self.ids.tolist()):
-            self._tracks.setdefault(i, _Track(self._frame)).numbers.append(seen[i])
         self._frame += 1
-        return _merged(report, mine)
+        for i in seen.keys() - set(self.ids.tolist()):
+            self._tracks.setdefault(i, []).append(seen[i])
+        both = {n: np.concatenate([getattr(told, n), getattr(mine, n)]) for n in ("updated", "gated", "behind_camera")}
+        return replace(mine, **both, nis=told.nis + mine.nis, nis_dof=told.nis_dof + mine.nis_dof)
 
-    def forget(self, ids: Sequence[int] | IntArray) -> None:
+    def forget(self, ids: Sequence[int] | NDArray[np.int64]) -> None:
         """Forget landmarks and tracks."""
         super().forget(ids)
-        for i in unique_ids("ids", np.asarray(ids)).tolist():
+        for i in np.asarray(ids).tolist():
             self._tracks.pop(i, None)
 
     @property
-    def _names(self) -> list[str]:
+    def _names(self) -> tuple[str, ...]:
         """Clones of the window, the oldest first."""
-        return [f"window {k}" for k in range(max(self._frame - self.window, 0), self._frame)]
+        return tuple(f"window {k}" for k in range(max(self._frame - self.window, 0), self._frame))
 
-    def _whitening(self, observation: StereoObservation) -> FloatArray:
-        """What makes the errors of measurements independent, of variance one, (M, size, 3)."""
-        if observation.R is None:
-            return np.broadcast_to(self._own_whitening, (len(observation), *self._own_whitening.shape))
-        return _whitening(observation.R, self._numbers)
-
-    def _correct_by(self, tracks: dict[int, _Track]) -> UpdateReport:
+    def _correct_by(self, complete: dict[int, list[Array]]) -> UpdateReport:
         """Correct the window with what complete tracks say of it."""
-        tracks = {i: track for i, track in tracks.items() if len(track.numbers) >= _LEAST}
+        tracks = {i: track for i, track in complete.items() if len(track) >= _LEAST}
         if not tracks:
             return UpdateReport()
-        names, camera = self._names, self.camera
-        belief, begin = self.belief(*names), self._frame - len(names)
-        first, counts = np.array([(track.first - begin, len(track.numbers)) for track in tracks.values()]).T.copy()
-        uvd, whitening = map(np.array, zip(*chain.from_iterable(t.numbers for t in tracks.values()), strict=True))
-        room = int((self._numbers * counts - 3).sum())
-        H, nu, distances = np.zeros((room, 6 * len(names))), np.zeros(room), np.zeros(len(tracks))
-        rig = np.array([camera.fx, camera.fy, camera.cx, camera.cy, camera.baseline])
-        given = rig, belief.value.reshape(-1, 7), belief.covariance, first, counts, uvd, whitening, self._limits
-        rows = _kernel()(*given, H, nu, distances)
-        ids, told = np.array(list(tracks)), Correction(False, 0.0, 0)
-        if rows:
-            H, nu = H[:rows], nu[:rows]
-            if rows > 2 * H.shape[1]:  # the triangle of its QR decomposition says the same
+        names, camera, ids = self._names, self.camera, np.array(list(tracks))
+        belief, counts = self.belief(*names), np.array([len(track) for track in tracks.values()])
+        rows = self._size * counts - 3
+        H, nu = np.zeros((rows.sum(), 6 * len(names))), np.zeros(rows.sum())
+        measured = np.array([numbers for track in tracks.values() for numbers in track])
+        given = belief.value.reshape(-1, 7), belief.covariance, counts, measured, self._limits
+        rig = camera.fx, camera.fy, camera.disparity_constant
+        distances, nis, dof = _constrain(self._size, rig, *given, H, nu), 0.0, 0
+        if top := rows[distances >= 0.0].sum():
+            H, nu = H[:top], nu[:top]
+            if top > 2 * H.shape[1]:  # the triangle of its QR decomposition says the same
                 triangle = qr(np.column_stack([H, nu]), mode="r", check_finite=False)[0][: H.shape[1]]
                 H, nu = triangle[:, :-1], triangle[:, -1]
-            told = self.correct(nu, dict(zip(names, np.hsplit(H, len(names)), strict=True)), np.eye(len(nu)))
-        fates = {"updated": abs(distances) == distances, "gated": distances < 0.0, "behind_camera": np.isnan(distances)}
-        told_of: dict[str, Any] = {fate: ids[which] for fate, which in fates.items()}
-        return UpdateReport(**told_of, nis=told.nis, nis_dof=told.nis_dof)
-
-
-def _whitening(R: FloatArray, size: int) -> FloatArray:
-    """What makes independent numbers of variance one of the errors of the first `size` of (u, v, d), (..., size, 3)."""
-    inverse: FloatArray = np.linalg.inv(np.linalg.cholesky(R[..., :size, :size]))
-    return np.concatenate([inverse, np.zeros((*inverse.shape[:-1], 3 - size))], axis=-1)
-
-
-def _merged(first: UpdateReport, second: UpdateReport) -> UpdateReport:
-    """Both in one."""
-    merged: dict[str, Any] = {}
-    for name in (f.name for f in fields(UpdateReport)):
-        both = getattr(first, name), getattr(second, name)
-        merged[name] = sum(both) if name.startswith("nis") else np.concatenate(both)
-    return UpdateReport(**merged)
+            nis, dof = self.correct(nu, {names: H}, np.eye(len(nu))).nis, len(nu)
+        fates = {"updated": distances >= 0.0, "gated": distances < 0.0, "behind_camera": np.isnan(distances)}
+        return UpdateReport(**{fate: ids[which] for fate, which in fates.items()}, nis=nis, nis_dof=dof)

@@ -181,8 +181,10 @@ class Row:
         """Correct with a measurement that is linear in the errors at `rows` of P."""
         return self.engine.correct(self.number, rows, H, innovation, R, limit)
 
-    def rows_of(self, names: Iterable[str | int]) -> list[IntArray]:
+    def rows_of(self, names: Iterable[str | int | tuple[str | int, ...]]) -> list[IntArray]:
         """Rows of variables, clones, and landmarks by their ids: of the anchor, if it has one, and of its own.
+
+        Of a tuple of names those of all, one after the other.
 
         Raises
         ------
@@ -190,11 +192,15 @@ class Row:
             There is none of a name.
         """
         layout, S, b, size = self.options.layout, self.engine.storage, self.number, self.options.landmark.size
-        clones, found = dict(zip(self.clones, self._clone_blocks(), strict=True)), []
+        of_clones = (layout.size + size * self._clone_blocks()[:, :, None] + np.arange(3)).reshape(-1, 6)
+        clones, found = dict(zip(self.clones, of_clones, strict=True)), []
         for name in names:
+            if isinstance(name, tuple):
+                found.append(np.concatenate(self.rows_of(name)))
+                continue
             if isinstance(name, str):
                 if name in clones:
-                    found.append((layout.size + size * clones[name][:, None] + np.arange(3)).ravel())
+                    found.append(clones[name])
                     continue
                 require_known("there is no variable", [name], [*layout.places, *clones])
                 found.append(layout.rows[layout.places[name]])

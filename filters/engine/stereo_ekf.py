@@ -196,10 +196,10 @@ class StereoEKF(StereoFilter):
         ----------
         innovation : (k,) array_like
             Measured minus predicted.
-        H : mapping of str or int to (k, s) array_like
+        H : mapping of str, int or tuple of them to (k, s) array_like
             Jacobian of the measurement by the errors of variables and clones ("pose", "velocity", "bias", ...), and of
             landmarks by their ids: of the anchor (3), where the landmark has one, then its own (3, or as many as it
-            has). What is not named does not matter to the measurement.
+            has); of a tuple by those of all its names. What is not named does not matter to the measurement.
         R : (k, k) array_like
             Covariance of the measurement; zero rows are constraints.
         gate : float, optional

@@ -172,8 +172,6 @@ class DriveOptions(StereoOptions):
         super().__post_init__()
         positive("lane", self.lane)
         positive("roughness", self.roughness, allow_zero=True)
-        if self.vehicle == "smooth" and isinstance(self, HeadOptions):
-            raise ValueError("vehicle must be 'kinematic' with a head that turns: its rates are not continuous")
         if self.imu is not None:
             require_known("imu has no data sheet", [self.imu], DATA_SHEETS)
             if self.vehicle != "smooth":
@@ -220,6 +218,14 @@ class DriveGazeOptions(HeadOptions, DriveOptions):
     """Arguments of `StereoDriveGazeEnv`."""
 
     route: str | None = None  # type: ignore[assignment]
+
+    def __post_init__(self) -> None:
+        if self.vehicle == "smooth" or self.imu is not None:
+            raise ValueError(
+                "vehicle must be 'kinematic' and imu None with a head that turns, whose rates are not continuous: "
+                "take StereoSlam/Drive-v0"
+            )
+        super().__post_init__()
 
 
 def _number(name: str, value: Any, low: float, high: float) -> None:

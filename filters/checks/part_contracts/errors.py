@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 
 import numpy as np
 
@@ -117,7 +118,7 @@ def check_error_constraint(error: ErrorDefinition) -> None:
         assert_close("constrained", adjusted, J, 1e-12)
 
 
-CHECKS = (
+CHECKS: tuple[Callable[..., None], ...] = (
     check_error_retraction,
     check_error_transport,
     check_error_invariance,

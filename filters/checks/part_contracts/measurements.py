@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -133,7 +134,7 @@ def check_measurement_kernels(sensor: MeasurementModel) -> None:
             assert_same(name, J_values=(written, np.concatenate([*claimed.by_variable.values()], axis=2)))
 
 
-CHECKS = (
+CHECKS: tuple[Callable[..., None], ...] = (
     check_measurement_shapes,
     check_measurement_inverse,
     check_measurement_jacobians,

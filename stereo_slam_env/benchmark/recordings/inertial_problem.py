@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -16,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from filters import BodyVelocity, Pose, Start, StereoCamera, StereoObservation
 from filters.geometry.arrays import FloatArray, IntArray
 from stereo_slam_env.recording.recording import SIMULATION, Frame, LandmarkTruth, Recording, Velocity
-from stereo_slam_env.sensing.imu import GRAVITY, Imu, Path
+from stereo_slam_env.sensing.imu import GRAVITY, DataSheet, Imu, Path
 from stereo_slam_env.sensing.pixel_noise import NOISE_MODELS
 from stereo_slam_env.sensing.rigs import Rig, camera_of
 
@@ -35,21 +36,30 @@ _SUSPENSION = 0.007
 """Roll and pitch of a car's body by the acceleration, rad per m/s^2."""
 
 
-def inertial_drive(
+def _recorded(
+    name: str,
+    along: Callable[[np.random.Generator], Path],
+    box: tuple[float, float, float],
     seed: int,
     noise: str = "pixels",
     sigma: float = 1.0,
     frames: int = 200,
     landmarks: int = 40,
     rig: Rig = "reference",
-    imu: str = "adis16448",
+    imu: str | DataSheet = "adis16448",
     imu_rate: float = 200.0,
     time_offset: float = 0.0,
 ) -> Recording:
-    """20 s of a car at some 8 m/s on a winding, uneven road.
+    """A camera on a path.
 
     Parameters
     ----------
+    name : str
+        Of the recording.
+    along : callable
+        Draws a path.
+    box : tuple of float
+        Half the width and height, and the depth, of where points are around the camera, m.
     seed : int
         Of the path, the points and all errors.
     noise, sigma, rig : str, float, str or StereoCamera or mapping
@@ -58,8 +68,8 @@ def inertial_drive(
         Length, 0.1 s each.
     landmarks : int
         Tracks in a frame.
-    imu : str
-        Data sheet of the unit, see `sensing.imu.DATA_SHEETS`.
+    imu : str or DataSheet
+        Data sheet of the unit, or the name of one of `sensing.imu.DATA_SHEETS`.
     imu_rate, time_offset : float
         Samples a second, and the error of its clock, s.
 
@@ -69,40 +79,9 @@ def inertial_drive(
         No such noise, rig or data sheet, or numbers that are too small.
     """
     unit = Imu(imu, rate=imu_rate, time_offset=time_offset)
-    return _recorded("inertial-drive", _driven, (15.0, 5.0, 40.0), seed, noise, sigma, frames, landmarks, rig, unit)
-
-
-def inertial_flight(
-    seed: int,
-    noise: str = "pixels",
-    sigma: float = 1.0,
-    frames: int = 200,
-    landmarks: int = 40,
-    rig: Rig = "reference",
-    imu: str = "adis16448",
-    imu_rate: float = 200.0,
-    time_offset: float = 0.0,
-) -> Recording:
-    """20 s with a camera in the hand or on a drone; arguments as for `inertial_drive`."""
-    unit = Imu(imu, rate=imu_rate, time_offset=time_offset)
-    return _recorded("inertial-flight", _flown, (15.0, 5.0, 30.0), seed, noise, sigma, frames, landmarks, rig, unit)
-
-
-def _recorded(
-    name: str,
-    along: Callable[[np.random.Generator], Path],
-    box: tuple[float, float, float],
-    seed: int,
-    noise: str,
-    sigma: float,
-    frames: int,
-    most: int,
-    rig: Rig,
-    imu: Imu,
-) -> Recording:
     if noise not in NOISE_MODELS:
         raise ValueError(f"noise must be one of {', '.join(NOISE_MODELS)}, got {noise!r}")
-    for what, value in (("frames", frames), ("landmarks", most)):
+    for what, value in (("frames", frames), ("landmarks", landmarks)):
         if type(value) is not int or value < 2:
             raise ValueError(f"{what} must be an integer >= 2, got {value!r}")
     camera, pixels = camera_of(rig), NOISE_MODELS[noise](sigma)
@@ -115,7 +94,7 @@ def _recorded(
         at, R = level(t)
         return R_0.inv().apply(at - origin), R_0.inv() * R
 
-    samples, _ = imu.measure(path, times, GRAVITY * R_0.inv().apply(DOWN)[0], imu_rng)
+    samples, _ = unit.measure(path, times, GRAVITY * R_0.inv().apply(DOWN)[0], imu_rng)
     positions, R = path(times)
     velocities = np.array([_velocity(path, t) for t in times])
     width, height, depth = box
@@ -124,7 +103,7 @@ def _recorded(
     taken, seen = [], np.zeros(0, dtype=np.int64)
     for k in range(frames):
         points_c = R[k].inv().apply(points - positions[k])
-        seen = _tracked(camera, points_c, seen, most, sensor_rng)
+        seen = _tracked(camera, points_c, seen, landmarks, sensor_rng)
         uvd, v_right = pixels.corrupt(camera.project(points_c[seen]), sensor_rng)
         odometry = None
         if k:
@@ -144,8 +123,8 @@ def _recorded(
         taken.append(frame)
     told = velocities[0] + START_SIGMAS[6:] * start_rng.standard_normal(6)
     start = Start(linear_velocity=told[:3], angular_velocity=told[3:], covariance=np.diag(START_SIGMAS**2))
-    source = {"problem": name, "seed": seed, "noise": noise, "sigma": sigma, "frames": frames, "landmarks": most}
-    source |= {"rig": rig if isinstance(rig, str) else str(rig), "imu": imu.name, "imu_rate": imu.rate}
+    source = {"problem": name, "seed": seed, "noise": noise, "sigma": sigma, "frames": frames, "landmarks": landmarks}
+    source |= {"rig": rig if isinstance(rig, str) else str(rig), "imu": unit.name, "imu_rate": unit.rate}
     truth = LandmarkTruth(np.arange(len(points)), points)
     return Recording(
         name,
@@ -154,7 +133,7 @@ def _recorded(
         pixels.stereo_noise,
         start,
         truth,
-        source | {"time_offset": imu.time_offset},
+        source | {"time_offset": unit.time_offset},
         SIMULATION,
     )
 
@@ -228,3 +207,9 @@ def _flown(rng: np.random.Generator) -> Path:
         return np.column_stack([way(t) for way in ways]), Rotation.from_euler("YXZ", angles)
 
     return path
+
+
+inertial_drive = partial(_recorded, "inertial-drive", _driven, (15.0, 5.0, 40.0))
+"""20 s of a car at some 8 m/s on a winding, uneven road."""
+inertial_flight = partial(_recorded, "inertial-flight", _flown, (15.0, 5.0, 30.0))
+"""20 s with a camera in the hand or on a drone."""

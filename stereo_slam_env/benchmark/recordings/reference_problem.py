@@ -25,6 +25,7 @@ stereo camera:
 from __future__ import annotations
 
 from dataclasses import asdict, replace
+from functools import partial
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -46,7 +47,9 @@ from stereo_slam_env.world.routes import ROUTES, Route
 from stereo_slam_env.world.scene import Ground, Material, Scene
 
 
-def long_drive(
+def _drive(
+    name: str,
+    route: str,
     seed: int,
     noise: str = "pixels",
     sigma: float = 1.0,
@@ -54,10 +57,12 @@ def long_drive(
     landmarks: int = 90,
     rig: Rig = "reference",
 ) -> Recording:
-    """800 frames, about 350 m, one wide turn to the left and one to the right (the paper's 4.4).
+    """A drive along a route past a cloud.
 
     Parameters
     ----------
+    name, route : str
+        Of the recording; one of `world.routes.ROUTES`.
     seed : int
         Of the cloud, the drive and the noise.
     noise : {"pixels", "uvd", "heavy-tailed", "quantised"}
@@ -77,32 +82,17 @@ def long_drive(
     ValueError
         No such noise or rig, more frames than the route has, or no landmarks.
     """
-    return _drive("long-drive", ROUTES["town"](), seed, noise, sigma, frames, landmarks, rig)
-
-
-def short_turn(
-    seed: int,
-    noise: str = "pixels",
-    sigma: float = 1.0,
-    frames: int = 12,
-    landmarks: int = 90,
-    rig: Rig = "reference",
-) -> Recording:
-    """12 frames into a right turn (the paper's 4.3); arguments as for `long_drive`."""
-    return _drive("short-turn", ROUTES["right-turn"](), seed, noise, sigma, frames, landmarks, rig)
-
-
-def _drive(name: str, route: Route, seed: int, noise: str, sigma: float, frames: int, most: int, rig: Rig) -> Recording:
     if noise not in NOISE_MODELS:
         raise ValueError(f"noise must be one of {', '.join(NOISE_MODELS)}, got {noise!r}")
-    if not 2 <= frames <= route.frames:
-        raise ValueError(f"frames must be between 2 and {route.frames} on this route, got {frames!r}")
-    if type(most) is not int or most < 1:
-        raise ValueError(f"landmarks must be an integer >= 1, got {most!r}")
+    way = ROUTES[route]()
+    if not 2 <= frames <= way.frames:
+        raise ValueError(f"frames must be between 2 and {way.frames} on this route, got {frames!r}")
+    if type(landmarks) is not int or landmarks < 1:
+        raise ValueError(f"landmarks must be an integer >= 1, got {landmarks!r}")
     camera = camera_of(rig)
     cloud_rng, drive_rng, sensor_rng, start_rng = np.random.default_rng(seed).spawn(4)
-    cloud, pixel_noise = _cloud_along(route, cloud_rng), NOISE_MODELS[noise](sigma)
-    tracking = TrackingPolicy(max_landmarks=most, refill_below=round(most * 65 / 90))
+    cloud, pixel_noise = _cloud_along(way, cloud_rng), NOISE_MODELS[noise](sigma)
+    tracking = TrackingPolicy(max_landmarks=landmarks, refill_below=round(landmarks * 65 / 90))
     simulator = Simulator(make_rules(camera, tracking, noise=noise, sigma=sigma), 1, pixel_noise)
     simulator.put(0, cloud, [drive_rng, sensor_rng, np.random.default_rng(0), start_rng])
     only = np.ones(1, dtype=np.bool_)
@@ -111,17 +101,23 @@ def _drive(name: str, route: Route, seed: int, noise: str, sigma: float, frames:
     for _ in range(1, frames):
         simulator.step(np.zeros((1, 2)), only)
         taken.append(replace(simulator.frame(0), odometry=None))
-    start, landmarks = simulator.start(0), LandmarkTruth(np.arange(len(cloud.landmarks)), cloud.landmarks)
+    start, truth = simulator.start(0), LandmarkTruth(np.arange(len(cloud.landmarks)), cloud.landmarks)
     source = {
         "problem": name,
         "seed": seed,
         "noise": noise,
         "sigma": sigma,
         "frames": frames,
-        "landmarks": most,
+        "landmarks": landmarks,
         "rig": rig if isinstance(rig, str) and rig in RIGS else asdict(camera),
     }
-    return Recording(name, camera, tuple(taken), pixel_noise.stereo_noise, start, landmarks, source, SIMULATION)
+    return Recording(name, camera, tuple(taken), pixel_noise.stereo_noise, start, truth, source, SIMULATION)
+
+
+long_drive = partial(_drive, "long-drive", "town")
+"""800 frames, about 350 m, one wide turn to the left and one to the right (the paper's 4.4)."""
+short_turn = partial(_drive, "short-turn", "right-turn", frames=12)
+"""12 frames into a right turn (the paper's 4.3)."""
 
 
 def _cloud_along(route: Route, rng: np.random.Generator) -> SceneArrays:

@@ -198,3 +198,16 @@ def test_a_large_correction_of_a_clone_carries_p_as_its_error_says(error: str | 
     clone = moved.clones["here"]
     np.testing.assert_allclose(slam.belief("here").value, [*clone.position, *clone.orientation], rtol=0, atol=1e-12)
     assert np.abs(delta[rows]).max() > 0.1
+
+
+def test_a_jacobian_may_be_by_several_variables_together() -> None:
+    """As by each of them alone, bit for bit."""
+    rng, frames, ends = np.random.default_rng(5), drive(41, 6), []
+    H, nu = rng.standard_normal((4, 12)), 0.01 * rng.standard_normal(4)
+    for given in ({("here", "pose"): H}, {"here": H[:, :6], "pose": H[:, 6:]}):
+        slam = driven(frames, clone_at=2)
+        assert slam.correct(nu, given, np.eye(4)).used
+        ends.append(np.concatenate([slam.pose.position, slam.belief("here", "pose").covariance.ravel()]))
+    np.testing.assert_array_equal(*ends)
+    with pytest.raises(ValueError, match=r"^there is no variable 'there'"):
+        slam.correct(nu, {("pose", "there"): H}, np.eye(4))

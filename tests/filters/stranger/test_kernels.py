@@ -16,6 +16,7 @@ from filters import (
     StereoEKF,
     Strapdown,
     check_part,
+    kernel,
 )
 
 from ..drives import CAMERA, INDEPENDENT_PIXELS, drive
@@ -121,3 +122,15 @@ def test_a_kernel_that_cannot_be_compiled_is_named_in_one_line() -> None:
     with pytest.raises(ValueError, match=r"MotionKernels.step _not_compiled must be a function .* Numba") as refused:
         StereoEKF(CAMERA, INDEPENDENT_PIXELS, motion=Uncompiled())
     assert "\n" not in str(refused.value)
+
+
+@kernel
+def squared(number: int) -> int:
+    return number * number
+
+
+def test_a_function_of_a_filter_becomes_machine_code() -> None:
+    """Whose integers have 64 bits."""
+    assert squared(3) == 9
+    assert squared(2**40) == (2**80 if config.DISABLE_JIT else 0)
+    assert squared.__name__ == "squared"

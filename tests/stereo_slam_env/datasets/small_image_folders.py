@@ -204,10 +204,11 @@ def _write_oxts(folder: Path, stamps: list[str]) -> None:
     halfway = R_wi[:-1] * Rotation.from_rotvec(0.5 * DT * rates[1:])
     body = halfway.inv().apply(np.diff(positions, axis=0) / DT)
     level[1:] = Rotation.from_euler("YX", np.column_stack([pitch, roll])[1:]).apply(body)
+    forces = R_wi.inv().apply([0.0, 0.0, 9.81])  # of a unit that is not accelerated
     for k in range(FRAMES):
         row = np.zeros(30)
         row[:6] = latitude[k], longitude[k], positions[k, 2], roll[k], pitch[k], yaw[k]
-        row[8:11], row[17:20] = level[k], rates[k]
+        row[8:11], row[11:14], row[17:20] = level[k], forces[k], rates[k]
         # The last five columns are integers in the published files.
         words = [*(f"{x:.17g}" for x in row[:25]), "4", "10", "4", "4", "0"]
         (folder / "data" / f"{k:010d}.txt").write_text(" ".join(words) + "\n")

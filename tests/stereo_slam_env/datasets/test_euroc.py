@@ -247,18 +247,19 @@ UNIT_AT, UNIT_TURN = np.array([0.02, -0.01, 0.03]), Rotation.from_euler("xyz", [
 GRAVITY = np.array([0.0, 0.0, -9.81])  # in the truth's own world
 
 
-def write_unit(folder):
-    """`imu0` of a unit in the body at 200 Hz, with the samples that the path of the body gives."""
+def write_unit(folder, *, kalibr=False):
+    """`imu0` of a unit at 200 Hz, with the samples that the path of the body gives; that of TUM-VI is the body."""
+    place, turn = (np.zeros(3), Rotation.identity()) if kalibr else (UNIT_AT, UNIT_TURN)
     seconds = 0.005 * np.arange(-4, 20 * FRAMES)
     poses = [body_pose(t) for t in seconds]
-    R = Rotation.concatenate([turn for _, turn in poses]) * UNIT_TURN
+    R = Rotation.concatenate([R_wb for _, R_wb in poses]) * turn
 
     def at(offset):
-        return np.array([p + turn.apply(UNIT_AT) for p, turn in (body_pose(t + offset) for t in seconds)])
+        return np.array([p + R_wb.apply(place) for p, R_wb in (body_pose(t + offset) for t in seconds)])
 
     h = 1e-3
     forces = R.inv().apply((at(h) - 2 * at(0.0) + at(-h)) / h**2 - GRAVITY)
-    turned = Rotation.concatenate([body_pose(t + h)[1] for t in seconds]) * UNIT_TURN
+    turned = Rotation.concatenate([body_pose(t + h)[1] for t in seconds]) * turn
     rates = (R.inv() * turned).as_rotvec() / h
     (folder / "mav0" / "imu0").mkdir()
     lines = ["#timestamp [ns],w x,w y,w z,a x,a y,a z"]
@@ -267,22 +268,29 @@ def write_unit(folder):
         lines.append(",".join([str(stamp), *(f"{x:.15g}" for x in (*w, *a))]))
     (folder / "mav0" / "imu0" / "data.csv").write_text("\n".join(lines) + "\n")
     T = np.eye(4)
-    T[:3, :3], T[:3, 3] = UNIT_TURN.as_matrix(), UNIT_AT
-    (folder / "mav0" / "imu0" / "sensor.yaml").write_text(
+    T[:3, :3], T[:3, 3] = turn.as_matrix(), place
+    mounted = (
         f"sensor_type: imu\nT_BS:\n  cols: 4\n  rows: 4\n  data: [{', '.join(map(str, T.ravel()))}]\nrate_hz: 200\n"
-        "gyroscope_noise_density: 1.6968e-04     # [ rad / s / sqrt(Hz) ]\ngyroscope_random_walk: 1.9393e-05\n"
+    )
+    (folder / ("dso/imu_config.yaml" if kalibr else "mav0/imu0/sensor.yaml")).write_text(
+        ("rostopic: /imu0\nupdate_rate: 200.0\n" if kalibr else mounted)
+        + "gyroscope_noise_density: 1.6968e-04     # [ rad / s / sqrt(Hz) ]\ngyroscope_random_walk: 1.9393e-05\n"
         "accelerometer_noise_density: 2.0000e-3  # [ m / s^2 / sqrt(Hz) ]\naccelerometer_random_walk: 3.0000e-3\n"
     )
     return folder
 
 
-def test_samples_of_imu0_lead_along_the_true_path(tmp_path):
+@pytest.mark.parametrize("kalibr", [False, True], ids=["EuRoC", "TUM-VI"])
+def test_samples_of_imu0_lead_along_the_true_path(tmp_path, kalibr):
     """From exact poses at both ends: the unit's place, its turn and the rectification are those of the files."""
-    pairs = list(open_image_sequence(write_unit(euroc(tmp_path))).pairs())
+    lenses = "equidistant" if kalibr else "radial-tangential"
+    folder = write_unit(euroc(tmp_path, lenses=lenses, kalibr=kalibr), kalibr=kalibr)
+    pairs = list(open_image_sequence(folder).pairs())
     assert pairs[0].inertial is None
     unit = pairs[1].inertial.unit
     assert (unit.gyro_density, unit.accelerometer_walk) == (1.6968e-4, 3e-3)
-    T_ci = np.linalg.solve(T_BS[0], np.vstack([np.column_stack([UNIT_TURN.as_matrix(), UNIT_AT]), [0, 0, 0, 1]]))
+    place, turned = (np.zeros(3), np.eye(3)) if kalibr else (UNIT_AT, UNIT_TURN.as_matrix())
+    T_ci = np.linalg.solve(T_BS[0], np.vstack([np.column_stack([turned, place]), [0, 0, 0, 1]]))
     assert np.linalg.norm(unit.position) == pytest.approx(np.linalg.norm(T_ci[:3, 3]), abs=1e-9)
     R_wc = [Rotation.from_quat(pair.truth.orientation) for pair in pairs]
     for before, pair, turn, after in zip(pairs, pairs[1:], R_wc, R_wc[1:], strict=False):

@@ -7,15 +7,20 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from filters import Pose
+from stereo_slam_env import run
 from stereo_slam_env.datasets import image_layouts, open_image_sequence
 from stereo_slam_env.datasets.kitti06_stereo51 import P_I, R_CI
 from stereo_slam_env.frontend.recorder import record_tracks
+from stereo_slam_env.recording.archive import load_recording, save_recording
 
 from ..real_data import real_data
 from .small_image_folders import (
     CAMERA,
     DT,
     FRAMES,
+    R_RECT,
+    T_CAM_VELO,
+    T_VELO_IMU,
     TURN_RATE,
     drive,
     karlsruhe,
@@ -23,6 +28,7 @@ from .small_image_folders import (
     kitti_odometry,
     kitti_raw,
     true_poses,
+    unit_poses,
 )
 
 LAYOUTS = {
@@ -133,6 +139,33 @@ def test_raw_odometry_takes_the_camera_along_the_true_path(tmp_path, cameras, me
     expected = [pose.position for pose in relative_to(moved[0], moved)]
     np.testing.assert_allclose(positions, expected, atol=2e-3)
     assert np.linalg.norm(positions[-1]) > 1.9
+
+
+def test_raw_packets_are_inertial_samples_of_the_unit_that_is_calibrated(tmp_path):
+    """One a frame, the mean of the packets at its ends: what weighs 9.81 m/s^2 points upwards all the way."""
+    none, *pairs = open_image_sequence(kitti_raw(tmp_path)).pairs()
+    assert none.inertial is None
+    T_ci = T_CAM_VELO @ T_VELO_IMU
+    up = R_RECT @ T_ci[:3, :3] @ unit_poses()[1][0].inv().apply([0.0, 0.0, 9.81])
+    for before, pair in pairwise([none, *pairs]):
+        samples, R_wc = pair.inertial, Rotation.from_quat(pair.truth.orientation)
+        R_ci = Rotation.from_quat(np.array(samples.unit.orientation))
+        assert samples.times.tolist() == pytest.approx([pair.timestamp - before.timestamp])
+        np.testing.assert_allclose(samples.unit.position, R_RECT @ T_ci[:3, 3], atol=1e-9)
+        np.testing.assert_allclose((R_wc * R_ci).apply(np.array(samples.specific_forces[0])), up, atol=0.2)
+        turn = (Rotation.from_quat(before.truth.orientation).inv() * R_wc).as_rotvec() / DT
+        np.testing.assert_allclose(R_ci.apply(np.array(samples.angular_rates[0])), turn, atol=0.2)
+
+
+def test_a_raw_drive_with_samples_is_saved_loaded_and_replayed_to_the_same_bits(tmp_path):
+    tracked = record_tracks(open_image_sequence(kitti_raw(tmp_path)))
+    save_recording(tmp_path / "drive.npz", tracked)
+    ends = []
+    for one in (tracked, load_recording(tmp_path / "drive.npz")):
+        assert [frame.inertial is None for frame in one.frames] == [True] + [False] * (len(one) - 1)
+        *_, last = run("inertial", one)
+        ends.append(np.concatenate([last.slam.pose.position, last.slam.pose.covariance.ravel()]))
+    np.testing.assert_array_equal(*ends)
 
 
 def test_raw_without_gps_has_neither_truth_nor_odometry(tmp_path):
