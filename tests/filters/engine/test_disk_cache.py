@@ -181,6 +181,7 @@ def test_two_processes_at_once(copy):
 
 def test_where_the_package_cannot_be_written_to_the_cache_of_the_user_is_taken(copy):
     for folder in {path.parent for path in copy.glob("filters/**/*.py")}:
+        shutil.rmtree(folder / "__pycache__", ignore_errors=True)
         (folder / "__pycache__").write_text("no folder")
     result(start(copy))
     edit_leaf(copy)
