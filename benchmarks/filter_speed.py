@@ -3,16 +3,16 @@
     python benchmarks/filter_speed.py                  # 25 to 200 landmarks, five minutes
     python benchmarks/filter_speed.py --sizes 400 800 --repeats 15
 
-The yardstick is Cholesky + triangular solve + symmetric rank-k update of the whole frame's measurement in one batch,
-by scipy's BLAS and LAPACK, at the sizes of the shared-anchor state. Everything is measured in turns, some frames of
-each at a time, in one process with one BLAS thread, so the ratios hold on a noisy machine; times are this machine's
+The yardstick is Cholesky + triangular solve + symmetric rank-k update of the whole frame's measurement in one batch, by
+scipy's BLAS and LAPACK, at the sizes of the shared-anchor state. Everything is measured in turns, some frames of each
+at a time, in one process with one BLAS thread, so the ratios hold on a noisy machine; times are this machine's
 processor time, 20 % quantile. "Own" parts are a stranger's: their numbers come from NumPy, or from kernels of their
 own. filterpy's EKF gets H for nothing, at the sizes of the shared-anchor and of the six-dimensional state: it has no
 shared anchors, so the latter is the same problem as a user would write it; OpenCV's KalmanFilter and a careful EKF in
-NumPy (Cholesky, triangular solve, a step of the leading rows alone) get it at the sizes of the former. These are
-measured up to 200 landmarks. "Turnover" is the share of a frame that goes into landmarks leaving and entering the map,
-3 % of them a frame as on the reference drive: frames with and without it, in turns on the same map. `rival_speed.py`
-drives, and has iSAM2.
+NumPy (Cholesky, triangular solve, a step of the leading rows alone) get it at the sizes of the former, and so does the
+same EKF in JAX where that is installed, a filter of `JAX_FILTERS` under `vmap`. These are measured up to 200 landmarks.
+"Turnover" is the share of a frame that goes into landmarks leaving and entering the map, 3 % of them a frame as on the
+reference drive: frames with and without it, in turns on the same map. `rival_speed.py` drives, and has iSAM2.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -41,6 +42,13 @@ from filters import (
 from filters.checks.conformance import REFERENCE_CAMERA as CAMERA
 from harness import arguments, show, undisturbed
 
+try:
+    import jax
+    import jax.numpy as jnp
+    from jax.scipy.linalg import solve_triangular as jax_solve_triangular
+except ImportError:
+    jax = None
+
 NOISE = StereoNoise.independent_pixels(1.0)
 ANCHORS = 10
 TURNOVER = 0.03
@@ -48,6 +56,7 @@ BURST = 5  # frames of one filter in a row: in use it does not share the process
 DT, SPEED = 0.1, 0.05  # slow, so that every landmark stays in view through the whole measurement
 SLOW_FRAMES = 6  # of the rivals that take long
 MOST_OF_RIVALS = 200  # landmarks
+JAX_FILTERS = 8
 SHARED = "shared anchors"
 
 
@@ -274,6 +283,35 @@ def numpy_step(rows: int, states: int) -> Callable[[], float]:
     return step
 
 
+def jax_step(rows: int, states: int) -> Callable[[], float]:
+    """The same in JAX, compiled, in double precision: a filter's share of `JAX_FILTERS` under `vmap`."""
+    jax.config.update("jax_enable_x64", True)
+    rng = np.random.default_rng(0)
+    H, z, R = jnp.array(rng.standard_normal((rows, states))), jnp.array(rng.standard_normal(rows)), jnp.eye(rows)
+    F, Q = jnp.eye(12) + 0.1 * jnp.eye(12, k=6), 1e-6 * jnp.eye(12)
+
+    def frame(x: Any, P: Any) -> Any:
+        P = P.at[:12].set(F @ P[:12])
+        P = P.at[:, :12].set(P[:, :12] @ F.T)
+        P = P.at[:12, :12].add(Q)
+        HP = H @ P
+        factor = jnp.linalg.cholesky(HP @ H.T + R)
+        solved = jax_solve_triangular(factor, HP, lower=True)
+        nu = jax_solve_triangular(factor, z - H @ x, lower=True)
+        return x + solved.T @ nu, P - solved.T @ solved
+
+    frames = jax.jit(jax.vmap(frame), donate_argnums=(0, 1))
+    belief = frames(jnp.zeros((JAX_FILTERS, states)), jnp.tile(jnp.eye(states), (JAX_FILTERS, 1, 1)))
+
+    def step() -> float:
+        nonlocal belief
+        began = time.process_time()
+        belief = jax.block_until_ready(frames(*belief))
+        return (time.process_time() - began) / JAX_FILTERS
+
+    return step
+
+
 def measure(n: int, repeats: int) -> dict[str, float]:
     """Seconds a frame of everything, at n landmarks."""
     shared = 12 + 3 * n + 3 * ANCHORS
@@ -286,6 +324,8 @@ def measure(n: int, repeats: int) -> dict[str, float]:
         "OpenCV KalmanFilter": opencv_step(3 * n, shared),
         "EKF in NumPy": numpy_step(3 * n, shared),
     }
+    if jax is not None:
+        slow["EKF in JAX"] = jax_step(3 * n, shared)
     if n > MOST_OF_RIVALS:
         slow = {}
     times: dict[str, list[float]] = {name: [] for name in (*steps, *slow)}

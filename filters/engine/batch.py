@@ -21,7 +21,7 @@ from filters.engine.compiled.readout import points_at, relative_landmarks
 from filters.engine.compiled.units import of_part
 from filters.engine.doors import Parts
 from filters.engine.engine import Engine
-from filters.engine.frames import Observations, Odometry, Outcome
+from filters.engine.frames import FrameOutcome, Observations, Odometry
 from filters.engine.row import Row, report
 from filters.engine.stereo_ekf import StereoEKF
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
@@ -36,7 +36,7 @@ class Reports(Sequence[UpdateReport]):
     """(B + 1,): measurements of filter b are offsets[b] to offsets[b + 1] - 1, ids ascending."""
     ids: IntArray
     """(M,): measurements of filter b are offsets[b] to offsets[b + 1] - 1, ids ascending."""
-    outcome: Outcome
+    outcome: FrameOutcome
     """What became of them."""
 
     def __len__(self) -> int:

@@ -19,7 +19,7 @@ from filters.engine.compiled.blas import PLAIN
 from filters.engine.compiled.frame import FIRST, MOVED, SETTLED
 from filters.engine.compiled.recipe import MOST_ROWS, MOST_STAGES, Recipe
 from filters.engine.compiled.scratch import Scratch
-from filters.engine.compiled.storage import CLONE_POSITION, POINT, REJECTED, STARTED, Frame, Storage
+from filters.engine.compiled.storage import CLONE_POSITION, POINT, REJECTED, STARTED, FrameArrays, Storage
 from filters.engine.gating import gate_limit
 from filters.engine.new_landmarks import can_start, start_landmarks
 from filters.engine.options import Options
@@ -48,7 +48,7 @@ class Room(Protocol):
         """State of the filters."""
 
     @property
-    def frame(self) -> Frame:
+    def frame(self) -> FrameArrays:
         """What the frame brings."""
 
     def scratch(self, thread: int) -> Scratch:
@@ -130,7 +130,7 @@ class Doors:
             H[:, rows] = measured.H
         return (*step, measured.innovation, H, measured.R)
 
-    def put_stages(self, frame: Frame, which: IntArray, variant: int, with_right: bool, M: int) -> None:
+    def put_stages(self, frame: FrameArrays, which: IntArray, variant: int, with_right: bool, M: int) -> None:
         """Stages of the measurements at `which`, of filters without (0) or with (1) a measured right row."""
         measurement, gate = self._options.measurement, self._options.gate
         v_right = frame.v_right[which] if with_right else None

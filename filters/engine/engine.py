@@ -16,7 +16,7 @@ from filters.engine.compiled.storage import (
     BLOCKS,
     LANDMARKS,
     FilterState,
-    Frame,
+    FrameArrays,
     Storage,
     empty_frame,
     empty_storage,
@@ -26,14 +26,14 @@ from filters.engine.compiled.storage import (
 )
 from filters.engine.compiled.units import Packed
 from filters.engine.doors import Doors, Parts
-from filters.engine.frames import Observations, Odometry, Outcome
+from filters.engine.frames import FrameOutcome, Observations, Odometry
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.motions.model import MotionModel
 
 _ROOM = 32  # blocks, at first
 
 
-_NOTHING = Outcome(np.zeros(0, dtype=np.uint8), np.zeros(0), np.zeros(0, dtype=np.int64), ())
+_NOTHING = FrameOutcome(np.zeros(0, dtype=np.uint8), np.zeros(0), np.zeros(0, dtype=np.int64), ())
 """Of a step without measurements."""
 
 
@@ -101,9 +101,9 @@ class Engine:
         return storage
 
     @property
-    def frame(self) -> Frame:
+    def frame(self) -> FrameArrays:
         """What the frame brings."""
-        frame: Frame = self._frame.value
+        frame: FrameArrays = self._frame.value
         return frame
 
     def scratch(self, thread: int) -> Scratch:
@@ -199,7 +199,7 @@ class Engine:
         dt: FloatArray | float,
         observations: Observations | None,
         odometry: Odometry | None = None,
-    ) -> Outcome:
+    ) -> FrameOutcome:
         """Predict by dt (B,) s, zero for none, and update, without returning to Python in between."""
         o = observations
         M = 0 if o is None else len(o.ids)
@@ -238,7 +238,7 @@ class Engine:
         if o is None:
             return _NOTHING
         dropped = tuple(frame.dropped[b, :gone].copy() for b, gone in enumerate(frame.outcome[:, 0].tolist()))
-        return Outcome(frame.fates[:M].copy(), frame.nis.copy(), frame.dof.copy(), dropped)
+        return FrameOutcome(frame.fates[:M].copy(), frame.nis.copy(), frame.dof.copy(), dropped)
 
     def _put_odometry(self, odometry: Odometry | None) -> None:
         """Odometry, or the numbers that a motion without kernels makes of it."""
@@ -285,7 +285,7 @@ class Engine:
 
     def _frame_with(
         self, blocks: int = 0, measurements: int = 0, rows: int = 0, odometry: tuple[int, int] = (0, 0)
-    ) -> Frame:
+    ) -> FrameArrays:
         """The frame, with room for at least these, and with what it brings already."""
         frame = self.frame
         there = frame.dropped.shape[1], len(frame.ids), frame.measured_nu.shape[1], *frame.odometry.shape[1:]

@@ -67,7 +67,7 @@ class Odometry:
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
+class FrameOutcome:
     """What became of the measurements."""
 
     fates: IntArray

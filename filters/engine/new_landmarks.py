@@ -5,15 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from filters.contract.observation import StereoObservation
+from filters.engine.compiled.landmarks import FARTHEST
 from filters.geometry import rotations
 from filters.geometry.arrays import BoolArray, FloatArray
 from filters.geometry.camera import StereoCamera
 from filters.measurements.model import MeasurementModel
 from filters.state.joint_state import JointState, NewLandmarks
 from filters.updates.extended import chain_rule
-
-FARTHEST = 1e6
-"""No camera measures a pixel or a disparity as large, px; squares of what would come of 1e300 overflow."""
 
 
 def can_start(

@@ -16,7 +16,7 @@ from filters.landmarks.model import LandmarkModel
 from filters.measurements.model import MeasurementModel
 from filters.motions.model import MotionModel
 from filters.parts import kernels_of, make_part
-from filters.state.layout import Layout
+from filters.state.layout import StateLayout
 from filters.updates.model import Linearisation
 
 
@@ -129,9 +129,9 @@ class Options:
         _ = self.layout
 
     @cached_property
-    def layout(self) -> Layout:
+    def layout(self) -> StateLayout:
         """Rows of the named variables that the parts ask for."""
-        return Layout.of(self.measurement.variables, self.motion.variables, self.measurement.sees_velocity)
+        return StateLayout.of(self.measurement.variables, self.motion.variables, self.measurement.sees_velocity)
 
 
 def _can_shift(landmark: LandmarkModel) -> bool:

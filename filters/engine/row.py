@@ -18,7 +18,7 @@ from filters.engine.compiled.recipe import Plan, Recipe, stage_tables
 from filters.engine.compiled.storage import CLONE_POSITION, CLONE_ROTATION, OWN, POINT, FilterState
 from filters.engine.doors import Parts, anchor_poses, clones_at
 from filters.engine.engine import Engine
-from filters.engine.frames import Observations, Odometry, Outcome
+from filters.engine.frames import FrameOutcome, Observations, Odometry
 from filters.engine.options import Options
 from filters.engine.values import ValuePlaces
 from filters.errors.model import ErrorKernels
@@ -320,7 +320,7 @@ class Row:
         return ValuePlaces(self.options.layout).camera(self.engine.storage.x[self.number].copy())
 
 
-def report(outcome: Outcome, ids: IntArray, mine: slice, number: int) -> UpdateReport:
+def report(outcome: FrameOutcome, ids: IntArray, mine: slice, number: int) -> UpdateReport:
     """Report of filter `number`, whose measurements are at `mine`."""
     fates, ids = outcome.fates[mine], ids[mine]
     told = {name: ids[fates == fate] for name, fate in _FATES.items()} if fates.any() else {"updated": ids}

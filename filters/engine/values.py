@@ -11,7 +11,7 @@ import numpy as np
 from filters.contract.variables import VELOCITY
 from filters.geometry.arrays import FloatArray
 from filters.motions.model import CameraState
-from filters.state.layout import Layout
+from filters.state.layout import StateLayout
 
 
 class ValuePlaces:
@@ -23,7 +23,7 @@ class ValuePlaces:
         Numbers in all.
     """
 
-    def __init__(self, layout: Layout) -> None:
+    def __init__(self, layout: StateLayout) -> None:
         self.size = layout.size + 1
         self._velocity = layout.places[VELOCITY].start + 1
         self._places: dict[str, slice] = {}

@@ -17,7 +17,7 @@ from filters.geometry import rotations, symmetric
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.landmarks.model import LandmarkModel, StartedLandmarks
 from filters.motions.model import POSITION, ROTATION, CameraState
-from filters.state.layout import Layout
+from filters.state.layout import StateLayout
 
 
 def _no_landmarks() -> IntArray:
@@ -47,7 +47,7 @@ class Clone:
     blocks: IntArray
 
 
-def world_rotation_of_variables(layout: Layout, camera: CameraState) -> FloatArray:
+def world_rotation_of_variables(layout: StateLayout, camera: CameraState) -> FloatArray:
     """Gamma of the variables: effect of a rotation of the world about its origin on their errors; (c, 3)."""
     effect = np.zeros((layout.size, 3))
     effect[POSITION] = -rotations.skew(camera.position)
@@ -62,7 +62,7 @@ def world_rotation_of_variables(layout: Layout, camera: CameraState) -> FloatArr
 class JointState:
     """Named variables, map and covariance."""
 
-    layout: Layout
+    layout: StateLayout
     """Rows of the named variables."""
     camera: CameraState
     """Their values."""
@@ -89,7 +89,7 @@ class JointState:
     """Clones of the pose by name; their blocks are held. Anchors of landmarks `in_anchor`, by their first block."""
 
     @classmethod
-    def at(cls, start: Start, layout: Layout, model: LandmarkModel) -> JointState:
+    def at(cls, start: Start, layout: StateLayout, model: LandmarkModel) -> JointState:
         """The variables at the start, and nothing seen yet."""
         camera, P = layout.start(start)
         nothing = np.zeros((0, model.value_size))

@@ -21,7 +21,7 @@ from filters.motions.model import CAMERA_SIZE, POSE_SIZE, POSITION, ROTATION, VE
 
 
 @dataclass(frozen=True, eq=False)
-class Layout:
+class StateLayout:
     """Places of the variables."""
 
     variables: tuple[Variable, ...] = ()
@@ -32,7 +32,9 @@ class Layout:
     """Whether the velocity, which stands behind the variables of the measurement model, is among them."""
 
     @classmethod
-    def of(cls, measurement: tuple[Variable, ...], motion: tuple[Variable, ...], sees_velocity: bool = False) -> Layout:
+    def of(
+        cls, measurement: tuple[Variable, ...], motion: tuple[Variable, ...], sees_velocity: bool = False
+    ) -> StateLayout:
         """Places of the variables of both models; one that both name is one variable.
 
         Raises

@@ -68,14 +68,14 @@ def _show_claims(claims: Sequence[Claim]) -> None:
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
-    from stereo_slam_env.studies.paper.claims import Verdict
+    from stereo_slam_env.studies.paper.claims import ClaimVerdict
     from stereo_slam_env.studies.paper.report import measured_range
 
     colours = {
-        Verdict.HOLDS: "green",
-        Verdict.HOLDS_ONLY_IF: "yellow",
-        Verdict.DOES_NOT_HOLD: "red",
-        Verdict.NOT_SHOWN: "dim",
+        ClaimVerdict.HOLDS: "green",
+        ClaimVerdict.HOLDS_ONLY_IF: "yellow",
+        ClaimVerdict.DOES_NOT_HOLD: "red",
+        ClaimVerdict.NOT_SHOWN: "dim",
     }
     table = Table(box=SIMPLE_HEAD, pad_edge=False)
     for heading, ratio in (("section", 1), ("claim", 5), ("measured", 2), ("verdict", 4)):

@@ -17,7 +17,13 @@ from stereo_slam_env.datasets import kitti00_stereo_tracks
 from stereo_slam_env.datasets.bag_writer import write_mcap
 from stereo_slam_env.datasets.image_files import BrokenPair
 from stereo_slam_env.datasets.kitti_odometry import write_kitti_sequence
-from stereo_slam_env.datasets.registry import Layout, available_recordings, file_layout, image_layouts, track_layouts
+from stereo_slam_env.datasets.registry import (
+    FolderLayout,
+    available_recordings,
+    file_layout,
+    image_layouts,
+    track_layouts,
+)
 from stereo_slam_env.datasets.restated import Recalibrated, WithTruth
 from stereo_slam_env.datasets.ros_bag import grey_of
 from stereo_slam_env.datasets.sequence import Choice, OnBroken
@@ -210,12 +216,12 @@ def _recognised(folder: Path, layouts: Iterable[Any]) -> Any | None:
     return next((layout for layout in layouts if not _lacking(folder, layout)), None)
 
 
-def _lacking(folder: Path, layout: Layout) -> list[str]:
+def _lacking(folder: Path, layout: FolderLayout) -> list[str]:
     """The entries that the folder lacks to have the layout, of the set that comes nearest."""
     return _nearest_set(folder, layout)[0]
 
 
-def _nearest_set(folder: Path, layout: Layout) -> tuple[list[str], float]:
+def _nearest_set(folder: Path, layout: FolderLayout) -> tuple[list[str], float]:
     """The entries that the folder lacks of the set that comes nearest, and their share of the set."""
     missing = [[entry for entry in entries if not _holds(folder, entry)] for entries in layout.FILES]
     shares = [(len(lacking) / len(entries), lacking) for lacking, entries in zip(missing, layout.FILES, strict=True)]

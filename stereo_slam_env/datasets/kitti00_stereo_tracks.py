@@ -21,7 +21,7 @@ from filters import InertialUnit, Pose, Start, StereoCamera, StereoNoise
 from filters.contract.extras import install_command
 from filters.geometry.arrays import FloatArray, IntArray
 from stereo_slam_env.datasets.known_recordings import known_by, reference_for
-from stereo_slam_env.datasets.tracks import ASSUMED_SIGMA_PX, Tracks, frames_of, stated_or_assumed
+from stereo_slam_env.datasets.tracks import ASSUMED_SIGMA_PX, PointTracks, frames_of, stated_or_assumed
 from stereo_slam_env.files.readers import read_poses, read_table, require_rotations, split_poses
 from stereo_slam_env.recording.inertial import samples_of_steps
 from stereo_slam_env.recording.recording import Recording, Reference
@@ -202,7 +202,7 @@ def _recording(
     if unknown.size:
         raise ValueError(f"{stereo_factors} has observations of frame {unknown[0]}, which has no pose")
     u_left, u_right, v = table[:, 2], table[:, 3], table[:, 4]
-    tracks = Tracks(
+    tracks = PointTracks(
         np.searchsorted(frame_ids, ids),
         table[:, 1].astype(np.int64),
         np.column_stack([u_left, v, u_left - u_right]),

@@ -35,7 +35,7 @@ _OURS = (
 _log = logging.getLogger(__name__)
 
 
-class Layout(Protocol):
+class FolderLayout(Protocol):
     """A layout of recordings; besides, `read` or `open_sequence`, and perhaps `SUFFIXES`."""
 
     NAME: str

@@ -35,7 +35,7 @@ _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
-class Tracks:
+class PointTracks:
     """Every observation of a run, flat, in any order."""
 
     frame: IntArray  # (n,): index of the frame of each observation
@@ -46,16 +46,16 @@ class Tracks:
     def __len__(self) -> int:
         return len(self.frame)
 
-    def select(self, keep: BoolArray | IntArray) -> Tracks:
+    def select(self, keep: BoolArray | IntArray) -> PointTracks:
         """The observations at `keep` (a mask or positions)."""
         v_right = None if self.v_right is None else self.v_right[keep]
-        return Tracks(self.frame[keep], self.ids[keep], self.uvd[keep], v_right)
+        return PointTracks(self.frame[keep], self.ids[keep], self.uvd[keep], v_right)
 
-    def with_positive_disparity(self) -> Tracks:
+    def with_positive_disparity(self) -> PointTracks:
         """Without the observations of d <= 0: in real tracks those are mismatches, not far points."""
         return self.select(self.uvd[:, 2] > 0)
 
-    def thinned(self, max_per_frame: int | None) -> Tracks:
+    def thinned(self, max_per_frame: int | None) -> PointTracks:
         """At most `max_per_frame` landmarks at a time, long tracks first; None keeps all.
 
         A landmark that is taken is kept until its track ends; a free place goes to the visible landmark with most
@@ -80,7 +80,7 @@ class Tracks:
 
 
 def stated_or_assumed(
-    path: Path, tracks: Tracks, facts: Mapping[str, Any] | None, **given: Any
+    path: Path, tracks: PointTracks, facts: Mapping[str, Any] | None, **given: Any
 ) -> tuple[dict[str, Any], tuple[int, int]]:
     """Options that a layout does not hold, and the size of the images (width, height), px.
 
@@ -108,14 +108,14 @@ def stated_or_assumed(
     return chosen, chosen.pop("image_size")
 
 
-def tracks_of_pixels(pixels: FloatArray) -> Tracks:
+def tracks_of_pixels(pixels: FloatArray) -> PointTracks:
     """Observations out of u_left, v_left, u_right, v_right (4, K, N) of landmark j in frame k; -1: not seen."""
     frame, landmark = np.nonzero((pixels != -1.0).all(axis=0))
     u_left, v_left, u_right, v_right = pixels[:, frame, landmark]
-    return Tracks(frame, landmark, np.column_stack([u_left, v_left, u_left - u_right]), v_right)
+    return PointTracks(frame, landmark, np.column_stack([u_left, v_left, u_left - u_right]), v_right)
 
 
-def without_repeats(pixels: FloatArray) -> tuple[Tracks, int]:
+def without_repeats(pixels: FloatArray) -> tuple[PointTracks, int]:
     """Observations as of `tracks_of_pixels` without frames that repeat the one before to the last bit, and how many.
 
     A tracker that stops in a frame, to look for new points, and goes on from the old pixels in the next image follows
@@ -132,7 +132,7 @@ def without_repeats(pixels: FloatArray) -> tuple[Tracks, int]:
 
 
 def frames_of(
-    tracks: Tracks,
+    tracks: PointTracks,
     timestamps: FloatArray,
     truth: Sequence[Pose | None],
     odometry: Sequence[BodyVelocity | None] | None = None,

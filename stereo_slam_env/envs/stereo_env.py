@@ -31,7 +31,11 @@ _ALL = np.ones(1, dtype=np.bool_)
 
 def row_of(arrays: Any, b: int) -> Any:
     """What belongs to row b, of each key where there are keys."""
-    return {key: row_of(value, b) for key, value in arrays.items()} if isinstance(arrays, dict) else arrays[b]
+    if isinstance(arrays, dict):
+        return {key: row_of(value, b) for key, value in arrays.items()}
+    value = arrays[b]
+    # Gymnasium's vectors gather Python's bool in an array of bool, but NumPy's in an array of objects.
+    return bool(value) if isinstance(value, np.bool_) else value
 
 
 class StereoEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle, Kept):

@@ -11,7 +11,7 @@ from filters import nees
 from stereo_slam_env.evaluation import trajectory_metrics as metrics
 from stereo_slam_env.evaluation.body_frames import find_body_offset, swapped_reading
 from stereo_slam_env.evaluation.gauges import Alignment, AlignmentKind, own_gauge
-from stereo_slam_env.evaluation.synchronisation import Pairs, find_time_offset, paired, share_at_risk, shifted
+from stereo_slam_env.evaluation.synchronisation import PosePairs, find_time_offset, paired, share_at_risk, shifted
 from stereo_slam_env.recording.trajectory import Trajectory
 
 _ASTRAY = 0.1
@@ -56,7 +56,7 @@ def gauge_of(estimate: Trajectory, reference: Trajectory) -> tuple[AlignmentKind
     )
 
 
-def find_obstacles(pairs: Pairs, whole: tuple[Trajectory, Trajectory], alignment: Alignment) -> Findings:
+def find_obstacles(pairs: PosePairs, whole: tuple[Trajectory, Trajectory], alignment: Alignment) -> Findings:
     """What keeps paired trajectories from being compared; `whole` are the two before they were paired."""
     aligned, truth = alignment.apply(pairs.estimate), pairs.reference
     path = metrics.path_length(truth.positions)
@@ -118,7 +118,7 @@ def _diverged_at(aligned: Trajectory, reference: Trajectory, path: float) -> flo
     return float(row) if times is None else float(times[row] - times[0])
 
 
-def _of_time(pairs: Pairs, whole: tuple[Trajectory, Trajectory], rigid: float) -> list[str]:
+def _of_time(pairs: PosePairs, whole: tuple[Trajectory, Trajectory], rigid: float) -> list[str]:
     notes = []
     if (risk := share_at_risk(pairs)) > _WORTH:
         notes.append(

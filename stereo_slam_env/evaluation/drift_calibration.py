@@ -27,7 +27,7 @@ from stereo_slam_env.evaluation.body_frames import find_body_offset
 from stereo_slam_env.evaluation.comparability import find_obstacles
 from stereo_slam_env.evaluation.drift_model import DRIVERS, DriftModel, LengthCheck, basis
 from stereo_slam_env.evaluation.gauges import UP, find_alignment
-from stereo_slam_env.evaluation.synchronisation import MAX_GAP, Pairs, paired
+from stereo_slam_env.evaluation.synchronisation import MAX_GAP, PosePairs, paired
 from stereo_slam_env.evaluation.trajectory_windows import LENGTHS, motions
 from stereo_slam_env.recording.trajectory import Trajectory, pose_errors
 from stereo_slam_env.recording.trajectory_files import load_trajectory
@@ -162,7 +162,7 @@ def _windows_of(
     return _Windows(lengths, errors, parts, weights)
 
 
-def _small_offset(pairs: Pairs) -> str:
+def _small_offset(pairs: PosePairs) -> str:
     """An offset of the body so small that what is learned may hold it, in words; empty where there is none."""
     offset = find_body_offset(pairs.estimate, pairs.reference)
     turn = np.linalg.norm(rotations.log(offset.T_bc.R_wc))

@@ -27,7 +27,7 @@ _HOLE = 5.0
 
 
 @dataclass(frozen=True, eq=False)
-class Pairs:
+class PosePairs:
     """Poses that belong together, row by row."""
 
     estimate: Trajectory
@@ -40,7 +40,9 @@ class Pairs:
     """(K,): time from a pose to the reference that it is held against, s; 0 without times and where interpolated."""
 
 
-def paired(estimate: Trajectory, reference: Trajectory, max_gap: float = MAX_GAP, interpolate: bool = False) -> Pairs:
+def paired(
+    estimate: Trajectory, reference: Trajectory, max_gap: float = MAX_GAP, interpolate: bool = False
+) -> PosePairs:
     """Poses nearest in time, each once; or at the times of the estimate; or of the same frame where one has no times.
 
     Raises
@@ -63,7 +65,7 @@ def paired(estimate: Trajectory, reference: Trajectory, max_gap: float = MAX_GAP
     ours = np.sort(first_of_each[gaps[first_of_each] <= max_gap])
     if len(ours) <= FEWEST:
         raise ValueError(_apart(len(ours), a, b, max_gap))
-    return Pairs(estimate.rows(ours), reference.rows(nearest[ours]), ours, gaps[ours])
+    return PosePairs(estimate.rows(ours), reference.rows(nearest[ours]), ours, gaps[ours])
 
 
 def find_time_offset(estimate: Trajectory, reference: Trajectory) -> float:
@@ -108,7 +110,7 @@ def shifted(trajectory: Trajectory, offset: float) -> Trajectory:
     return replace(trajectory, timestamps=trajectory.timestamps + offset)
 
 
-def share_at_risk(pairs: Pairs) -> float:
+def share_at_risk(pairs: PosePairs) -> float:
     """Share of poses at which the gap in time could explain `RISKY` of a claimed deviation of the position, or more.
 
     v dt / sigma, with the speed of the reference; 0 without claims or times.
@@ -122,7 +124,7 @@ def share_at_risk(pairs: Pairs) -> float:
     return float(np.mean(speed * pairs.gaps > RISKY * sigma))
 
 
-def _by_number(estimate: Trajectory, reference: Trajectory) -> Pairs:
+def _by_number(estimate: Trajectory, reference: Trajectory) -> PosePairs:
     mine, others = (
         np.arange(len(one)) if one.frame_numbers is None else np.asarray(one.frame_numbers)
         for one in (estimate, reference)
@@ -135,10 +137,10 @@ def _by_number(estimate: Trajectory, reference: Trajectory) -> Pairs:
     _, ours, theirs = np.intersect1d(mine, others, return_indices=True)
     if len(ours) <= FEWEST:
         raise ValueError(f"estimate and reference have {len(ours)} frames in common, more than {FEWEST} are needed")
-    return Pairs(estimate.rows(ours), reference.rows(theirs), ours, np.zeros(len(ours)))
+    return PosePairs(estimate.rows(ours), reference.rows(theirs), ours, np.zeros(len(ours)))
 
 
-def _interpolated(estimate: Trajectory, reference: Trajectory) -> Pairs:
+def _interpolated(estimate: Trajectory, reference: Trajectory) -> PosePairs:
     """The reference between its poses, at the times of the estimate."""
     a, b = estimate.timestamps, reference.timestamps
     assert a is not None
@@ -169,7 +171,7 @@ def _interpolated(estimate: Trajectory, reference: Trajectory) -> Pairs:
         reference.gauge,
         reference.body,
     )
-    return Pairs(estimate.rows(ours), truth, ours, np.zeros(len(ours)))
+    return PosePairs(estimate.rows(ours), truth, ours, np.zeros(len(ours)))
 
 
 def _apart(common: int, a: FloatArray, b: FloatArray, max_gap: float) -> str:

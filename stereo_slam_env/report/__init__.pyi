@@ -8,7 +8,7 @@ from .charts.axes import panel_width as panel_width
 from .charts.consistency import plot_error_bounds as plot_error_bounds
 from .charts.consistency import plot_nees as plot_nees
 from .charts.drawing import DASHED as DASHED
-from .charts.drawing import Box as Box
+from .charts.drawing import BoxMark as BoxMark
 from .charts.drawing import Chart as Chart
 from .charts.drawing import Curve as Curve
 from .charts.drawing import Panel as Panel
@@ -19,8 +19,8 @@ from .charts.style import MUTED as MUTED
 from .charts.style import filter_colours as filter_colours
 from .page import figure_block as figure_block
 from .page import html_page as html_page
-from .page_tables import Cell as Cell
 from .page_tables import Column as Column
+from .page_tables import TableCell as TableCell
 from .page_tables import Tone as Tone
 from .page_tables import number as number
 from .page_tables import table as table

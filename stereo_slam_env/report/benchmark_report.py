@@ -30,7 +30,7 @@ from stereo_slam_env.report.comparison_report import attribution_section, conclu
 from stereo_slam_env.report.data_section import data_section
 from stereo_slam_env.report.overview import RUN_BY_RUN, TONES, colour_key, lost
 from stereo_slam_env.report.page import TABLES, clean_figures, figure_block, part, write_page
-from stereo_slam_env.report.page_tables import Cell, Column, Tone, filter_cell, number, table
+from stereo_slam_env.report.page_tables import Column, TableCell, Tone, filter_cell, number, table
 from stereo_slam_env.report.run_report import reference_banner, write_report
 from stereo_slam_env.report.tables import (
     FINDING_TONES,
@@ -138,7 +138,7 @@ def _matrix(
     colours = filter_colours(names)
     found = {(cell, s.filter_name): s for cell, outcome in results.items() for s in outcome.summaries}
 
-    def entry(cell: str, name: str) -> Cell:
+    def entry(cell: str, name: str) -> TableCell:
         summary = found.get((cell, name))
         return number(None) if summary is None else _entry(summary, verdicts[cell])
 
@@ -147,20 +147,20 @@ def _matrix(
         rows = [[filter_cell(name, colours), *(entry(cell, name) for cell in results)] for name in names]
     else:
         columns = [Column("Scenario", kind="text"), *(Column(name) for name in names)]
-        rows = [[Cell(cell, link=links[cell]), *(entry(cell, name) for name in names)] for cell in results]
+        rows = [[TableCell(cell, link=links[cell]), *(entry(cell, name) for name in names)] for cell in results]
     return table(columns, rows, latex=out / TABLES / "scenarios.tex")
 
 
-def _entry(summary: FilterSummary, verdict: Verdict) -> Cell:
+def _entry(summary: FilterSummary, verdict: Verdict) -> TableCell:
     if summary.position_rmse_m is None:
         innovations = number(summary.nis, ".2f").text
-        return Cell(lost(summary) if summary.diverged else f"NIS / dof: {innovations}", None)
+        return TableCell(lost(summary) if summary.diverged else f"NIS / dof: {innovations}", None)
     error = number(summary.position_rmse_m, ".3g", " m", _standing(summary, verdict))
     note = f"NEES / 6: {POSE_NEES.text(summary.pose_anees)}" if summary.pose_anees is not None else ""
     if summary.diverged:
         note = lost(summary)
     tone: Tone = "bad" if summary.diverged else TONES[consistency(summary)]
-    return Cell(error.text, error.key, error.tone, note=note, note_tone=tone)
+    return TableCell(error.text, error.key, error.tone, note=note, note_tone=tone)
 
 
 def _standing(summary: FilterSummary, verdict: Verdict) -> Tone:
@@ -267,7 +267,7 @@ def _everything(
         *map(figure_column, figures),
     ]
     colours = filter_colours(s.filter_name for s in summaries)
-    rows: list[list[Cell]] = []
+    rows: list[list[TableCell]] = []
     for cell, outcome in results.items():
         for s in outcome.summaries:
             tones = {
@@ -275,7 +275,7 @@ def _everything(
                 POSE_NEES.name: TONES[consistency(s)],
             }
             first = [
-                Cell(cell, link=links[cell]),
+                TableCell(cell, link=links[cell]),
                 filter_cell(s.filter_name, colours),
                 _against_best(s, verdicts[cell]),
             ]
@@ -283,14 +283,14 @@ def _everything(
     return part("section", "All figures", "", [table(columns, rows, wide=True, latex=out / TABLES / "figures.tex")])
 
 
-def _against_best(summary: FilterSummary, verdict: Verdict) -> Cell:
+def _against_best(summary: FilterSummary, verdict: Verdict) -> TableCell:
     if summary.filter_name == verdict.best:
-        return Cell("tie" if len(verdict.leaders) > 1 else "smallest", 0.0, "none")
+        return TableCell("tie" if len(verdict.leaders) > 1 else "smallest", 0.0, "none")
     comparison = verdict.comparisons.get(summary.filter_name)
     if comparison is None or not comparison.difference.count:
         return number(None)
     if comparison.tied:
-        return Cell("tie", 0.0, "none")
+        return TableCell("tie", 0.0, "none")
     finding = comparison.difference.finding
     return percent_cell(
         comparison.difference, FINDING_TONES[finding if finding is Finding.WORSE else Finding.NOT_SHOWN]

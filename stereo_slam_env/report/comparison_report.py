@@ -17,7 +17,7 @@ from stereo_slam_env.report.charts.factors import plot_changes, plot_effects
 from stereo_slam_env.report.charts.style import filter_colours
 from stereo_slam_env.report.overview import RUN_BY_RUN
 from stereo_slam_env.report.page import FIGURES, TABLES, figure_block, part, write_page
-from stereo_slam_env.report.page_tables import Cell, Column, Tone, filter_cell, known, number, table
+from stereo_slam_env.report.page_tables import Column, TableCell, Tone, filter_cell, known, number, table
 from stereo_slam_env.report.tables import FINDING_TONES, capital, percent_cell
 
 
@@ -80,7 +80,7 @@ def _table(changes: Sequence[Change], how: str, latex: Path | None = None) -> Ma
         Column("Finding", kind="text"),
     ]
     colours = filter_colours(change.filter_name for change in changes)
-    rows: list[list[Cell | str]] = []
+    rows: list[list[TableCell | str]] = []
     for change in changes:
         tone = FINDING_TONES[change.finding]
         interval, (before, after) = change.interval_percent, change.values
@@ -91,12 +91,12 @@ def _table(changes: Sequence[Change], how: str, latex: Path | None = None) -> Ma
             [
                 filter_cell(change.filter_name, colours),
                 change.title,
-                Cell(before, known(change.before)),
-                Cell(after, known(change.after)),
-                Cell(change.brief or UNKNOWN, sorted_by, tone),
+                TableCell(before, known(change.before)),
+                TableCell(after, known(change.after)),
+                TableCell(change.brief or UNKNOWN, sorted_by, tone),
                 number(change.p_value, ".2g"),
                 number(change.count, "d"),
-                Cell(finding, tone=tone),
+                TableCell(finding, tone=tone),
             ]
         )
     return table(columns, rows, wide=True, latex=latex)
@@ -139,7 +139,7 @@ def attribution_section(attribution: Attribution, folder: Path) -> Markup:
         said = f"Interactions of two options: {shown} of {total} shown"
         parts.append(part("folded", said, _interactions(attribution.responses)))
     if any(attribution.diverged_percent.values()):
-        rows: list[list[Cell | str]] = [
+        rows: list[list[TableCell | str]] = [
             [factor, str(level), number(percent, ".0f", tone="bad" if percent else "")]
             for (factor, level), percent in attribution.diverged_percent.items()
         ]
@@ -161,17 +161,17 @@ def _contrasts(responses: Sequence[ResponseAttribution]) -> Markup:
     for response in responses:
         for contrast in response.contrasts:
             found.setdefault((contrast.factor, contrast.level), {})[response.response] = contrast
-    rows: list[list[Cell | str]] = []
+    rows: list[list[TableCell | str]] = []
     for (factor, level), contrasts in found.items():
         reference = next(iter(contrasts.values())).instead_of
-        row: list[Cell | str] = [factor, str(level), str(reference)]
+        row: list[TableCell | str] = [factor, str(level), str(reference)]
         for response in responses:
             row.append(_contrast_cell(contrasts.get(response.response)))
         rows.append(row)
     return table(columns, rows)
 
 
-def _contrast_cell(contrast: Contrast | None) -> Cell:
+def _contrast_cell(contrast: Contrast | None) -> TableCell:
     if contrast is None:
         return number(None)
     return percent_cell(contrast.difference, FINDING_TONES[contrast.finding])
@@ -185,7 +185,7 @@ def _interactions(responses: Sequence[ResponseAttribution]) -> Markup:
         Column("Together", "beyond each alone, %"),
         Column("Shown", kind="text"),
     ]
-    rows: list[list[Cell | str]] = []
+    rows: list[list[TableCell | str]] = []
     for response in responses:
         for effect in sorted(response.interactions, key=lambda e: (not e.difference.shown, -abs(e.difference.percent))):
             shown = effect.difference.shown
@@ -196,7 +196,7 @@ def _interactions(responses: Sequence[ResponseAttribution]) -> Markup:
                     " × ".join(effect.factors),
                     ", ".join(map(str, effect.levels)),
                     percent_cell(effect.difference, tone),
-                    Cell("yes" if shown else "no", tone=tone),
+                    TableCell("yes" if shown else "no", tone=tone),
                 ]
             )
     return table(columns, rows)
@@ -208,7 +208,7 @@ def _shares(responses: Sequence[ResponseAttribution]) -> Markup:
         Column("Options", kind="text"),
         *(Column(capital(r.response), "% of the variance") for r in responses),
     ]
-    rows: list[list[Cell | str]] = []
+    rows: list[list[TableCell | str]] = []
     for key in keys:
         rows.append([" × ".join(key) or "the rest", *(number(r.shares.get(key), ".1f") for r in responses)])
     return table(columns, rows)

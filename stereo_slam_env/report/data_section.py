@@ -10,7 +10,7 @@ from urllib.parse import quote
 from markupsafe import Markup
 
 from stereo_slam_env.report.page import part
-from stereo_slam_env.report.page_tables import Cell, Column, table
+from stereo_slam_env.report.page_tables import Column, TableCell, table
 
 _DATA_FILES = (".json", ".csv", ".parquet", ".toml", ".sqlite")
 Recordings = Mapping[str, Mapping[str, Path]]
@@ -28,8 +28,11 @@ def data_section(out: Path, recordings: Recordings | None = None) -> Markup:
         columns = list(dict.fromkeys(name for row in found.values() for name in row))
         rows = [
             [
-                Cell(seed),
-                *(Cell(row[name].suffix[1:], link=_address(row[name], out)) if name in row else "" for name in columns),
+                TableCell(seed),
+                *(
+                    TableCell(row[name].suffix[1:], link=_address(row[name], out)) if name in row else ""
+                    for name in columns
+                ),
             ]
             for seed, row in found.items()
         ]

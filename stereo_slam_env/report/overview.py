@@ -19,8 +19,8 @@ from stereo_slam_env.benchmark.statistics.measures import (
 from stereo_slam_env.benchmark.statistics.policy_verdict import Agreement, PolicyVerdict
 from stereo_slam_env.benchmark.statistics.remarks import innovation_factor, limit_reached, times_the_claim
 from stereo_slam_env.benchmark.statistics.verdict import (
-    Comparison,
     Consistency,
+    FilterComparison,
     Verdict,
     consistency,
     loss,
@@ -31,7 +31,7 @@ from stereo_slam_env.evaluation.figures import UNKNOWN, Figure
 from stereo_slam_env.evaluation.results import FilterSummary
 from stereo_slam_env.report.charts.style import filter_colours
 from stereo_slam_env.report.page import part
-from stereo_slam_env.report.page_tables import Cell, Column, Tone, filter_cell, number, table
+from stereo_slam_env.report.page_tables import Column, TableCell, Tone, filter_cell, number, table
 from stereo_slam_env.report.tables import FINDING_TONES
 
 TONES: dict[Consistency, Tone] = {
@@ -48,16 +48,16 @@ RUN_BY_RUN = (
 """Explanation of a column of differences beside one of values."""
 
 
-Question = tuple[Column, Callable[[FilterSummary], Cell | None]]
+Question = tuple[Column, Callable[[FilterSummary], TableCell | None]]
 """A column: the question and how it is measured, and what answers it (None: nothing)."""
 
 
 def answer(
     value: str, word: str = "", tone: Tone = "none", mark: Markup | None = None, key: float | None = None
-) -> Cell:
+) -> TableCell:
     """A value with a mark beside it, and a word on it below."""
     known = key is not None and np.isfinite(key)
-    return Cell(value, float(key or 0.0) if known else None, note=word, note_tone=tone, mark=mark)
+    return TableCell(value, float(key or 0.0) if known else None, note=word, note_tone=tone, mark=mark)
 
 
 def colour_key(names: Sequence[str]) -> Markup:
@@ -92,7 +92,7 @@ def consistency_question(summaries: Sequence[FilterSummary], *, with_share: bool
     return Column("Is it consistent?", f"pose NEES / 6, band {band}"), lambda s: _honesty(s, with_share)
 
 
-def _honesty(summary: FilterSummary, with_share: bool) -> Cell | None:
+def _honesty(summary: FilterSummary, with_share: bool) -> TableCell | None:
     if summary.pose_anees is None:
         return None
     state = consistency(summary)
@@ -127,7 +127,7 @@ def _band_mark(summary: FilterSummary) -> Markup:
     )
 
 
-def _innovations(summary: FilterSummary) -> Cell | None:
+def _innovations(summary: FilterSummary) -> TableCell | None:
     if summary.nis is None:
         return None
     factor = innovation_factor(summary)
@@ -181,7 +181,7 @@ def overview(summaries: Sequence[FilterSummary], verdict: Verdict) -> Markup:
 # ---- accuracy -------------------------------------------------------------------------------------------------------
 
 
-def _accuracy(summary: FilterSummary, verdict: Verdict) -> Cell | None:
+def _accuracy(summary: FilterSummary, verdict: Verdict) -> TableCell | None:
     if summary.position_rmse_m is None:
         return answer(UNKNOWN, lost(summary), "bad") if summary.diverged else None
     value = short(summary.position_rmse_m, " m")
@@ -207,7 +207,7 @@ def _against(verdict: Verdict) -> str:
     return f"error against {verdict.best or 'the best'} run by run{', 95 % interval' if sure else ''}"
 
 
-def _difference(summary: FilterSummary, verdict: Verdict) -> Cell | None:
+def _difference(summary: FilterSummary, verdict: Verdict) -> TableCell | None:
     if not verdict.comparisons:
         return None
     if summary.filter_name == verdict.best:
@@ -222,7 +222,7 @@ def _difference(summary: FilterSummary, verdict: Verdict) -> Cell | None:
     return answer(f"{signed(found.percent)} %", word, tone, _interval_mark(comparison, verdict), found.percent)
 
 
-def _finding(comparison: Comparison) -> tuple[str, Tone]:
+def _finding(comparison: FilterComparison) -> tuple[str, Tone]:
     found = comparison.difference
     if comparison.tied:
         return f"tie, {found.tie_words}", "none"
@@ -235,7 +235,7 @@ def _finding(comparison: Comparison) -> tuple[str, Tone]:
     return Finding.NOT_SHOWN.value, "none"
 
 
-def _interval_mark(comparison: Comparison | None, verdict: Verdict) -> Markup:
+def _interval_mark(comparison: FilterComparison | None, verdict: Verdict) -> Markup:
     """The interval as a bar on a scale that all rows share; the line is "no difference"."""
     differences = [c.difference for c in verdict.comparisons.values()]
     ends = [p for d in differences for p in (d.interval_percent or (d.percent,))]
@@ -272,7 +272,7 @@ def _limit_of(summaries: Sequence[FilterSummary]) -> str:
     return f"{bound}, 95 % interval" if sure else bound
 
 
-def _efficiency(summary: FilterSummary) -> Cell | None:
+def _efficiency(summary: FilterSummary) -> TableCell | None:
     found = limit_reached(summary)
     if found is None:
         return None
@@ -286,7 +286,7 @@ def _efficiency(summary: FilterSummary) -> Cell | None:
     return answer(found.value, found.sureness, "none", mark, found.percent)
 
 
-def _cost(summary: FilterSummary, summaries: Sequence[FilterSummary]) -> Cell | None:
+def _cost(summary: FilterSummary, summaries: Sequence[FilterSummary]) -> TableCell | None:
     quickest = min((s.ms_per_frame for s in summaries if s.ms_per_frame), default=None)
     if summary.ms_per_frame is None or not quickest:
         return None
@@ -330,13 +330,13 @@ def policy_overview(summaries: Sequence[FilterSummary], verdict: PolicyVerdict) 
     )
 
 
-def _claimed(summary: FilterSummary, verdict: PolicyVerdict) -> Cell | None:
+def _claimed(summary: FilterSummary, verdict: PolicyVerdict) -> TableCell | None:
     determinant = FINAL_LOGDET.of(summary)
     beside = Markup("<span>{}</span>").format(short(determinant).replace("-", "−"))
     return dataclasses.replace(_by(FINAL_SIGMA, summary, verdict), mark=beside if np.isfinite(determinant) else None)
 
 
-def _by(measure: Figure, summary: FilterSummary, verdict: PolicyVerdict) -> Cell:
+def _by(measure: Figure, summary: FilterSummary, verdict: PolicyVerdict) -> TableCell:
     """The value of a measure, and its difference to that of the baseline."""
     value = measure.of(summary)
     shown = short(value, f" {measure.unit}")
@@ -355,7 +355,7 @@ def _by(measure: Figure, summary: FilterSummary, verdict: PolicyVerdict) -> Cell
     return answer(shown, ", ".join(words), FINDING_TONES[difference.finding], key=value)
 
 
-def _agreement(summary: FilterSummary, verdict: PolicyVerdict) -> Cell | None:
+def _agreement(summary: FilterSummary, verdict: PolicyVerdict) -> TableCell | None:
     found = verdict.comparisons.get(summary.filter_name)
     if found is None:
         return None

@@ -35,7 +35,7 @@ class Column:
 
 
 @dataclass(frozen=True)
-class Cell:
+class TableCell:
     """Cell of a table."""
 
     text: str
@@ -56,12 +56,12 @@ class Cell:
     """Drawn beside an answer."""
 
 
-def number(value: float | None, form: str = ".3g", unit: str = "", tone: Tone = "") -> Cell:
+def number(value: float | None, form: str = ".3g", unit: str = "", tone: Tone = "") -> TableCell:
     """Cell of a number, which may be unknown (None, NaN)."""
     if value is None or not np.isfinite(value):
-        return Cell(UNKNOWN, None, "none")
+        return TableCell(UNKNOWN, None, "none")
     text = format(value, form) if abs(value) < 10_000 or form.endswith("d") else f"{value:.1e}"
-    return Cell(f"{text}{unit}".replace("-", "−"), float(value), tone)
+    return TableCell(f"{text}{unit}".replace("-", "−"), float(value), tone)
 
 
 def known(value: float) -> float | None:
@@ -69,14 +69,14 @@ def known(value: float) -> float | None:
     return value if np.isfinite(value) else None
 
 
-def filter_cell(name: str, colours: Mapping[str, str], link: str = "") -> Cell:
+def filter_cell(name: str, colours: Mapping[str, str], link: str = "") -> TableCell:
     """Cell of a filter's name with the dot of its colour."""
-    return Cell(name, name, dot=colours[name], link=link)
+    return TableCell(name, name, dot=colours[name], link=link)
 
 
 def table(
     columns: Sequence[Column],
-    rows: Sequence[Sequence[Cell | str]],
+    rows: Sequence[Sequence[TableCell | str]],
     *,
     wide: bool = False,
     answers: bool = False,
@@ -117,7 +117,7 @@ def table(
     return part("table", columns, placed, look, f"{latex.parent.name}/{latex.name}" if latex is not None else "")
 
 
-def _placed(cell: Cell | str) -> Cell:
+def _placed(cell: TableCell | str) -> TableCell:
     """A cell with what sorting goes by as text."""
-    cell = Cell(cell) if isinstance(cell, str) else cell
+    cell = TableCell(cell) if isinstance(cell, str) else cell
     return replace(cell, key=cell.text if cell.key == "" else "" if cell.key is None else str(cell.key))

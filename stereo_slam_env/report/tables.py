@@ -14,7 +14,7 @@ from stereo_slam_env.benchmark.statistics.remarks import limit_reached
 from stereo_slam_env.evaluation.figures import FIGURES, Figure, Group
 from stereo_slam_env.evaluation.results import FilterSummary
 from stereo_slam_env.report.charts.style import filter_colours
-from stereo_slam_env.report.page_tables import Cell, Column, Tone, filter_cell, known, number, table
+from stereo_slam_env.report.page_tables import Column, TableCell, Tone, filter_cell, known, number, table
 
 
 def figures_table(
@@ -73,28 +73,28 @@ FINDING_TONES: dict[Finding, Tone] = {Finding.BETTER: "good", Finding.WORSE: "ba
 """Colour of each finding."""
 
 
-def pair_cell(measure: Figure, difference: Difference | None) -> Cell:
+def pair_cell(measure: Figure, difference: Difference | None) -> TableCell:
     """Difference and interval; of consistency, which is nearer to its ideal."""
     if difference is None:
         return number(None)
     tone = FINDING_TONES[difference.finding]
     if difference.tied:
-        return Cell("tie", difference.estimate, tone)
+        return TableCell("tie", difference.estimate, tone)
     if measure.ideal is not None:
         nearer = {Finding.BETTER: "nearer", Finding.WORSE: "farther"}.get(difference.finding, Finding.NOT_SHOWN.value)
-        return Cell(nearer, difference.estimate, tone)
+        return TableCell(nearer, difference.estimate, tone)
     if not measure.is_ratio:
         interval = f" ({difference.interval_words})" if difference.interval is not None else ""
-        return Cell(f"{signed(difference.estimate, 2)}{interval}", difference.estimate, tone)
+        return TableCell(f"{signed(difference.estimate, 2)}{interval}", difference.estimate, tone)
     return percent_cell(difference, tone)
 
 
-def percent_cell(difference: Difference, tone: Tone) -> Cell:
+def percent_cell(difference: Difference, tone: Tone) -> TableCell:
     """A change in %, with its interval in brackets where there is one."""
     text, interval = signed(difference.percent), difference.interval_percent
     if interval is not None:
         text += f" ({' to '.join(signed(end) for end in interval)})"
-    return Cell(text, difference.percent, tone)
+    return TableCell(text, difference.percent, tone)
 
 
 def capital(words: str) -> str:
@@ -113,15 +113,15 @@ def figure_column(figure: Figure) -> Column:
     return _column(figure, "ideal 1" if figure.ideal is not None else unit)
 
 
-def figure_cell(figure: Figure, summary: FilterSummary, tone: Tone = "") -> Cell:
+def figure_cell(figure: Figure, summary: FilterSummary, tone: Tone = "") -> TableCell:
     """Value of a figure."""
     value = summary.figures[figure.name]
     if figure is EFFICIENCY:
         found = limit_reached(summary)
-        return number(None) if found is None else Cell(found.words, found.percent)
+        return number(None) if found is None else TableCell(found.words, found.percent)
     if figure.per_runs:
-        return Cell(f"{value}/{summary.runs}", value, "bad" if value else "")
-    return Cell(figure.text(value).replace("-", "−"), known(figure.shown(value)), tone)
+        return TableCell(f"{value}/{summary.runs}", value, "bad" if value else "")
+    return TableCell(figure.text(value).replace("-", "−"), known(figure.shown(value)), tone)
 
 
 def _column(figure: Figure, unit: str) -> Column:
@@ -143,7 +143,7 @@ def _rows(
     summaries: Sequence[FilterSummary],
     who: str,
     columns: Sequence[Column],
-    cells: Sequence[Sequence[Cell]],
+    cells: Sequence[Sequence[TableCell]],
     latex: Path | None,
 ) -> Markup:
     """Markup of a table with a row a filter."""

@@ -12,7 +12,7 @@ from stereo_slam_env.evaluation.trajectory_score import PairedVerdict, Trajector
 from stereo_slam_env.report.charts import trajectories
 from stereo_slam_env.report.data_section import data_section
 from stereo_slam_env.report.page import clean_figures, figure_block, part, write_page
-from stereo_slam_env.report.page_tables import Cell, Column, table
+from stereo_slam_env.report.page_tables import Column, TableCell, table
 from stereo_slam_env.report.trajectory_table import (
     alignment_text,
     gauge_rows,
@@ -143,5 +143,5 @@ def _claiming(scores: Sequence[TrajectoryScore]) -> bool:
 def _figures(scores: Sequence[TrajectoryScore]) -> Markup:
     columns = [Column(f"against {scores[0].reference}", kind="text")]
     columns += [Column(label) for label in trajectories.labels_of(scores)]
-    rows: list[list[Cell | str]] = [[title, *cells] for title, cells in score_rows(scores)]
+    rows: list[list[TableCell | str]] = [[title, *cells] for title, cells in score_rows(scores)]
     return table(columns, rows)

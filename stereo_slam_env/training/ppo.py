@@ -26,8 +26,8 @@ from stereo_slam_env.files.opening import open_regular
 from stereo_slam_env.files.package_versions import commit, version_of
 from stereo_slam_env.files.readers import read_json, read_text
 from stereo_slam_env.policies.network import Network
-from stereo_slam_env.training.registered_task import Outcome, RegisteredTask
-from stereo_slam_env.training.task import Evaluation, GazeTask, evaluate
+from stereo_slam_env.training.registered_task import EpisodeOutcome, RegisteredTask
+from stereo_slam_env.training.task import GazeTask, PolicyEvaluation, evaluate
 
 if TYPE_CHECKING:
     from stable_baselines3 import PPO
@@ -158,7 +158,7 @@ class LearningCurve:
         decisions: int,
         seconds: float,
         mean_return: float,
-        results: Evaluation | Outcome,
+        results: PolicyEvaluation | EpisodeOutcome,
         diagnostics: Mapping[str, float] = MappingProxyType({}),
     ) -> bool:
         """Add a row; whether it is the best so far."""

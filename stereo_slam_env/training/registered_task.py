@@ -21,7 +21,7 @@ _WITH_IDS = ("StereoSlam/Drive-v0", "StereoSlam/Gaze-v0", "StereoSlam/DriveGaze-
 
 
 @dataclass(frozen=True)
-class Outcome:
+class EpisodeOutcome:
     """Means over episodes."""
 
     validation_return: float
@@ -70,7 +70,7 @@ class RegisteredTask:
         vector.close()
         return np.arange(space.n, dtype=np.float64)[:, None] if isinstance(space, spaces.Discrete) else None
 
-    def evaluate(self, network: Network | None, seeds: Sequence[int], threads: int = 1) -> Outcome:
+    def evaluate(self, network: Network | None, seeds: Sequence[int], threads: int = 1) -> EpisodeOutcome:
         """See `training.evaluate`."""
         vector = self.make_vector(len(seeds), threads=threads)
         actions = np.zeros(vector.action_space.shape or (), dtype=vector.action_space.dtype)
@@ -88,9 +88,9 @@ class RegisteredTask:
                 going &= ~(terminated | truncated)
         finally:
             vector.close()
-        return Outcome(float(returns.mean()), float(success.mean()), float(steps.mean()))
+        return EpisodeOutcome(float(returns.mean()), float(success.mean()), float(steps.mean()))
 
-    def words(self, results: Outcome) -> str:
+    def words(self, results: EpisodeOutcome) -> str:
         """What a progress bar says of results."""
         said = f"return {results.validation_return:.2f}"
         if np.isfinite(results.success):

@@ -145,7 +145,7 @@ class GazeTask:
         """Pan and tilt to choose from, as shares of the largest; (pans, 2)."""
         return None if self.pans is None else directions(self.pans)
 
-    def evaluate(self, network: Network | None, seeds: Sequence[int], threads: int = 1) -> Evaluation:
+    def evaluate(self, network: Network | None, seeds: Sequence[int], threads: int = 1) -> PolicyEvaluation:
         """See `evaluate`; without a network the head looks straight ahead."""
         vector = replace(self, pans=None).make_vector(len(seeds), threads=threads)
         actions = np.zeros(vector.action_space.shape or (), dtype=np.float32)
@@ -160,9 +160,9 @@ class GazeTask:
         finally:
             vector.close()
         means = {name: float(getattr(figures, name).mean()) for name in _MEANS}
-        return Evaluation(**means, validation_return=float(figures.returns.mean()))
+        return PolicyEvaluation(**means, validation_return=float(figures.returns.mean()))
 
-    def words(self, results: Evaluation) -> str:
+    def words(self, results: PolicyEvaluation) -> str:
         """What a progress bar says of results; the score is that of the id, with its own arguments."""
         said = f"true error {results.final_position_error_m:.3f} m, claimed {results.final_position_sigma_m:.3f} m"
         if self != GazeTask():
@@ -204,7 +204,7 @@ active_gaze_vector = vector_of(active_gaze)
 
 
 @dataclass(frozen=True)
-class Evaluation:
+class PolicyEvaluation:
     """Means over episodes."""
 
     final_position_sigma_m: float

@@ -25,7 +25,7 @@ from filters.geometry import rotations
 from filters.geometry.retractions import AdditiveQuaternion, RotationVector
 from filters.landmarks.inverse_depth import angles_jacobian, angles_of, ray_direction
 from filters.state.joint_state import world_rotation_of_variables
-from filters.state.layout import Layout
+from filters.state.layout import StateLayout
 from filters.updates.extended import chain_rule
 
 from ..filters.first_sight import first_sight
@@ -231,7 +231,7 @@ class TestErrors:
     def test_what_cannot_be_seen(self, state, rng):
         r, v, X = state.position, state.linear_velocity, rng.normal(size=3)
         expected = np.vstack([-skew(r), state.R_wc.T, -skew(v), ZERO])
-        np.testing.assert_allclose(world_rotation_of_variables(Layout(), state), expected, **EXACT)
+        np.testing.assert_allclose(world_rotation_of_variables(StateLayout(), state), expected, **EXACT)
         np.testing.assert_allclose(Euclidean().world_rotation(None, X[None])[0], -skew(X), **EXACT)
         y = np.array([[0.4, -0.3, 0.07]])
         m = ray_direction(y)

@@ -10,7 +10,7 @@ from filters.engine.new_landmarks import start_landmarks
 from filters.geometry.arrays import FloatArray
 from filters.landmarks.model import LandmarkModel
 from filters.state.joint_state import JointState, NewLandmarks
-from filters.state.layout import Layout
+from filters.state.layout import StateLayout
 
 
 def first_sight(
@@ -25,4 +25,4 @@ def first_sight(
     start = Start(position, Rotation.from_matrix(R_wc).as_quat())
     noise = np.broadcast_to(np.eye(3) if R is None else R, (len(uvd), 3, 3))
     observation = StereoObservation(np.arange(len(uvd)), uvd)
-    return start_landmarks(RangeBearing(), camera, JointState.at(start, Layout(), model), observation, noise)
+    return start_landmarks(RangeBearing(), camera, JointState.at(start, StateLayout(), model), observation, noise)

@@ -38,7 +38,7 @@ from filters.engine.compiled.recipe import Plan, Recipe
 from filters.engine.compiled.retraction import move, retract, retract_by_numbers, scales_blocks
 from filters.engine.compiled.scratch import Scratch
 from filters.engine.compiled.sigma_points import fit
-from filters.engine.compiled.storage import BEHIND, BLOCKS, FAILED, GATED, LANDMARKS, OWN, USED, Frame, Storage
+from filters.engine.compiled.storage import BEHIND, BLOCKS, FAILED, GATED, LANDMARKS, OWN, USED, FrameArrays, Storage
 from filters.engine.compiled.units import (
     ADDRESSES,
     AGREE,
@@ -113,13 +113,13 @@ def _linearise(
 
 
 @njit(**KERNEL)
-def _size(plan: Plan, frame: Frame, variant: int, stage: int) -> int:
+def _size(plan: Plan, frame: FrameArrays, variant: int, stage: int) -> int:
     """Rows of a stage."""
     return frame.sizes[variant, stage] if plan.by_numbers else plan.rows[variant, stage, 0]
 
 
 @njit(**KERNEL)
-def _limit(plan: Plan, frame: Frame, variant: int, stage: int) -> float:
+def _limit(plan: Plan, frame: FrameArrays, variant: int, stage: int) -> float:
     """Squared distance up to which a measurement of a stage is believed."""
     return frame.limits[variant, stage] if plan.by_numbers else plan.limits[variant, stage]
 
@@ -309,7 +309,15 @@ def _apply(
 
 @njit(**KERNEL)
 def _stage(
-    routines: Routines, plan: Plan, variant: int, stage: int, S: Storage, b: int, s: Scratch, frame: Frame, known: int
+    routines: Routines,
+    plan: Plan,
+    variant: int,
+    stage: int,
+    S: Storage,
+    b: int,
+    s: Scratch,
+    frame: FrameArrays,
+    known: int,
 ) -> tuple[float, int]:
     """One stage of the update, with the measurements whose fate so far is USED; NIS and dof."""
     x, blocks, P = S.x[b], S.blocks[b], S.P[b]
@@ -349,16 +357,12 @@ def _stage(
         if s.support[i, best]:
             s.select[core] = m
             core += 1
-    for i in range(core):
-        s.core[i] = s.select[i]
     nis, dof = _apply(routines, plan, variant, stage, S, b, s, core, size)
     if s.door[1] != 0:
         return 0.0, 0
-    count, taken = np.int64(0), 0
+    count = np.int64(0)
     for m in range(known):
-        if taken < core and s.core[taken] == m:
-            taken += 1
-        elif s.fates[m] == GATED and s.ahead[m]:
+        if s.fates[m] == GATED and s.ahead[m]:  # not in the core
             s.select[count] = m
             count += 1
     if not _linearise(routines, plan, variant, stage, S, b, x, blocks, s, count, AGAIN):
@@ -370,7 +374,7 @@ def _stage(
 
 @njit(**KERNEL)
 def _candidates(
-    routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch, frame: Frame, first: int, last: int
+    routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch, frame: FrameArrays, first: int, last: int
 ) -> int:
     """Landmarks that start from measurements of unknown ones, in `place`, with their fates; their number."""
     if plan.by_numbers:
@@ -410,15 +414,35 @@ def _may_change(routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch) 
 
 
 @njit(**KERNEL)
+def _drop_unseen(plan: Plan, S: Storage, b: int, s: Scratch, frame: FrameArrays, first: int, last: int) -> None:
+    """Take landmarks that are not seen out of the map, before the update: it would correct them for nothing."""
+    ids, counts = S.ids[b], S.counts[b]
+    landmarks = counts[LANDMARKS]
+    s.gone[:landmarks] = True
+    for i in range(last - first):
+        if s.where[i] >= 0:
+            s.gone[s.where[i]] = False
+    leave(ids, S.own[b], S.anchor[b], S.users[b], counts, s.gone, frame.dropped[b])
+    close_gaps(plan, S, b)
+    find(ids, counts[LANDMARKS], frame.ids[first:last], s.where)
+    frame.outcome[b, 0] = landmarks - counts[LANDMARKS]
+
+
+@njit(**KERNEL)
 def _renew(
-    routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch, frame: Frame, first: int, last: int, found: int
+    routines: Routines,
+    plan: Plan,
+    S: Storage,
+    b: int,
+    s: Scratch,
+    frame: FrameArrays,
+    first: int,
+    last: int,
+    found: int,
 ) -> None:
-    """Landmarks that were not seen leave, new ones enter, and some change over to points."""
+    """Landmarks enter, the least informative leave where there is a limit, and some change over to points."""
     landmarks, new, gone = S.counts[b, LANDMARKS], 0, 0
-    for i in range(landmarks):
-        s.gone[i] = plan.drop_unseen
-    for m in range(found):
-        s.gone[s.land[m]] = False
+    s.gone[:landmarks] = False
     if last - first > found:
         new = _candidates(routines, plan, S, b, s, frame, first, last)
     if 0 < plan.most_landmarks < found + new:
@@ -435,14 +459,14 @@ def _renew(
         if s.gone[i]:
             gone += 1
     if gone > 0:
-        leave(S.ids[b], S.own[b], S.anchor[b], S.users[b], S.counts[b], s.gone, frame.dropped[b])
+        leave(S.ids[b], S.own[b], S.anchor[b], S.users[b], S.counts[b], s.gone, frame.dropped[b, frame.outcome[b, 0] :])
     if plan.changes and _may_change(routines, plan, S, b, s) and not _ask(routines, TO_CHANGE, b, s, 0, 0):
         return
     if new > 0:
         call(routines[ENTER], (plan, S, b, s, frame, first, new))
     if gone > 0 or plan.changes:
         close_gaps(plan, S, b)
-    frame.outcome[b, 0] = gone
+    frame.outcome[b, 0] += gone
 
 
 @njit(**KERNEL)
@@ -459,7 +483,7 @@ def _carry(routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch, back:
 
 
 @njit(**KERNEL)
-def _predict(routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch, frame: Frame) -> None:
+def _predict(routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch, frame: FrameArrays) -> None:
     """The step of one filter, and odometry as a measurement after it."""
     P, x = S.P[b], S.x[b]
     n, before = plan.leading + plan.size * S.counts[b, BLOCKS], pose_variances(P)
@@ -487,7 +511,7 @@ def _predict(routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch, fra
 
 
 @njit(**KERNEL)
-def _advance(routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch, frame: Frame) -> None:
+def _advance(routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch, frame: FrameArrays) -> None:
     """The frame of one filter."""
     if not (frame.seen[b] or frame.dt[b] > 0.0):
         return
@@ -505,6 +529,8 @@ def _advance(routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch, fra
         _predict(routines, plan, S, b, s, frame)
     if s.door[1] != 0 or not frame.seen[b]:
         return
+    if plan.drop_unseen and found < counts[LANDMARKS]:
+        _drop_unseen(plan, S, b, s, frame, first, last)
     known = np.int64(0)
     for i in range(last - first):
         if s.where[i] >= 0:
@@ -528,8 +554,7 @@ def _advance(routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch, fra
         keep_definite(P, before, s.half)
         for m in range(known):
             frame.fates[first + s.place[m]] = s.fates[m]
-    unseen = plan.drop_unseen and known < counts[LANDMARKS]
-    if unseen or plan.changes or plan.most_landmarks > 0 or known < last - first:
+    if plan.changes or plan.most_landmarks > 0 or known < last - first:
         _renew(routines, plan, S, b, s, frame, first, last, known)
 
 

@@ -20,7 +20,7 @@ from filters.engine.compiled.storage import (
     POINT,
     REJECTED,
     STARTED,
-    Frame,
+    FrameArrays,
     Storage,
 )
 from filters.engine.compiled.units import (
@@ -156,7 +156,9 @@ def _add_prior(plan: Plan, x: FloatArray, s: Scratch, i: int, kept: int) -> None
 
 
 @unit(ADDRESSES, PLAN, STORAGE, types.int64, SCRATCH, FRAME, types.int64, types.int64)
-def start(routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch, frame: Frame, first: int, count: int) -> None:
+def start(
+    routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch, frame: FrameArrays, first: int, count: int
+) -> None:
     """Landmarks at the `count` measurements in `place` (Eq. 19-25); those that can start stay, `result` counts them."""
     x, measured = S.x[b], plan.measured
     others = s.back_by_values.shape[2]
@@ -312,7 +314,7 @@ def _merge(
 
 
 @unit(PLAN, STORAGE, types.int64, SCRATCH, FRAME, types.int64, types.int64)
-def enter(plan: Plan, S: Storage, b: int, s: Scratch, frame: Frame, first: int, count: int) -> None:
+def enter(plan: Plan, S: Storage, b: int, s: Scratch, frame: FrameArrays, first: int, count: int) -> None:
     """Add the `count` landmarks that have started (`JointState.augment`); there is room for them."""
     P, x, blocks, users, counts = S.P[b], S.x[b], S.blocks[b], S.users[b], S.counts[b]
     measured, leading = plan.measured, plan.leading

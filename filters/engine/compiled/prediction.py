@@ -10,7 +10,7 @@ from filters.engine.compiled.correction import correct_rows
 from filters.engine.compiled.covariance import identity, transform_leading
 from filters.engine.compiled.recipe import Plan
 from filters.engine.compiled.scratch import Scratch
-from filters.engine.compiled.storage import Frame
+from filters.engine.compiled.storage import FrameArrays
 from filters.engine.compiled.units import ADDRESSES, FRAME, MATRIX, MEASURE, PLAN, SCRATCH, STEP, VECTOR, unit
 from filters.geometry.arrays import FloatArray
 from filters.geometry.rotations import Nine, matrix_of
@@ -87,7 +87,7 @@ def predict(
     n: int,
     x: FloatArray,
     predicted: FloatArray,
-    frame: Frame,
+    frame: FrameArrays,
     b: int,
     s: Scratch,
 ) -> None:
@@ -134,7 +134,7 @@ def predict(
 
 @unit(ADDRESSES, PLAN, MATRIX, types.int64, VECTOR, FRAME, types.int64, SCRATCH)
 def fuse(
-    routines: Routines, plan: Plan, P: FloatArray, n: int, x: FloatArray, frame: Frame, b: int, s: Scratch
+    routines: Routines, plan: Plan, P: FloatArray, n: int, x: FloatArray, frame: FrameArrays, b: int, s: Scratch
 ) -> None:
     """Odometry as a measurement after the step: P in place, delta; `result` is 1 where it was used."""
     rows, limit = plan.moved_rows, np.inf

@@ -51,7 +51,7 @@ class Storage(NamedTuple):
     """Landmarks and blocks, (B, 2)."""
 
 
-class Frame(NamedTuple):
+class FrameArrays(NamedTuple):
     """What a frame brings to B filters: a step, odometry, and M measurements in all; or the numbers of parts."""
 
     dt: FloatArray
@@ -182,12 +182,12 @@ class FilterState:
 
 def empty_frame(
     recipe: Recipe, filters: int, blocks: int, measurements: int, rows: int = 1, odometry: tuple[int, int] = (1, 1)
-) -> Frame:
+) -> FrameArrays:
     """A frame that brings nothing, with room for odometry (K, w), and for so many rows of it by numbers."""
     M, leading = measurements, recipe.plan.leading
     driven = filters if recipe.motion is None else 1
     stages, numbers = (MOST_STAGES, M) if recipe.plan.by_numbers else (1, 1)
-    return Frame(
+    return FrameArrays(
         dt=np.zeros(filters),
         fused=np.zeros(filters, dtype=np.bool_),
         odometry=np.zeros((filters, *odometry)),

@@ -38,7 +38,7 @@ class Consistency(Enum):
 
 
 @dataclass(frozen=True)
-class Comparison:
+class FilterComparison:
     """The best filter against another one, on the recordings that both completed."""
 
     best: str
@@ -62,7 +62,7 @@ class Verdict:
 
     # Filter with the smallest position error of those that never diverged; None where there is none, or no error.
     best: str | None
-    comparisons: Mapping[str, Comparison]  # by name of the other filter
+    comparisons: Mapping[str, FilterComparison]  # by name of the other filter
     headline: str  # a few sentences
     # The sentences of the headline by the question they answer: "lost" (whether the first filter did not come through),
     # "best" (who, by how much, is it sure), "consistent", "limit", "cost"; what is not known is left out.
@@ -111,12 +111,12 @@ def judge(summaries: Sequence[FilterSummary], figures: Figures) -> Verdict:
 
 def against_best(
     best: FilterSummary, other: FilterSummary, best_figures: RunFigures, other_figures: RunFigures, comparisons: int = 1
-) -> Comparison:
+) -> FilterComparison:
     """Compare another filter with the best one, by position error, on the recordings that both completed."""
     keys = common_keys(best_figures, other_figures)
     difference = difference_between(other_figures, best_figures, POSITION, comparisons)
     divergences = share_difference(other_figures.diverged(keys), best_figures.diverged(keys), comparisons=comparisons)
-    return Comparison(
+    return FilterComparison(
         best=best.filter_name,
         other=other.filter_name,
         difference=difference,
@@ -222,7 +222,7 @@ def none_left(summaries: Sequence[FilterSummary]) -> str:
     return f"None came through every run: {lost}{more}."
 
 
-def _accuracy(best: FilterSummary, rivals: Sequence[FilterSummary], comparisons: Mapping[str, Comparison]) -> str:
+def _accuracy(best: FilterSummary, rivals: Sequence[FilterSummary], comparisons: Mapping[str, FilterComparison]) -> str:
     error = f"{best.position_rmse_m:.3g} m"
     if not rivals:
         return f"{best.filter_name} has a position error of {error}."
@@ -246,7 +246,7 @@ def _accuracy(best: FilterSummary, rivals: Sequence[FilterSummary], comparisons:
     return f"{first} Behind {behind}: {settled}." if settled else first
 
 
-def _undecided(open_ones: Sequence[Comparison]) -> str:
+def _undecided(open_ones: Sequence[FilterComparison]) -> str:
     """Words on rivals that are not shown to be worse; of many only the names."""
     if len(open_ones) > _MOST_WORDED:
         names = ", ".join(c.other for c in open_ones[:_MOST_WORDED])
@@ -263,7 +263,7 @@ def _undecided(open_ones: Sequence[Comparison]) -> str:
     return "; ".join(c.words for c in open_ones)
 
 
-def _too_few(open_ones: Sequence[Comparison]) -> str:
+def _too_few(open_ones: Sequence[FilterComparison]) -> str:
     """Words on several rivals with the same, too small number of runs."""
     first, *others = ((c.other, percent_words(c.difference.percent)) for c in open_ones)
     errors = [f"the error of {first[0]} is {first[1]}", *(f"that of {name} {words}" for name, words in others)]
@@ -273,7 +273,7 @@ def _too_few(open_ones: Sequence[Comparison]) -> str:
     return f"{runs} runs are too few to show a difference, {needed} are needed (run by run {listed(errors)})"
 
 
-def _nearest(settled: Sequence[Comparison]) -> str:
+def _nearest(settled: Sequence[FilterComparison]) -> str:
     """Words on the nearest rivals; those that diverged count as the farthest."""
     in_order = sorted(settled, key=lambda c: (c.divergences.only_a, c.difference.percent))
     more = len(settled) - _MOST_WORDED

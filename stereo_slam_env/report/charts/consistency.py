@@ -13,7 +13,7 @@ from stereo_slam_env.evaluation.map_scoring import LandmarkTrace
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
 from stereo_slam_env.report.charts import series
 from stereo_slam_env.report.charts.axes import WIDTH, Axis, label_room, log_axis, panel_width
-from stereo_slam_env.report.charts.drawing import DASHED, Box, Chart, Curve, Panel, ends_of, figure, limit_of
+from stereo_slam_env.report.charts.drawing import DASHED, BoxMark, Chart, Curve, Panel, ends_of, figure, limit_of
 from stereo_slam_env.report.charts.style import (
     BAND,
     INK,
@@ -195,18 +195,18 @@ def plot_consistency(summaries: Sequence[FilterSummary]) -> Chart:
     return figure([mean, frames], colours, column=36)
 
 
-def _row_bands(summaries: Sequence[FilterSummary], keys: Sequence[str], step: float) -> list[Box]:
+def _row_bands(summaries: Sequence[FilterSummary], keys: Sequence[str], step: float) -> list[BoxMark]:
     """One band for the row of a quantity where it is the same for all, else one for each filter."""
     boxes = []
     for row, key in enumerate(keys):
         found = [(i, s.consistency[key]) for i, s in enumerate(summaries) if key in s.consistency]
         bands = {(figures.band[0] / figures.dof, figures.band[1] / figures.dof) for _, figures in found}
         if len(bands) == 1:
-            boxes.append(Box(*bands.pop(), row - 0.35, row + 0.35, BAND))
+            boxes.append(BoxMark(*bands.pop(), row - 0.35, row + 0.35, BAND))
             continue
         for i, figures in found:
             top = row - 0.35 + i * step
-            boxes.append(Box(figures.band[0] / figures.dof, figures.band[1] / figures.dof, top, top + step, BAND))
+            boxes.append(BoxMark(figures.band[0] / figures.dof, figures.band[1] / figures.dof, top, top + step, BAND))
     return boxes
 
 

@@ -10,7 +10,7 @@ from filters.geometry.arrays import FloatArray
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
 from stereo_slam_env.report.charts import series
 from stereo_slam_env.report.charts.axes import WIDTH, Axis, label_room, panel_width
-from stereo_slam_env.report.charts.drawing import ROW, Box, Chart, Curve, Panel, figure
+from stereo_slam_env.report.charts.drawing import ROW, BoxMark, Chart, Curve, Panel, figure
 from stereo_slam_env.report.charts.style import filter_colours, shared_limit, short_number
 
 
@@ -47,7 +47,7 @@ def plot_cost(summaries: Sequence[FilterSummary]) -> Chart:
     return figure(panels, colours, column=34)
 
 
-def _times(s: FilterSummary, row: int, colours: Mapping[str, str]) -> list[Box]:
+def _times(s: FilterSummary, row: int, colours: Mapping[str, str]) -> list[BoxMark]:
     """Predict, pale, and update behind it."""
     if s.ms_per_frame is None:
         return []
@@ -61,9 +61,9 @@ def _times(s: FilterSummary, row: int, colours: Mapping[str, str]) -> list[Box]:
 
 def _bar(
     s: FilterSummary, row: int, x0: float, x1: float, colours: Mapping[str, str], what: str = "", opacity: float = 1.0
-) -> Box:
+) -> BoxMark:
     said = f"{s.filter_name}, {what}: {x1 - x0:.3g} ms" if what else f"{s.filter_name}: {x1:.4g}"
-    return Box(x0, x1, row - 0.26, row + 0.26, colours[s.filter_name], s.filter_name, opacity, said)
+    return BoxMark(x0, x1, row - 0.26, row + 0.26, colours[s.filter_name], s.filter_name, opacity, said)
 
 
 def plot_time_per_frame(runs: Sequence[FilterRun]) -> Chart:

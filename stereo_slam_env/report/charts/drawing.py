@@ -67,7 +67,7 @@ class Curve:
 
 
 @dataclass(frozen=True)
-class Box:
+class BoxMark:
     """A filled rectangle between (x0, y0) and (x1, y1), in the units of the axes."""
 
     x0: float
@@ -143,7 +143,7 @@ class Panel:
         fill = {"fill": COLOURED["color"], "fillOpacity": COLOURED["opacity"]}
         self._layer(rows, {"type": "line", "strokeWidth": 0}, **fill, order=order, detail=ID)
 
-    def boxes(self, boxes: Iterable[Box]) -> None:
+    def boxes(self, boxes: Iterable[BoxMark]) -> None:
         """Fill rectangles."""
         ends = ("x0", "x1", "y0", "y1")
         rows = [

@@ -13,7 +13,7 @@ from stereo_slam_env.benchmark.statistics.attribution import Attribution
 from stereo_slam_env.benchmark.statistics.changes import Change
 from stereo_slam_env.benchmark.statistics.effects import Effect, ResponseAttribution
 from stereo_slam_env.report.charts.axes import WIDTH, Axis, label_room, log_axis, panel_width
-from stereo_slam_env.report.charts.drawing import Box, Chart, Curve, Panel, ends_of, figure
+from stereo_slam_env.report.charts.drawing import BoxMark, Chart, Curve, Panel, ends_of, figure
 from stereo_slam_env.report.charts.style import BAND, INK, MUTED, PALETTE, filter_colours
 
 _SHOWN = {True: ("effect shown", PALETTE[0]), False: ("no effect shown", MUTED)}
@@ -52,7 +52,7 @@ def plot_factor(factor: str, levels: Sequence[Any], responses: Sequence[FactorRe
         y = log_axis(ends) if response.log else Axis(0.0, 1.08 * top or 1.0)
         panel = Panel(x, y, width, 220.0, response.title)
         if response.band is not None:
-            panel.boxes([Box(x.low, x.high, max(response.band[0], y.low), response.band[1], BAND)])
+            panel.boxes([BoxMark(x.low, x.high, max(response.band[0], y.low), response.band[1], BAND)])
         if to_scale:
             panel.lines(Curve(c.key, c.x, c.y, c.colour, said=None) for c in curves)
         panel.intervals(curves)
@@ -132,7 +132,7 @@ def _effects_panel(rows: Sequence[tuple[str, Any]], response: ResponseAttributio
         start += sum(name == factor for name, _ in rows)
         panel.rule(y=start - 0.5, colour=BAND)
     panel.boxes(
-        Box(1.0, float(np.asarray(c.x)[0]), row - 0.28, row + 0.28, c.colour, c.key, 0.35)
+        BoxMark(1.0, float(np.asarray(c.x)[0]), row - 0.28, row + 0.28, c.colour, c.key, 0.35)
         for c, (row, _) in zip(curves, found, strict=True)
     )
     panel.rule(x=1.0, colour=INK)

@@ -18,18 +18,18 @@ from stereo_slam_env import run_benchmark
 from stereo_slam_env.benchmark import Backend, versions
 from stereo_slam_env.files import claimed_folder, is_occupied, read_arrays, write_atomically, write_json
 from stereo_slam_env.studies.paper import convergence, karlsruhe, landmark_uncertainty, long_drive, speed
-from stereo_slam_env.studies.paper.claims import Arrays, Claim, Finding, Interval, Range, Verdict
+from stereo_slam_env.studies.paper.claims import Arrays, Claim, ClaimFinding, ClaimVerdict, Interval, Range
 
 __all__ = [
     "FULL",
     "QUICK",
     "Claim",
-    "Finding",
+    "ClaimFinding",
+    "ClaimVerdict",
     "Interval",
     "PaperResult",
     "PaperSettings",
     "Range",
-    "Verdict",
     "run_experiments",
     "run_paper",
 ]
@@ -189,7 +189,7 @@ def _as_dict(claim: Claim) -> dict[str, Any]:
     return {**sentence, "verdict": claim.verdict.value, "says": claim.says, "findings": findings}
 
 
-def _finding(finding: Finding) -> dict[str, Any]:
+def _finding(finding: ClaimFinding) -> dict[str, Any]:
     ends = (*vars(finding.measured).values(), *vars(finding.asked).values())
     value, *limits = (number if math.isfinite(number) else None for number in ends)
     return {

@@ -60,7 +60,7 @@ COMMON_OPTIONS: Mapping[str, Any] = {"gate": None}
 # The rule.
 
 
-class Verdict(Enum):
+class ClaimVerdict(Enum):
     """Verdicts on a claim."""
 
     HOLDS = "holds"
@@ -100,19 +100,19 @@ class Range:
         return f"{self.low:.4g} to {self.high:.4g}"
 
 
-def decide(measured: Interval, asked: Range) -> Verdict:
+def decide(measured: Interval, asked: Range) -> ClaimVerdict:
     """The rule for one condition: what was measured, and the range in which it must lie if the claim is true."""
     if not measured.known:
-        return Verdict.NOT_SHOWN
+        return ClaimVerdict.NOT_SHOWN
     if asked.low <= measured.low and measured.high <= asked.high:
-        return Verdict.HOLDS
+        return ClaimVerdict.HOLDS
     if measured.high < asked.low or measured.low > asked.high:
-        return Verdict.DOES_NOT_HOLD
-    return Verdict.NOT_SHOWN
+        return ClaimVerdict.DOES_NOT_HOLD
+    return ClaimVerdict.NOT_SHOWN
 
 
 @dataclass(frozen=True)
-class Finding:
+class ClaimFinding:
     """A claim under one condition."""
 
     # factor -> level, e.g. {"noise": "pixels independent", "R": "full"}; the same factors in all of a claim
@@ -121,7 +121,7 @@ class Finding:
     asked: Range  # where it must lie if the claim is true
 
     @property
-    def verdict(self) -> Verdict:
+    def verdict(self) -> ClaimVerdict:
         """By `decide`."""
         return decide(self.measured, self.asked)
 
@@ -143,27 +143,27 @@ class Claim:
     """A sentence of the paper, and what was found about it: one finding a condition."""
 
     sentence: Sentence
-    findings: tuple[Finding, ...]
+    findings: tuple[ClaimFinding, ...]
 
     @property
-    def verdict(self) -> Verdict:
+    def verdict(self) -> ClaimVerdict:
         """By the rule of this module."""
         found = {finding.verdict for finding in self.findings}
-        if found == {Verdict.HOLDS}:
-            return Verdict.HOLDS
-        if Verdict.HOLDS in found:
-            return Verdict.HOLDS_ONLY_IF
-        return Verdict.DOES_NOT_HOLD if Verdict.DOES_NOT_HOLD in found else Verdict.NOT_SHOWN
+        if found == {ClaimVerdict.HOLDS}:
+            return ClaimVerdict.HOLDS
+        if ClaimVerdict.HOLDS in found:
+            return ClaimVerdict.HOLDS_ONLY_IF
+        return ClaimVerdict.DOES_NOT_HOLD if ClaimVerdict.DOES_NOT_HOLD in found else ClaimVerdict.NOT_SHOWN
 
     @property
     def says(self) -> str:
         """The verdict in words: under which conditions it holds, and how many of them show nothing."""
         words = str(self.verdict.value)
         every = [finding.condition for finding in self.findings]
-        if self.verdict is Verdict.HOLDS_ONLY_IF:
-            holding = [finding.condition for finding in self.findings if finding.verdict is Verdict.HOLDS]
+        if self.verdict is ClaimVerdict.HOLDS_ONLY_IF:
+            holding = [finding.condition for finding in self.findings if finding.verdict is ClaimVerdict.HOLDS]
             words = f"{words} {describe(holding, every)}"
-        open_ = sum(finding.verdict is Verdict.NOT_SHOWN for finding in self.findings)
+        open_ = sum(finding.verdict is ClaimVerdict.NOT_SHOWN for finding in self.findings)
         if 0 < open_ < len(every):
             words = f"{words} (not shown under {open_} of {len(every)} conditions)"
         return words
@@ -256,4 +256,4 @@ Measured = Iterable[tuple[Mapping[str, str], Interval]]
 def claim(sentence: str | Sentence, measured: Measured) -> Claim:
     """A sentence, or that of a key of `SENTENCES`, judged."""
     said = SENTENCES[sentence] if isinstance(sentence, str) else sentence
-    return Claim(said, tuple(Finding(condition, interval, said.asked) for condition, interval in measured))
+    return Claim(said, tuple(ClaimFinding(condition, interval, said.asked) for condition, interval in measured))

@@ -16,7 +16,7 @@ from stereo_slam_env.report import (
     MUTED,
     WIDTH,
     Axis,
-    Box,
+    BoxMark,
     Chart,
     Curve,
     Panel,
@@ -195,7 +195,7 @@ def figure_nees(runs: long_drive.Runs) -> Chart:
         title = f"Pose NEES / 6, mean of {len(nees)} drives, noise: {name}"
         width = panel_width(1, label_room([*keys, "95 % band"]))
         panel = Panel(Axis(0, nees.shape[1] - 1.0, "frame"), y, width, 200.0, title)
-        panel.boxes([Box(0, nees.shape[1] - 1.0, low, high, BAND)])
+        panel.boxes([BoxMark(0, nees.shape[1] - 1.0, low, high, BAND)])
         _draw_lines(panel, lines, ("95 % band", float(np.sqrt(low * high)), MUTED))
         panels.append(panel)
     return figure(panels, keys, columns=1)
@@ -282,7 +282,7 @@ def _histogram(depth: float, uvd: FloatArray, R: FloatArray, width: float) -> Pa
     title = "Depth: share of the points for 5 m each (%)"
     panel = Panel(Axis(*_DEPTHS, "Z, forward (m)"), Axis(0, top), width, 210.0, title)
     panel.boxes(
-        Box(low, low + 5.0, 0.0, float(share), MUTED, opacity=0.35)
+        BoxMark(low, low + 5.0, 0.0, float(share), MUTED, opacity=0.35)
         for low, share in zip(edges[:-1], measured, strict=True)
         if share > 0
     )

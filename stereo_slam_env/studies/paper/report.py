@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stereo_slam_env.evaluation import mean_band, share_inside
-from stereo_slam_env.report import Cell, Chart, Column, Tone, figure_block, html_page, number, table
+from stereo_slam_env.report import Chart, Column, TableCell, Tone, figure_block, html_page, number, table
 from stereo_slam_env.studies.paper import convergence, figures, karlsruhe, landmark_uncertainty, long_drive, speed
 from stereo_slam_env.studies.paper.claims import (
     ASSUMED_NAMES,
@@ -23,9 +23,9 @@ from stereo_slam_env.studies.paper.claims import (
     TABLE,
     Arrays,
     Claim,
-    Finding,
+    ClaimFinding,
+    ClaimVerdict,
     FloatArray,
-    Verdict,
 )
 
 if TYPE_CHECKING:
@@ -34,11 +34,11 @@ if TYPE_CHECKING:
 Row = Sequence[str | float]
 Numbers = tuple[Sequence[str], Sequence[Row]]
 """Heads and rows of a table."""
-TONES: Mapping[Verdict, Tone] = {
-    Verdict.HOLDS: "good",
-    Verdict.HOLDS_ONLY_IF: "fair",
-    Verdict.DOES_NOT_HOLD: "bad",
-    Verdict.NOT_SHOWN: "none",
+TONES: Mapping[ClaimVerdict, Tone] = {
+    ClaimVerdict.HOLDS: "good",
+    ClaimVerdict.HOLDS_ONLY_IF: "fair",
+    ClaimVerdict.DOES_NOT_HOLD: "bad",
+    ClaimVerdict.NOT_SHOWN: "none",
 }
 NAMES: Mapping[str, str] = {JOINT: "inverse depth (the paper's)", DUAL: "two bearing updates", EUCLIDEAN: "XYZ"}
 
@@ -98,7 +98,7 @@ def karlsruhe_section(folder: Path, claims: Sequence[Claim], results: Mapping[st
     return _section("On the Karlsruhe sequences", charts, own, folder)
 
 
-def measured_range(findings: Sequence[Finding]) -> str:
+def measured_range(findings: Sequence[ClaimFinding]) -> str:
     """Smallest and largest value over the conditions."""
     values = [f.measured.value for f in findings if np.isfinite(f.measured.value)]
     if not values:
@@ -123,11 +123,11 @@ def _verdicts(claims: Sequence[Claim]) -> str:
         Column("Measured", "over conditions", kind="text"),
         Column("What is measured", "and when it counts as true", kind="words"),
     ]
-    rows: list[list[Cell | str]] = [
+    rows: list[list[TableCell | str]] = [
         [
             one.sentence.section,
             one.sentence.claim,
-            Cell(one.says, tone=TONES[one.verdict]),
+            TableCell(one.says, tone=TONES[one.verdict]),
             measured_range(one.findings),
             one.sentence.statement,
         ]
@@ -144,13 +144,13 @@ def _findings(claim: Claim) -> str:
         Column("measured"),
         *(Column(head, kind="text") for head in ("95 % interval", "asked", "verdict")),
     ]
-    rows: list[list[Cell | str]] = [
+    rows: list[list[TableCell | str]] = [
         [
             *finding.condition.values(),
             number(finding.measured.value, ".4g"),
             f"{finding.measured.low:.4g} – {finding.measured.high:.4g}" if finding.measured.known else "–",
             str(finding.asked),
-            Cell(finding.verdict.value, tone=TONES[finding.verdict]),
+            TableCell(finding.verdict.value, tone=TONES[finding.verdict]),
         ]
         for finding in claim.findings
     ]

@@ -29,7 +29,7 @@ from stereo_slam_env.studies.paper.claims import (
     SENTENCES,
     Arrays,
     Claim,
-    Finding,
+    ClaimFinding,
     FloatArray,
     Interval,
     Range,
@@ -120,5 +120,5 @@ def judge(results: Mapping[str, Arrays]) -> tuple[Claim, ...]:
     counted = []
     for name, model, wanted in (("ours", RangeBearing(), 1), ("competitor", LeftThenRight(), 2)):
         count = len(model.stages(observation, NOISE.R[None]))
-        counted.append(Finding({"filter": name}, Interval(count, count, count), Range(wanted, wanted)))
+        counted.append(ClaimFinding({"filter": name}, Interval(count, count, count), Range(wanted, wanted)))
     return (claim("faster", faster), Claim(SENTENCES["one-update"], tuple(counted)))

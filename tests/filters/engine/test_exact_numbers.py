@@ -120,6 +120,19 @@ def test_what_is_considered_stays_as_it_was_to_the_bit(error: str, measurement: 
         np.testing.assert_array_equal(slam.belief(name).covariance, belief.covariance)
 
 
+def test_iterations_do_not_move_what_is_considered() -> None:
+    """Next to certain, it is as if it were not there."""
+    found = []
+    for measurement in (CalibratedPair(baseline_sigma=1e-9, considered=True), "joint"):
+        slam = start(make(measurement=measurement, iterations=2))
+        for k, frame in enumerate(drive(33, 6, visible=12, depths=(6.0, 30.0))):
+            if k:
+                slam.predict(DT)
+            slam.update(frame.observation)
+        found.append(np.concatenate([slam.pose.position, slam.pose.covariance.ravel()]))
+    np.testing.assert_allclose(*found, rtol=1e-7, atol=1e-10)
+
+
 def test_a_random_walk_grows_with_time_and_not_with_the_number_of_steps() -> None:
     walk = np.array([0.02, 0.003])
     pair = ShearedPair((replace(DISPARITY, random_walk=walk),))

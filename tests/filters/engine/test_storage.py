@@ -83,3 +83,17 @@ def test_clones_of_the_pose_change_no_estimate(landmark: str, error: str) -> Non
     assert with_clones.state_size == plain.state_size + 6 * 5
     assert_same_belief(with_clones, plain, 1e-10)
     assert with_clones.belief("0").covariance.shape == (6, 6)
+
+
+def test_a_landmark_without_an_anchor_leaves_a_full_storage_as_any_other() -> None:
+    slam = make(landmark="euclidean")
+    room = slam.engine.storage.ids.shape[1]
+    u, v, d = np.random.default_rng(3).uniform((400.0, 100.0, 10.0), (900.0, 300.0, 40.0), (room, 3)).T
+    slam.update(StereoObservation(np.arange(room), np.column_stack([u, v, d])))
+    assert slam.engine.storage.ids.shape[1] == len(slam.ids) == room
+    before = slam.landmarks
+    slam.forget([0])
+    after = slam.landmarks
+    np.testing.assert_array_equal(after.ids, before.ids[1:])
+    np.testing.assert_array_equal(after.positions, before.positions[1:])
+    np.testing.assert_array_equal(after.covariances, before.covariances[1:])

@@ -174,6 +174,24 @@ def test_kernels_lead_where_the_numbers_do(error: str, option: dict[str, object]
     np.testing.assert_allclose(*found, rtol=1e-8, atol=1e-10)
 
 
+def test_kernels_ask_for_the_change_in_the_frame_in_which_it_is_due() -> None:
+    """Where another place of the camera, or another variance than that of rho, would have it come later."""
+    told = []
+    for landmark in (Hybrid(0.15), ByNumbers(0.15)):
+        slam = StereoEKF(CAMERA, INDEPENDENT_PIXELS, gate=None, landmark=landmark)
+        slam.reset(Start((0.0, 0.0, -10.0), linear_velocity=(0.0, 0.0, SPEED), covariance=START_COVARIANCE))
+        changed = []
+        for k in range(8):
+            if k:
+                slam.predict(DT)
+            point_c = np.array([[1.0, -1.0, 20.0 - k * SPEED * DT]])
+            slam.update(StereoObservation([1], CAMERA.project(point_c)))
+            changed.append(bool(are_points(slam)[0]))
+        told.append(changed)
+    assert told[0] == told[1] == sorted(told[1])
+    assert {False, True} == set(told[1])
+
+
 def test_a_batch_tells_of_points_and_rays() -> None:
     batch = FilterBatch(lambda: filter_with(linearity_limit=0.1), 1)
     batch.reset(Start(linear_velocity=(0.0, 0.0, SPEED), covariance=START_COVARIANCE))

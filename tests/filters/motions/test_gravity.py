@@ -23,7 +23,7 @@ from filters import (
 )
 from filters.geometry import symmetric
 from filters.state.joint_state import world_rotation_of_variables
-from filters.state.layout import Layout
+from filters.state.layout import StateLayout
 
 from ..drives import CAMERA, INDEPENDENT_PIXELS
 from ..numeric import numeric_jacobian, relative_difference
@@ -77,7 +77,7 @@ def test_a_vector_of_the_world_has_three_numbers() -> None:
 
 
 def test_turning_the_world_turns_it() -> None:
-    layout = Layout.of((), Thrown().variables)
+    layout = StateLayout.of((), Thrown().variables)
     camera = CameraState.at(Start(), {"gravity": G})
     numeric = numeric_jacobian(lambda e: Rotation.from_rotvec(e).apply(G) - G, 3)
     assert relative_difference(world_rotation_of_variables(layout, camera)[layout.places["gravity"]], numeric) < 1e-7

@@ -12,7 +12,7 @@ from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.landmarks.model import LandmarkModel, StartedLandmarks
 from filters.motions.model import POSE_SIZE, CameraState
 from filters.state.joint_state import Clone, JointState, NewLandmarks
-from filters.state.layout import Layout
+from filters.state.layout import StateLayout
 
 
 def camera_at(position: FloatArray) -> CameraState:
@@ -20,9 +20,11 @@ def camera_at(position: FloatArray) -> CameraState:
     return CameraState(position, np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3), np.zeros(3))
 
 
-def without_map(camera: CameraState, P: FloatArray, model: LandmarkModel, layout: Layout | None = None) -> JointState:
+def without_map(
+    camera: CameraState, P: FloatArray, model: LandmarkModel, layout: StateLayout | None = None
+) -> JointState:
     """A state with these variables and nothing seen yet."""
-    state = JointState.at(Start(), layout or Layout(), model)
+    state = JointState.at(Start(), layout or StateLayout(), model)
     return replace(state, camera=camera, predicted=camera, P=np.asfortranarray(P))
 
 

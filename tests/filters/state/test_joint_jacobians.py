@@ -15,7 +15,7 @@ from filters.landmarks.model import LandmarkModel
 from filters.measurements.model import MeasurementModel
 from filters.motions.model import POSITION, ROTATION
 from filters.state.joint_state import JointState, NewLandmarks
-from filters.state.layout import Layout
+from filters.state.layout import StateLayout
 from filters.state.transport import Transport
 from filters.updates.model import points_in_camera
 
@@ -50,7 +50,7 @@ def sight(sensor: MeasurementModel, s: Situation) -> StereoObservation:
     return StereoObservation(np.arange(COUNT), z[:, :3], v_right=z[:, 3] if sensor.size == 4 else z[:, 1] + 0.5)
 
 
-def seen_state(model: LandmarkModel, sensor: MeasurementModel, s: Situation, layout: Layout) -> JointState:
+def seen_state(model: LandmarkModel, sensor: MeasurementModel, s: Situation, layout: StateLayout) -> JointState:
     """Two generations of landmarks and a clone of the pose; the camera has moved on from where it saw them."""
     here = replace(s.camera, variables=values_of(layout.variables))
     there = replace(here, position=here.position - s.anchor_offset[0])
@@ -68,7 +68,7 @@ def seen_state(model: LandmarkModel, sensor: MeasurementModel, s: Situation, lay
 
 def started(model: LandmarkModel, sensor: MeasurementModel, s: Situation, by_leading, by_uvd=0.0) -> NewLandmarks:
     """New landmarks with R = diag(1, 2, 3), from a pose, variables and measurements in error."""
-    layout, seen = Layout.of(sensor.variables, ()), sight(sensor, s)
+    layout, seen = StateLayout.of(sensor.variables, ()), sight(sensor, s)
     camera = replace(s.camera, variables=values_of(sensor.variables))
     error = np.concatenate([by_leading[:6], np.zeros(6), by_leading[6:]])
     state = without_map(moved(camera, error, sensor.variables), np.eye(layout.size), model, layout)
@@ -83,7 +83,7 @@ for _i, (_landmark, _model) in enumerate(MODELS.items()):
 
         @case(f"new landmarks: {_landmark}, {_measurement}", _situations, seeds=1)
         def _(s: Situation, model=_model, sensor=_sensor):
-            new = started(model, sensor, s, np.zeros(Layout.of(sensor.variables, ()).measured))
+            new = started(model, sensor, s, np.zeros(StateLayout.of(sensor.variables, ()).measured))
 
             def function(e: np.ndarray) -> np.ndarray:
                 return model.local(new.started.parameters, started(model, sensor, s, e).started.parameters)
@@ -97,7 +97,7 @@ for _i, (_landmark, _model) in enumerate(MODELS.items()):
 
             @case(f"H: {_landmark}, {_measurement}, {_error}, {_update}", _situations, seeds=1)
             def _(s: Situation, model=_model, sensor=_sensor, error=_definition, update=_linearisation):
-                state = seen_state(model, sensor, s, Layout.of(sensor.variables, ()))
+                state = seen_state(model, sensor, s, StateLayout.of(sensor.variables, ()))
                 index = np.arange(COUNT)[::-1].copy()
                 R = np.broadcast_to(StereoNoise.independent_pixels(1.0).R, (COUNT, 3, 3))
                 stages = sensor.stages(sight(sensor, s), R)
@@ -113,7 +113,7 @@ for _i, (_landmark, _model) in enumerate(MODELS.items()):
                 return predicted, np.concatenate(whole, axis=1)
 
 
-LAYOUTS = {"": Layout(), " with variables": Layout.of(ShearedPair().variables, BiasedOdometry().variables)}
+LAYOUTS = {"": StateLayout(), " with variables": StateLayout.of(ShearedPair().variables, BiasedOdometry().variables)}
 
 
 def local(state: JointState, other: JointState, error: ErrorDefinition) -> np.ndarray:
@@ -183,7 +183,7 @@ def test_jacobian_of_the_joint_state_equals_finite_differences(named: Case) -> N
 def test_the_noise_of_a_new_landmark_is_that_of_its_measurement(model: LandmarkModel, sensor: MeasurementModel) -> None:
     """J R J^T, with the J of finite differences."""
     for situation in visible(sensor, situations_of(model)):
-        s, nothing = situation(np.random.default_rng(0)), np.zeros(Layout.of(sensor.variables, ()).measured)
+        s, nothing = situation(np.random.default_rng(0)), np.zeros(StateLayout.of(sensor.variables, ()).measured)
         new = started(model, sensor, s, nothing)
 
         def function(e: np.ndarray, s=s, nothing=nothing, new=new) -> np.ndarray:

@@ -12,7 +12,7 @@ from filters import BodyVelocity, Start, StereoEKF, StereoObservation, Variable
 from filters.contract.stereo_filter import StereoFilter
 from filters.geometry import symmetric
 from filters.state.joint_state import world_rotation_of_variables
-from filters.state.layout import Layout
+from filters.state.layout import StateLayout
 
 from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, SPEED, drive, start
 from ..engine.linear_problems import assert_covariances_equal, random_covariance
@@ -34,7 +34,7 @@ def with_variable(**changes) -> ShearedPair:
 
 
 def test_what_a_measurement_depends_on_stands_together_after_the_pose() -> None:
-    layout = Layout.of((DISPARITY_ERRORS,), (BIAS, MOUNTING))
+    layout = StateLayout.of((DISPARITY_ERRORS,), (BIAS, MOUNTING))
     assert list(layout.places) == ["pose", "disparity-errors", "velocity", "bias", "mounting"]
     assert [place.stop - place.start for place in layout.places.values()] == [6, 2, 6, 6, 3]
     assert layout.places["pose"] == slice(0, 6)
@@ -46,16 +46,16 @@ def test_what_a_measurement_depends_on_stands_together_after_the_pose() -> None:
 
 
 def test_a_variable_of_both_models_is_one_variable() -> None:
-    layout = Layout.of((DISPARITY_ERRORS,), (BIAS, DISPARITY_ERRORS))
+    layout = StateLayout.of((DISPARITY_ERRORS,), (BIAS, DISPARITY_ERRORS))
     assert list(layout.places) == ["pose", "disparity-errors", "velocity", "bias"]
 
 
 def test_a_name_cannot_stand_for_two_variables() -> None:
     other = replace(DISPARITY_ERRORS, value=[1.0, 0.0])
     with pytest.raises(ValueError, match="'disparity-errors' is asked for by measurement and motion with different"):
-        Layout.of((DISPARITY_ERRORS,), (other,))
+        StateLayout.of((DISPARITY_ERRORS,), (other,))
     with pytest.raises(ValueError, match="variables must have different names, got bias, bias"):
-        Layout.of((), (BIAS, BIAS))
+        StateLayout.of((), (BIAS, BIAS))
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from filters import (
     FilterBatch,
+    LandmarkKernels,
+    LandmarkModel,
     RightInvariant,
     Start,
     StereoEKF,
@@ -18,6 +20,7 @@ from filters import (
     check_part,
     nees,
 )
+from filters.geometry import symmetric
 
 from .. import textbook
 from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, SPEED, START_COVARIANCE, Frame, drive, finish, run, start
@@ -110,6 +113,7 @@ def test_landmarks_with_a_bias_are_those_of_the_textbook(options: dict[str, obje
             np.testing.assert_allclose(state.parameters()[n], book.landmark(i)[3:], atol=1e-9)
             P = state.P[np.maximum(own[:, None], own), np.minimum(own[:, None], own)]
             np.testing.assert_allclose(P, covariance[np.ix_(rows[i], rows[i])], rtol=1e-6, atol=1e-9)
+        assert np.linalg.eigvalsh(symmetric.full(state.P))[0] > -1e-8  # anchors fill three of four rows
 
 
 def covariance_rows(book: textbook.TextbookEKF, identity: int) -> np.ndarray:
@@ -154,6 +158,68 @@ def test_kernels_lead_where_the_numbers_do(option: dict[str, object], error: obj
                 slam.clone_pose("then")
         told.append(np.append(beliefs(slam), slam.belief("then").covariance))
     np.testing.assert_allclose(*told, rtol=1e-6, atol=1e-8)
+
+
+def _scaled_point(settings, values, points, J):
+    for i in range(len(values)):
+        scale = 1.0 + values[i, 3]
+        points[i, 3], J[i, 3, 3] = scale, 1.0
+        for a in range(3):
+            points[i, a], J[i, a, a], J[i, a, 3] = scale * values[i, a], scale, values[i, a]
+
+
+def _scaled_start(settings, points, values, J, possible):
+    for i in range(len(values)):
+        scale = points[i, 3]
+        possible[i] = scale > 0.0
+        for a in range(3):
+            values[i, a] = points[i, a] / scale
+            J[i, a, a], J[i, a, 3] = 1.0 / scale, -points[i, a] / scale**2
+
+
+class Scaled(LandmarkModel):
+    """XYZ, seen at a scale 1 + s of homogeneous coordinates, which nothing tells."""
+
+    size = value_size = 4
+    prior = np.array([[0.09]])
+    kernels = LandmarkKernels(_scaled_point, _scaled_start)
+
+    def parameters_of(self, position, h_w, scale):
+        return np.column_stack([position + h_w / scale[:, None], np.zeros(len(scale))])
+
+    def homogeneous(self, position, anchors, parameters):
+        scale = 1.0 + parameters[:, 3]
+        return np.column_stack([scale[:, None] * (parameters[:, :3] - position), scale])
+
+    def rotated(self, anchors, parameters, R):
+        return np.column_stack([parameters[:, :3] @ R.T, parameters[:, 3]])
+
+
+def test_a_number_that_no_measurement_tells_keeps_its_prior_and_changes_nothing() -> None:
+    """Of a landmark without an anchor, wherever the camera is."""
+    found = []
+    for landmark in (Scaled(), "euclidean"):
+        slam = StereoEKF(CAMERA, INDEPENDENT_PIXELS, gate=None, landmark=landmark)
+        slam.reset(
+            Start(
+                (1.0, 2.0, -3.0),
+                Rotation.from_rotvec([0.2, -0.4, 0.1]).as_quat(),
+                (0.0, 0.0, SPEED),
+                covariance=START_COVARIANCE,
+            )
+        )
+        for k, frame in enumerate(drive(11, 4, depths=DEPTHS)):
+            if k:
+                slam.predict(DT)
+            slam.update(frame.observation)
+        found.append(np.concatenate([slam.pose.covariance.ravel(), slam.landmarks.positions.ravel()]))
+        if isinstance(landmark, Scaled):
+            state = slam.state
+            open_rows = state.own_rows()[:, 3]
+            P = symmetric.full(state.P)[open_rows]
+            np.testing.assert_allclose(P[:, open_rows], 0.09 * np.eye(len(open_rows)), atol=1e-9)
+            np.testing.assert_allclose(np.delete(P, open_rows, axis=1), 0.0, atol=1e-9)
+    np.testing.assert_allclose(*found, rtol=1e-7, atol=1e-9)
 
 
 def test_a_batch_and_submaps_hold_them_too() -> None:

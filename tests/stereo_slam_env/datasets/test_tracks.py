@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stereo_slam_env.datasets.tracks import Tracks, frames_of, without_repeats
+from stereo_slam_env.datasets.tracks import PointTracks, frames_of, without_repeats
 
 
 def random_tracks(seed=3, landmarks=60, frames=30):
@@ -14,7 +14,7 @@ def random_tracks(seed=3, landmarks=60, frames=30):
         start, length = rng.integers(0, frames - 1), rng.integers(1, 15)
         rows += [(k, j) for k in range(start, min(start + length, frames)) if rng.random() > 0.1]
     frame, ids = np.array(rows)[rng.permutation(len(rows))].T
-    return Tracks(frame, ids, rng.uniform(1.0, 9.0, (len(frame), 3)), rng.uniform(0, 9, len(frame)))
+    return PointTracks(frame, ids, rng.uniform(1.0, 9.0, (len(frame), 3)), rng.uniform(0, 9, len(frame)))
 
 
 def seen_in(tracks, landmark):
@@ -34,7 +34,7 @@ def test_thinned_tracks_respect_the_limit_and_are_never_cut_short(limit):
 def test_free_places_go_to_the_tracks_that_live_longest():
     frame = np.array([0, 0, 0, 1, 1, 2])
     ids = np.array([7, 8, 9, 8, 9, 9])
-    tracks = Tracks(frame, ids, np.ones((6, 3)))
+    tracks = PointTracks(frame, ids, np.ones((6, 3)))
     assert set(tracks.thinned(1).ids.tolist()) == {9}
     assert set(tracks.thinned(2).ids.tolist()) == {8, 9}
 
@@ -68,7 +68,7 @@ def test_frames_hold_exactly_their_observations_in_order_of_ids():
 
 @pytest.mark.parametrize("times", [[0.0, 0.2, 0.1], [0.0, 0.1, 0.1]])
 def test_unsorted_times_are_refused(times):
-    nothing = Tracks(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 3)))
+    nothing = PointTracks(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 3)))
     with pytest.raises(ValueError, match="timestamps must increase: frame 2"):
         frames_of(nothing, np.array(times), [None] * 3)
 

@@ -64,13 +64,12 @@ def assert_equal(first, second):
 
 
 def shapes(value):
-    """Keys, shapes and types; Gymnasium itself keeps NumPy's bool in arrays of objects."""
+    """Keys, shapes and types."""
     if isinstance(value, dict):
         return {key: shapes(entry) for key, entry in value.items()}
     if value.dtype == object and isinstance(value[0], dict):
         return [shapes(entry) for entry in value]
-    dtype = np.asarray(value.tolist()).dtype if value.dtype == object else value.dtype
-    return value.shape, dtype
+    return value.shape, value.dtype
 
 
 def test_there_are_vectors_of_all_environments():

@@ -13,7 +13,7 @@ from stereo_slam_env.report.charts.axes import Axis
 from stereo_slam_env.report.charts.drawing import Curve, Panel, figure
 from stereo_slam_env.report.charts.style import PALETTE
 from stereo_slam_env.report.page import figure_block, html_page, part, write_page
-from stereo_slam_env.report.page_tables import Cell, Column, filter_cell, number, table
+from stereo_slam_env.report.page_tables import Column, TableCell, filter_cell, number, table
 
 
 def line(name="a", width=500):
@@ -106,7 +106,7 @@ def test_a_page_without_figures_carries_no_library():
 
 def test_a_table_sorts_by_values_and_shows_text():
     colours = {"mine": PALETTE[3]}
-    rows = [[filter_cell("mine", colours), number(1234.5678), number(-2.0, ".1f", " %", "bad"), Cell("<b>")]]
+    rows = [[filter_cell("mine", colours), number(1234.5678), number(-2.0, ".1f", " %", "bad"), TableCell("<b>")]]
     markup = table([Column("Filter", kind="text"), Column("A", "m", "what A is"), Column("B"), Column("C")], rows)
     assert 'data-value="1234.5678">1.23e+03<' in markup
     assert 'class="bad" data-value="-2.0">−2.0 %<' in markup
@@ -117,7 +117,7 @@ def test_a_table_sorts_by_values_and_shows_text():
 
 @pytest.mark.parametrize("value", [None, float("nan"), float("inf")])
 def test_what_is_not_known_is_a_dash_and_sorts_last(value):
-    assert number(value) == Cell("–", None, "none")
+    assert number(value) == TableCell("–", None, "none")
     assert 'data-value="">–<' in table([Column("A"), Column("B")], [["x", number(value)]])
 
 

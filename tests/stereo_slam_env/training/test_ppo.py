@@ -16,8 +16,8 @@ from stereo_slam_env.policies.network import Network
 from stereo_slam_env.policies.scores import normalised_score
 from stereo_slam_env.training import ppo
 from stereo_slam_env.training.ppo import LearningCurve, PPOSettings, train
-from stereo_slam_env.training.registered_task import Outcome, RegisteredTask
-from stereo_slam_env.training.task import Evaluation, GazeTask
+from stereo_slam_env.training.registered_task import EpisodeOutcome, RegisteredTask
+from stereo_slam_env.training.task import GazeTask, PolicyEvaluation
 
 TASK = GazeTask(arguments={"route": "right-turn"}, hold=8)
 SETTINGS = PPOSettings(decisions=40, environments=1, rollout=20, minibatch=20, epochs=1, evaluate_every=20)
@@ -32,7 +32,7 @@ def rows(out):
 def quick(monkeypatch):
     pytest.importorskip("stable_baselines3", reason="needs the extra rl")
     looks = iter(range(100))
-    monkeypatch.setattr(ppo, "evaluate", lambda *_, **__: Evaluation(0.5, -40.0, 0.2, 9.0 - next(looks), 1.0))
+    monkeypatch.setattr(ppo, "evaluate", lambda *_, **__: PolicyEvaluation(0.5, -40.0, 0.2, 9.0 - next(looks), 1.0))
 
 
 @pytest.mark.parametrize(("made", "says_stopped"), [(0, True), (2000, True), (4000, False)])
@@ -45,12 +45,17 @@ def test_the_command_says_how_far_the_training_came_and_which_network_is_kept(
         curve = LearningCurve(out / "learning_curve.csv")
         for decisions in range(0, made + 1, 1000):
             curve.add(
-                decisions, 60.0 + decisions, 1.0, Evaluation(0.5, -40.0, 0.2, 0.3 - 0.1 * (decisions == 1000), 1.0)
+                decisions,
+                60.0 + decisions,
+                1.0,
+                PolicyEvaluation(0.5, -40.0, 0.2, 0.3 - 0.1 * (decisions == 1000), 1.0),
             )
         return out / "policy.npz"
 
     monkeypatch.setattr(ppo, "train", trained)
-    monkeypatch.setattr("stereo_slam_env.training.task.evaluate", lambda *_: Evaluation(0.6, -39.0, 0.3, 0.4, 1.0))
+    monkeypatch.setattr(
+        "stereo_slam_env.training.task.evaluate", lambda *_: PolicyEvaluation(0.6, -39.0, 0.3, 0.4, 1.0)
+    )
     assert cli.main(["train", "--decisions", "4000", "--minutes", "1", "--out", str(tmp_path)]) == 0
     said = capsys.readouterr().out
     assert (f"stopped after {made:,} of 4,000 decisions" in said) == says_stopped
@@ -152,11 +157,14 @@ def test_options_of_looks_are_refused_where_the_id_has_its_own_reward(tmp_path, 
 
 
 def test_the_words_of_a_progress_bar_have_the_score_of_the_task_as_it_is():
-    assert RegisteredTask("StereoSlam/Drive-v0").words(Outcome(31.4, 1.0, 300.0)) == (
+    assert RegisteredTask("StereoSlam/Drive-v0").words(EpisodeOutcome(31.4, 1.0, 300.0)) == (
         f"return 31.40, success 100%, score {float(normalised_score('StereoSlam/Drive-v0', 31.4)):.0f}"
     )
-    assert RegisteredTask("StereoSlam/Drive-v0", {"route": "loop"}).words(Outcome(3.0, np.nan, 9.0)) == "return 3.00"
-    figures = Evaluation(0.5, -40.0, 0.2, 0.4, 1.0, -5.35)
+    assert (
+        RegisteredTask("StereoSlam/Drive-v0", {"route": "loop"}).words(EpisodeOutcome(3.0, np.nan, 9.0))
+        == "return 3.00"
+    )
+    figures = PolicyEvaluation(0.5, -40.0, 0.2, 0.4, 1.0, -5.35)
     assert GazeTask().words(figures) == "true error 0.400 m, claimed 0.500 m, score 0"
     assert GazeTask(hold=3).words(figures) == "true error 0.400 m, claimed 0.500 m"
 

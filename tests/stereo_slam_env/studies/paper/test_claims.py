@@ -4,7 +4,16 @@ from itertools import product
 
 import pytest
 
-from stereo_slam_env.studies.paper.claims import Claim, Finding, Interval, Range, Sentence, Verdict, decide, describe
+from stereo_slam_env.studies.paper.claims import (
+    Claim,
+    ClaimFinding,
+    ClaimVerdict,
+    Interval,
+    Range,
+    Sentence,
+    decide,
+    describe,
+)
 
 NAN, INFINITY = float("nan"), float("inf")
 SENTENCE = Sentence("key", "4.3", "what the paper says", "what is measured", "figure-4")
@@ -13,7 +22,7 @@ BELOW_ONE = Range(high=1.0)
 
 
 def claim(measured, conditions):
-    return Claim(SENTENCE, tuple(Finding(c, m, BELOW_ONE) for c, m in zip(conditions, measured, strict=True)))
+    return Claim(SENTENCE, tuple(ClaimFinding(c, m, BELOW_ONE) for c, m in zip(conditions, measured, strict=True)))
 
 
 def grid(**factors):
@@ -23,18 +32,18 @@ def grid(**factors):
 @pytest.mark.parametrize(
     ("measured", "asked", "verdict"),
     [
-        (Interval(0.8, 0.7, 0.9), Range(high=1.0), Verdict.HOLDS),
-        (Interval(0.8, 0.7, 1.0), Range(high=1.0), Verdict.HOLDS),  # the limit belongs to the range
-        (Interval(1.2, 1.1, 1.3), Range(high=1.0), Verdict.DOES_NOT_HOLD),
-        (Interval(0.9, 0.7, 1.1), Range(high=1.0), Verdict.NOT_SHOWN),
-        (Interval(1.1, 0.9, 1.3), Range(high=1.0), Verdict.NOT_SHOWN),
-        (Interval(0.95, 0.945, 0.955), Range(0.94, 0.96), Verdict.HOLDS),
-        (Interval(0.97, 0.965, 0.975), Range(0.94, 0.96), Verdict.DOES_NOT_HOLD),
-        (Interval(0.84, 0.83, 0.85), Range(0.94, 0.96), Verdict.DOES_NOT_HOLD),
-        (Interval(0.95, 0.90, 1.00), Range(0.94, 0.96), Verdict.NOT_SHOWN),  # true or not: too little was measured
-        (Interval(5.0, 3.0, INFINITY), Range(low=1.21), Verdict.HOLDS),
-        (Interval(0.5, NAN, NAN), Range(high=1.0), Verdict.NOT_SHOWN),
-        (Interval(NAN, NAN, NAN), Range(), Verdict.NOT_SHOWN),
+        (Interval(0.8, 0.7, 0.9), Range(high=1.0), ClaimVerdict.HOLDS),
+        (Interval(0.8, 0.7, 1.0), Range(high=1.0), ClaimVerdict.HOLDS),  # the limit belongs to the range
+        (Interval(1.2, 1.1, 1.3), Range(high=1.0), ClaimVerdict.DOES_NOT_HOLD),
+        (Interval(0.9, 0.7, 1.1), Range(high=1.0), ClaimVerdict.NOT_SHOWN),
+        (Interval(1.1, 0.9, 1.3), Range(high=1.0), ClaimVerdict.NOT_SHOWN),
+        (Interval(0.95, 0.945, 0.955), Range(0.94, 0.96), ClaimVerdict.HOLDS),
+        (Interval(0.97, 0.965, 0.975), Range(0.94, 0.96), ClaimVerdict.DOES_NOT_HOLD),
+        (Interval(0.84, 0.83, 0.85), Range(0.94, 0.96), ClaimVerdict.DOES_NOT_HOLD),
+        (Interval(0.95, 0.90, 1.00), Range(0.94, 0.96), ClaimVerdict.NOT_SHOWN),  # true or not: too little was measured
+        (Interval(5.0, 3.0, INFINITY), Range(low=1.21), ClaimVerdict.HOLDS),
+        (Interval(0.5, NAN, NAN), Range(high=1.0), ClaimVerdict.NOT_SHOWN),
+        (Interval(NAN, NAN, NAN), Range(), ClaimVerdict.NOT_SHOWN),
     ],
 )
 def test_one_condition(measured, asked, verdict):
@@ -44,13 +53,13 @@ def test_one_condition(measured, asked, verdict):
 @pytest.mark.parametrize(
     ("measured", "verdict", "says"),
     [
-        ([HOLDS, HOLDS], Verdict.HOLDS, "holds"),
-        ([FAILS, FAILS], Verdict.DOES_NOT_HOLD, "does not hold"),
-        ([OPEN, OPEN], Verdict.NOT_SHOWN, "not shown"),
-        ([HOLDS, FAILS], Verdict.HOLDS_ONLY_IF, "holds only if noise: a"),
-        ([FAILS, HOLDS], Verdict.HOLDS_ONLY_IF, "holds only if noise: b"),
-        ([HOLDS, OPEN], Verdict.HOLDS_ONLY_IF, "holds only if noise: a (not shown under 1 of 2 conditions)"),
-        ([FAILS, OPEN], Verdict.DOES_NOT_HOLD, "does not hold (not shown under 1 of 2 conditions)"),
+        ([HOLDS, HOLDS], ClaimVerdict.HOLDS, "holds"),
+        ([FAILS, FAILS], ClaimVerdict.DOES_NOT_HOLD, "does not hold"),
+        ([OPEN, OPEN], ClaimVerdict.NOT_SHOWN, "not shown"),
+        ([HOLDS, FAILS], ClaimVerdict.HOLDS_ONLY_IF, "holds only if noise: a"),
+        ([FAILS, HOLDS], ClaimVerdict.HOLDS_ONLY_IF, "holds only if noise: b"),
+        ([HOLDS, OPEN], ClaimVerdict.HOLDS_ONLY_IF, "holds only if noise: a (not shown under 1 of 2 conditions)"),
+        ([FAILS, OPEN], ClaimVerdict.DOES_NOT_HOLD, "does not hold (not shown under 1 of 2 conditions)"),
     ],
 )
 def test_all_conditions_of_a_claim(measured, verdict, says):
@@ -60,7 +69,7 @@ def test_all_conditions_of_a_claim(measured, verdict, says):
 
 
 def test_a_claim_that_nothing_was_found_about_is_not_shown():
-    assert Claim(SENTENCE, ()).verdict is Verdict.NOT_SHOWN
+    assert Claim(SENTENCE, ()).verdict is ClaimVerdict.NOT_SHOWN
     assert Claim(SENTENCE, ()).says == "not shown"
 
 

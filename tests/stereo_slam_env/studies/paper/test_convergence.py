@@ -7,7 +7,7 @@ from stereo_slam_env.benchmark import short_turn
 from stereo_slam_env.evaluation import run_filter
 from stereo_slam_env.sensing import RIGS
 from stereo_slam_env.studies.paper import convergence
-from stereo_slam_env.studies.paper.claims import ASSUMED, COUPLED, DIAGONAL, DUAL, JOINT, NOISES, PIXELS, Verdict
+from stereo_slam_env.studies.paper.claims import ASSUMED, COUPLED, DIAGONAL, DUAL, JOINT, NOISES, PIXELS, ClaimVerdict
 from stereo_slam_env.studies.paper.convergence import (
     DepthHistory,
     Depths,
@@ -115,10 +115,10 @@ def test_claims_of_a_few_drives(results):
         # known: with the paper's R ours claims less than a competitor of the same R; with the full R they are equal
         if finding.condition["R"] == "the paper's":
             assert finding.measured.value == pytest.approx(0.84, abs=0.06)
-            assert finding.verdict is Verdict.HOLDS
+            assert finding.verdict is ClaimVerdict.HOLDS
         if finding.condition["R"] == "of independent pixels":
             assert finding.measured.value == pytest.approx(1.02, abs=0.03)
-            assert finding.verdict is not Verdict.HOLDS
+            assert finding.verdict is not ClaimVerdict.HOLDS
 
 
 def test_verdicts_follow_the_numbers(results):
@@ -130,7 +130,7 @@ def test_verdicts_follow_the_numbers(results):
     )
     for one, other in zip(ours, theirs, strict=True):
         if one.condition["R"] == "the paper's":
-            assert (one.verdict, other.verdict) == (Verdict.HOLDS, Verdict.DOES_NOT_HOLD)
+            assert (one.verdict, other.verdict) == (ClaimVerdict.HOLDS, ClaimVerdict.DOES_NOT_HOLD)
             assert other.measured.value == pytest.approx(1.0 / one.measured.value)
 
 

@@ -3,7 +3,7 @@
 import pytest
 
 from stereo_slam_env.studies.paper import karlsruhe
-from stereo_slam_env.studies.paper.claims import Verdict
+from stereo_slam_env.studies.paper.claims import ClaimVerdict
 from stereo_slam_env.studies.paper.report import karlsruhe_section
 
 from ...datasets.small_image_folders import karlsruhe as write_sequence
@@ -71,7 +71,7 @@ def test_a_number_of_one_drive_is_taken_as_it_is(long_enough):
     assert trajectory.sentence.section == "4.4 (Karlsruhe)"
     for finding in trajectory.findings:
         assert finding.measured.low == finding.measured.value == finding.measured.high
-    assert trajectory.verdict is Verdict.HOLDS  # a rendered drive of two metres
+    assert trajectory.verdict is ClaimVerdict.HOLDS  # a rendered drive of two metres
 
 
 def test_the_page_gets_a_section_of_its_own(long_enough, tmp_path):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from stereo_slam_env.studies.paper import landmark_uncertainty
-from stereo_slam_env.studies.paper.claims import COUPLED, DIAGONAL, EUCLIDEAN, JOINT, PIXELS, UVD, Verdict
+from stereo_slam_env.studies.paper.claims import COUPLED, DIAGONAL, EUCLIDEAN, JOINT, PIXELS, UVD, ClaimVerdict
 from stereo_slam_env.studies.paper.landmark_uncertainty import CAMERA, DEPTHS, fits, judge, places, points
 
 # Of an independent prototype: share of the cloud in the 95 % region, and distance of the depth marginal.
@@ -43,15 +43,15 @@ def test_verdicts(judged):
         "holds only if noise: as the paper assumes, R: the paper's; or noise: independent pixels, R: of independent"
     )
     assert judged["region-any-distance"].says.startswith(right_R)
-    assert judged["region-70m-xyz"].verdict is Verdict.HOLDS
-    assert judged["histogram"].verdict is Verdict.HOLDS
+    assert judged["region-70m-xyz"].verdict is ClaimVerdict.HOLDS
+    assert judged["histogram"].verdict is ClaimVerdict.HOLDS
 
 
 def test_with_few_points_nothing_is_shown():
     judged = {claim.sentence.key: claim for claim in judge(40)}
-    assert judged["histogram"].verdict is Verdict.NOT_SHOWN
+    assert judged["histogram"].verdict is ClaimVerdict.NOT_SHOWN
     by_noise = {f.verdict for f in judged["region-70m"].findings if "assumes" in f.condition["noise"]}
-    assert Verdict.HOLDS not in by_noise
+    assert ClaimVerdict.HOLDS not in by_noise
 
 
 def test_a_region_that_is_no_better_than_that_of_xyz_does_not_hold(monkeypatch, found):
@@ -62,9 +62,9 @@ def test_a_region_that_is_no_better_than_that_of_xyz_does_not_hold(monkeypatch, 
     }
     monkeypatch.setattr(landmark_uncertainty, "fits", lambda samples: swapped)
     judged = {claim.sentence.key: claim for claim in judge(10_000)}
-    assert judged["region-70m"].verdict is Verdict.DOES_NOT_HOLD
-    assert judged["histogram"].verdict is Verdict.DOES_NOT_HOLD
-    assert judged["region-70m-xyz"].verdict is not Verdict.HOLDS
+    assert judged["region-70m"].verdict is ClaimVerdict.DOES_NOT_HOLD
+    assert judged["histogram"].verdict is ClaimVerdict.DOES_NOT_HOLD
+    assert judged["region-70m-xyz"].verdict is not ClaimVerdict.HOLDS
 
 
 def test_fits_are_the_same_at_every_call(found):

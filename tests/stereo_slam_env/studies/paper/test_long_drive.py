@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from stereo_slam_env.studies.paper import long_drive
-from stereo_slam_env.studies.paper.claims import ASSUMED, NOISES, Verdict
+from stereo_slam_env.studies.paper.claims import ASSUMED, NOISES, ClaimVerdict
 
 FRAMES = 101
 STEP = 0.5
@@ -75,22 +75,24 @@ def verdicts(*runs):
 
 def test_a_good_filter_with_bad_competitors():
     judged = verdicts(straight(off=0.1), straight(off=0.2), straight(off=1.0, nees=100.0))
-    assert set(judged.values()) == {Verdict.HOLDS}
+    assert set(judged.values()) == {ClaimVerdict.HOLDS}
 
 
 def test_a_bad_filter_with_good_competitors():
     bad = straight(off=3.0, scale=1.05, yaw=0.1, velocity=0.5, nees=20.0)
     judged = verdicts(bad, straight(off=0.1), straight(off=0.1))
-    assert set(judged.values()) == {Verdict.DOES_NOT_HOLD}
+    assert set(judged.values()) == {ClaimVerdict.DOES_NOT_HOLD}
 
 
 def test_a_filter_that_is_too_cautious_is_not_consistent():
-    assert verdicts(straight(off=0.1, nees=2.0), straight(off=0.2), straight())["consistent"] is Verdict.DOES_NOT_HOLD
+    assert (
+        verdicts(straight(off=0.1, nees=2.0), straight(off=0.2), straight())["consistent"] is ClaimVerdict.DOES_NOT_HOLD
+    )
 
 
 def test_a_few_drives_show_nothing():
     few = long_drive.judge(runs_of(straight(off=0.1), straight(off=0.2), straight(nees=100.0), drives=3))
-    assert {claim.verdict for claim in few} == {Verdict.NOT_SHOWN}
+    assert {claim.verdict for claim in few} == {ClaimVerdict.NOT_SHOWN}
 
 
 def test_a_drive_on_which_the_filter_failed_is_left_out():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from stereo_slam_env.studies.paper import speed
-from stereo_slam_env.studies.paper.claims import DUAL, JOINT, Verdict
+from stereo_slam_env.studies.paper.claims import DUAL, JOINT, ClaimVerdict
 
 
 def results_of(ours, theirs, rounds=12):
@@ -19,10 +19,10 @@ def results_of(ours, theirs, rounds=12):
 @pytest.mark.parametrize(
     ("ours", "theirs", "verdict"),
     [
-        (1.0, 1.3, Verdict.HOLDS),
-        (1.0, 0.9, Verdict.DOES_NOT_HOLD),
-        (1.0, 1.0, Verdict.DOES_NOT_HOLD),  # the same: not faster
-        (1.0, 1.02, Verdict.NOT_SHOWN),
+        (1.0, 1.3, ClaimVerdict.HOLDS),
+        (1.0, 0.9, ClaimVerdict.DOES_NOT_HOLD),
+        (1.0, 1.0, ClaimVerdict.DOES_NOT_HOLD),  # the same: not faster
+        (1.0, 1.02, ClaimVerdict.NOT_SHOWN),
     ],
 )
 def test_faster_is_a_matter_of_the_ratio(ours, theirs, verdict):
@@ -33,7 +33,7 @@ def test_faster_is_a_matter_of_the_ratio(ours, theirs, verdict):
 def test_one_update_is_counted_in_the_filters():
     _, once = speed.judge(results_of(1.0, 1.3))
     assert [finding.measured.value for finding in once.findings] == [1, 2]
-    assert once.verdict is Verdict.HOLDS
+    assert once.verdict is ClaimVerdict.HOLDS
 
 
 def test_every_form_and_filter_is_timed():
