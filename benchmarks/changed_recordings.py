@@ -4,14 +4,16 @@
     python benchmarks/changed_recordings.py DATA --recordings kitti07_tracks --changes "as it is" "every 2nd frame"
     python benchmarks/changed_recordings.py DATA --look 0                         # no future: what is assumed
     python benchmarks/changed_recordings.py DATA --causal                         # no future: measured on the way
+    python benchmarks/changed_recordings.py DATA --options '{"iterations": 3}'    # of the filter
+    python benchmarks/changed_recordings.py DATA --severe                         # what no filter survives
     python benchmarks/changed_recordings.py --rendered 6 --renderer gl            # right turns, all changes
     python benchmarks/changed_recordings.py --wrong-rigs 5 --rigs 4               # rendered drives, wrong rigs of each
 
 DATA is the folder that holds the recordings of `benchmarks/real_covariances.py`. The tracks are changed, their noise is
 measured again as a stranger's would be, and "coloured-noise" runs on them with vision only. NEES/6 of the pose and of
 the motion over windows of 1 s and 10 s should be 1; the log score is minus the mean log likelihood of windows (nats,
-lower is better); ATE is rigid, m. NIS by its degrees of freedom and the share of gated measurements, %, are what a user
-sees without a truth.
+lower is better); ATE is rigid, m. NIS by its degrees of freedom, the share of gated measurements and that of the frames
+in which the alarm of a `DivergenceMonitor` stands, %, are what a user sees without a truth.
 """
 
 from __future__ import annotations
@@ -24,7 +26,7 @@ from typing import Any
 import numpy as np
 
 import stereo_slam_env as sse
-from filters import Pose, StereoCamera, StereoNoise, StereoObservation, nees
+from filters import DivergenceMonitor, Pose, StereoCamera, StereoNoise, StereoObservation, nees
 from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray
 from harness import arguments, show
@@ -79,19 +81,26 @@ def half_the_tracks(drive: Recording, rng: np.random.Generator) -> Recording:
     return _seen(drive, lambda seen: seen.select(np.isin(seen.ids, kept)))
 
 
-def outliers(drive: Recording, rng: np.random.Generator) -> Recording:
-    """2 % of the measurements are wrong by some 20 px."""
-    return _moved(drive, lambda uvd: 20.0 * rng.normal(size=uvd.shape) * (rng.random((len(uvd), 1)) < 0.02))
+def outliers(share: float) -> Change:
+    """Some measurements are wrong by some 20 px."""
+
+    def change(drive: Recording, rng: np.random.Generator) -> Recording:
+        return _moved(drive, lambda uvd: 20.0 * rng.normal(size=uvd.shape) * (rng.random((len(uvd), 1)) < share))
+
+    return change
 
 
-def white_noise(drive: Recording, rng: np.random.Generator) -> Recording:
-    """0.5 px on each of u_left, v and u_right."""
+def white_noise(pixels: float) -> Change:
+    """On each of u_left, v and u_right."""
 
-    def error(uvd: FloatArray) -> FloatArray:
-        n = 0.5 * rng.normal(size=uvd.shape)
-        return np.column_stack([n[:, 0], n[:, 1], n[:, 0] - n[:, 2]])
+    def change(drive: Recording, rng: np.random.Generator) -> Recording:
+        def error(uvd: FloatArray) -> FloatArray:
+            n = pixels * rng.normal(size=uvd.shape)
+            return np.column_stack([n[:, 0], n[:, 1], n[:, 0] - n[:, 2]])
 
-    return _moved(drive, error)
+        return _moved(drive, error)
+
+    return change
 
 
 def focal_length(share: float) -> Change:
@@ -133,20 +142,42 @@ def shifted(pixels: float) -> Change:
     return lambda drive, rng: _moved(drive, lambda uvd: np.tile([0.0, 0.0, pixels], (len(uvd), 1)))
 
 
+def in_the_middle(seconds: float, change: Callable[[StereoObservation], StereoObservation]) -> Change:
+    """Something else is seen for some time."""
+
+    def changed_then(drive: Recording, rng: np.random.Generator) -> Recording:
+        times = np.array([frame.timestamp for frame in drive.frames])
+        then = np.abs(times - 0.5 * (times[0] + times[-1])) <= 0.5 * seconds
+        seen = [frame.observation for frame in drive.frames]
+        return drive.with_observations([change(one) if now else one for one, now in zip(seen, then, strict=True)])
+
+    return changed_then
+
+
 CHANGES: Mapping[str, Change] = {
     "as it is": lambda drive, rng: drive,
     "every 2nd frame": every(2),
     "every 3rd frame": every(3),
     "half the tracks": half_the_tracks,
-    "2 % outliers": outliers,
-    "+ 0.5 px white noise": white_noise,
+    "2 % outliers": outliers(0.02),
+    "+ 0.5 px white noise": white_noise(0.5),
     "focal + 0.5 %": focal_length(0.005),
     "baseline + 1 %": baseline(0.01),
     "right camera turned 0.1 deg": turned(0.1),
 }
 
 
-OF_THE_RIG = tuple(CHANGES)[-3:]
+SEVERE: Mapping[str, Change] = {
+    "every 10th frame": every(10),
+    "30 % outliers": outliers(0.3),
+    "+ 3 px white noise": white_noise(3.0),
+    "identities mixed, 1 s": in_the_middle(1.0, lambda seen: replace(seen, ids=np.roll(seen.ids, 1))),
+    "nothing seen, 3 s": in_the_middle(3.0, lambda seen: seen.select(np.zeros(len(seen), dtype=bool))),
+    "focal + 10 %": focal_length(0.1),
+    "right camera turned 1 deg": turned(1.0),
+}
+"""Changes that no filter is expected to survive: does it say so?"""
+OF_THE_RIG = (*tuple(CHANGES)[-3:], *tuple(SEVERE)[-2:])
 """Changes after which the rig is not as it is stated."""
 
 
@@ -166,16 +197,26 @@ class Row:
     """By its degrees of freedom."""
     gated: float
     """Share of the measurements, %."""
+    alarmed: float
+    """Share of the frames in which the alarm of a `DivergenceMonitor` stands, %."""
 
     @property
     def cells(self) -> list[str]:
         """For a table."""
         windows = [f"{window:.2f}" for window in self.windows]
         scores = [f"{score:.1f}" for score in self.scores]
-        return [f"{self.pose:.2f}", *windows, *scores, f"{self.ate:.2f}", f"{self.nis:.2f}", f"{self.gated:.1f}"]
+        return [
+            f"{self.pose:.2f}",
+            *windows,
+            *scores,
+            f"{self.ate:.2f}",
+            f"{self.nis:.2f}",
+            f"{self.gated:.1f}",
+            f"{self.alarmed:.0f}",
+        ]
 
 
-HEADS = ("", "NEES/6", "1 s", "10 s", "score 1 s", "10 s", "ATE, m", "NIS", "gated, %")
+HEADS = ("", "NEES/6", "1 s", "10 s", "score 1 s", "10 s", "ATE, m", "NIS", "gated, %", "alarm, %")
 
 
 def scored(recording: Recording, slam: str | type = "coloured-noise", **options: Any) -> Row:
@@ -186,10 +227,13 @@ def scored(recording: Recording, slam: str | type = "coloured-noise", **options:
     ends = {s: {int(scored_at[j]): int(scored_at[i]) for i, j in window_ends(times[scored_at], s)} for s in WINDOWS}
     found: dict[float, list[tuple[float, float]]] = {seconds: [] for seconds in WINDOWS}
     pose, estimates, nis, dof, gated, measured = [], [], 0.0, 0, 0, 0
+    monitor, alarmed = DivergenceMonitor(), 0
     for moment in sse.run(slam, recording, use_odometry=False, **options):
         k, running = moment.number, moment.slam
         nis, dof = nis + moment.report.nis, dof + moment.report.nis_dof
         gated, measured = gated + len(moment.report.gated), measured + len(moment.observation)
+        monitor.look(times[k] - times[max(k - 1, 0)], moment.report, moment.pose)
+        alarmed += monitor.standing is not None
         if k not in scored_at:
             continue
         pose.append(moment.nees)
@@ -216,23 +260,33 @@ def scored(recording: Recording, slam: str | type = "coloured-noise", **options:
         ate_rigid(estimated, true_positions),
         nis / max(dof, 1),
         100.0 * gated / max(measured, 1),
+        100.0 * alarmed / len(frames),
     )
 
 
 def changed(drive: Recording, name: str, look: int | None = None) -> Recording:
-    """The drive with a change of `CHANGES`, always the same."""
-    change = CHANGES[name](drive, np.random.default_rng(list(CHANGES).index(name)))
+    """The drive with a change of `CHANGES` or `SEVERE`, always the same."""
+    every_change = {**CHANGES, **SEVERE}
+    change = every_change[name](drive, np.random.default_rng(list(every_change).index(name)))
     if name in OF_THE_RIG and drive.truth_from.kind == "simulation":
         change = replace(change, truth_from=GIVEN_TRUTH)  # its rig is not as stated any more
     return measured_again(change, look)
 
 
 def show_changes(
-    title: str, drives: Sequence[Recording], changes: Sequence[str], look: int | None, causal: bool
+    title: str,
+    drives: Sequence[Recording],
+    changes: Sequence[str],
+    look: int | None,
+    causal: bool,
+    options: Mapping[str, Any],
 ) -> None:
     """A row for each change; means over the drives."""
     slam = CausalNoiseEKF if causal else "coloured-noise"
-    rows = [(name, *_mean([scored(changed(drive, name, look), slam) for drive in drives]).cells) for name in changes]
+    rows = [
+        (name, *_mean([scored(changed(drive, name, look), slam, **options) for drive in drives]).cells)
+        for name in changes
+    ]
     show(title, HEADS, rows)
 
 
@@ -288,8 +342,10 @@ def main() -> None:
         data=Path,
         recordings=list(RECORDINGS),
         changes=list(CHANGES),
+        severe=False,
         look=int,
         causal=False,
+        options={},
         rendered=0,
         wrong_rigs=0,
         rigs=1,
@@ -299,15 +355,16 @@ def main() -> None:
         route="right-turn",
     )
     look = 0 if given.causal else given.look
+    changes = list(SEVERE) if given.severe else given.changes
     if given.data is not None:
         for name in given.recordings:
             if (given.data / name).is_dir():
                 drive = sse.load(given.data / name)[: RECORDINGS[name]]
-                show_changes(f"{name}, {len(drive)} frames", [drive], given.changes, look, given.causal)
+                show_changes(f"{name}, {len(drive)} frames", [drive], changes, look, given.causal, given.options)
     if given.rendered:
         seeds = range(given.first_seed, given.first_seed + given.rendered)
         drives = list(rendered(seeds, given.renderer, given.route))
-        show_changes(f"{given.route} by {given.renderer}", drives, given.changes, look, given.causal)
+        show_changes(f"{given.route} by {given.renderer}", drives, changes, look, given.causal, given.options)
     if given.wrong_rigs:
         seeds = range(given.first_seed, given.first_seed + given.wrong_rigs)
         show_wrong_rigs(

@@ -37,8 +37,8 @@ from harness import arguments, mean_and_error, show
 from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
 from stereo_slam_env.evaluation.run_figures import figures_of, summarise_all
+from stereo_slam_env.frontend.camera_motion import FIRST_GUESS
 from stereo_slam_env.frontend.ego_motion import Pairs, Step, chained, robust_step
-from stereo_slam_env.frontend.track_noise import FIRST_GUESS
 from stereo_slam_env.recording.recording import Recording
 
 RECORDINGS = ("kitti07_tracks", "kitti00_stereo_tracks", "kitti06_stereo51", "starry_night_a")

@@ -239,3 +239,36 @@ def right_jacobian_of(x: float, y: float, z: float) -> Nine:
         *(xy - first * z, on_axis + second * y * y, yz + first * x),
         *(xz + first * y, yz - first * x, on_axis + second * z * z),
     )
+
+
+@compiled
+def left_jacobian_derivative_of(t0: float, t1: float, t2: float, a0: float, a1: float, a2: float) -> Nine:
+    """`left_jacobian_derivative` of one vector, row by row."""
+    square = t0 * t0 + t1 * t1 + t2 * t2
+    angle = math.sqrt(square)
+    if angle < 1e-1:
+        b = 0.5 - square / 24.0 * (1.0 - square / 30.0 * (1.0 - square / 56.0))
+        c = 1.0 / 6.0 - square / 120.0 * (1.0 - square / 42.0 * (1.0 - square / 72.0))
+        # derivatives of b and c by t, over t
+        db = -1.0 / 12.0 + square / 180.0 * (1.0 - square * 3.0 / 112.0)
+        dc = -1.0 / 60.0 + square / 1260.0 * (1.0 - square / 48.0)
+    else:
+        sine, cosine = math.sin(angle), math.cos(angle)
+        b, c = (1.0 - cosine) / square, (angle - sine) / (square * angle)
+        db = (angle * sine - 2.0 * (1.0 - cosine)) / (square * square)
+        dc = ((1.0 - cosine) * angle - 3.0 * (angle - sine)) / (square * square * angle)
+    x0, x1, x2 = t1 * a2 - t2 * a1, t2 * a0 - t0 * a2, t0 * a1 - t1 * a0
+    dot = t0 * a0 + t1 * a1 + t2 * a2
+    y0, y1, y2 = t0 * dot - square * a0, t1 * dot - square * a1, t2 * dot - square * a2
+    u0, u1, u2 = db * x0 + dc * y0, db * x1 + dc * y1, db * x2 + dc * y2
+    return (
+        u0 * t0 + c * (dot + t0 * a0 - 2.0 * a0 * t0),
+        u0 * t1 + b * a2 + c * (t0 * a1 - 2.0 * a0 * t1),
+        u0 * t2 - b * a1 + c * (t0 * a2 - 2.0 * a0 * t2),
+        u1 * t0 - b * a2 + c * (t1 * a0 - 2.0 * a1 * t0),
+        u1 * t1 + c * (dot + t1 * a1 - 2.0 * a1 * t1),
+        u1 * t2 + b * a0 + c * (t1 * a2 - 2.0 * a1 * t2),
+        u2 * t0 + b * a1 + c * (t2 * a0 - 2.0 * a2 * t0),
+        u2 * t1 - b * a0 + c * (t2 * a1 - 2.0 * a2 * t1),
+        u2 * t2 + c * (dot + t2 * a2 - 2.0 * a2 * t2),
+    )

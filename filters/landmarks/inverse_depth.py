@@ -17,8 +17,8 @@ import numpy as np
 from filters.geometry import rotations
 from filters.geometry.arrays import BoolArray, FloatArray
 from filters.geometry.machine_code import compiled
-from filters.geometry.rotations import matrix_of, quaternion_of, right_jacobian_of
-from filters.geometry.three_by_three import times
+from filters.geometry.rotations import left_jacobian_derivative_of, matrix_of, quaternion_of, right_jacobian_of
+from filters.geometry.three_by_three import cross_matrix, multiply, times
 from filters.landmarks.model import LandmarkKernels, LandmarkModel, ScaledPoints, StartedLandmarks
 
 # Tangent of the angle to the vertical below which azimuth is undefined in double precision.
@@ -138,22 +138,29 @@ def _turn(
     world = matrix_of(q0, q1, q2, q3)
     spread = right_jacobian_of(-theta[0], -theta[1], -theta[2])
     for i in range(len(values)):
-        azimuth, elevation = values[i, 0] + correction[i, 0], values[i, 1] + correction[i, 1]
-        sin_theta, cos_theta = math.sin(azimuth), math.cos(azimuth)
-        sin_phi, cos_phi = math.sin(elevation), math.cos(elevation)
-        x, y, z = times(world, cos_phi * sin_theta, -sin_phi, cos_phi * cos_theta)
+        sin_theta, cos_theta = math.sin(values[i, 0]), math.cos(values[i, 0])
+        sin_phi, cos_phi = math.sin(values[i, 1]), math.cos(values[i, 1])
+        by_azimuth = cos_phi * cos_theta, 0.0, -cos_phi * sin_theta
+        by_elevation = -sin_phi * sin_theta, -cos_phi, -sin_phi * cos_theta
+        b0 = by_azimuth[0] * correction[i, 0] + by_elevation[0] * correction[i, 1]
+        b1 = by_elevation[1] * correction[i, 1]
+        b2 = by_azimuth[2] * correction[i, 0] + by_elevation[2] * correction[i, 1]
+        r0, r1, r2 = times(world, cos_phi * sin_theta, -sin_phi, cos_phi * cos_theta)
+        s0, s1, s2 = times(spread, b0, b1, b2)
+        x, y, z = r0 + s0, r1 + s1, r2 + s2
         moved[i, 0], moved[i, 1] = math.atan2(x, z), math.atan2(-y, math.sqrt(x * x + z * z))
         moved[i, 2] = values[i, 2] + correction[i, 2]
-        by_azimuth = times(world, cos_phi * cos_theta, 0.0, -cos_phi * sin_theta)
-        by_elevation = times(world, -sin_phi * sin_theta, -cos_phi, -sin_phi * cos_theta)
-        a, by_turn = _angles_jacobian(x, y, z), _rotation_of(moved[i, 0], moved[i, 1])
+        a = _angles_jacobian(x, y, z)
+        c0, c1 = times(spread, *by_azimuth), times(spread, *by_elevation)
+        turned = multiply(cross_matrix(-r0, -r1, -r2), spread)
+        derivative = left_jacobian_derivative_of(theta[0], theta[1], theta[2], b0, b1, b2)
         J[i, 2, 2] = 1.0
         for r in range(2):
             for k in range(3):
-                J[i, r, 0] += a[3 * r + k] * by_azimuth[k]
-                J[i, r, 1] += a[3 * r + k] * by_elevation[k]
+                J[i, r, 0] += a[3 * r + k] * c0[k]
+                J[i, r, 1] += a[3 * r + k] * c1[k]
                 for c in range(3):
-                    J_theta[i, r, c] += by_turn[3 * r + k] * spread[3 * k + c]
+                    J_theta[i, r, c] += a[3 * r + k] * (turned[3 * k + c] + derivative[3 * k + c])
 
 
 def _rotation(settings: FloatArray, values: FloatArray, effect: FloatArray) -> None:
@@ -226,15 +233,35 @@ class InverseDepth(LandmarkModel):
         effect[:, :2] = -angles_jacobian(m) @ rotations.skew(m)
         return effect
 
+    def turned(
+        self,
+        anchors: FloatArray | None,
+        parameters: FloatArray,
+        turn: FloatArray,
+        spread: FloatArray,
+        correction: FloatArray,
+    ) -> FloatArray:
+        """The ray as a point of the group: turn m + spread b, with b what the correction moves it by; rho is added.
+
+        A correction that only takes back what the turn does leaves the ray where it is, however far the turn is.
+        """
+        m = ray_direction(parameters) @ turn.T + self._shift(parameters, correction) @ spread.T
+        return np.column_stack([angles_of(m), parameters[:, 2] + correction[:, 2]])
+
+    @staticmethod
+    def _shift(parameters: FloatArray, correction: FloatArray) -> FloatArray:
+        shift: FloatArray = np.einsum("mij,mj->mi", ray_direction_jacobian(parameters), correction[:, :2])
+        return shift
+
     def turned_jacobians(
         self, anchors: FloatArray | None, parameters: FloatArray, theta: FloatArray, correction: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """By the chain rule through the ray."""
-        corrected, turn = parameters + correction, rotations.exp(theta)
-        m = ray_direction(corrected) @ turn.T
-        by_m = angles_jacobian(m)
+        spread, shift = rotations.right_jacobian(-theta), self._shift(parameters, correction)
+        m = ray_direction(parameters) @ rotations.exp(theta).T
+        by_m = angles_jacobian(m + shift @ spread.T)
         by_correction, by_theta = np.zeros((len(m), 3, 3)), np.zeros((len(m), 3, 3))
-        by_correction[:, :2, :2] = by_m @ turn @ ray_direction_jacobian(corrected)
+        by_correction[:, :2, :2] = by_m @ spread @ ray_direction_jacobian(parameters)
         by_correction[:, 2, 2] = 1.0
-        by_theta[:, :2] = -by_m @ rotations.skew(m) @ rotations.right_jacobian(-theta)
+        by_theta[:, :2] = by_m @ (rotations.left_jacobian_derivative(theta, shift) - rotations.skew(m) @ spread)
         return by_correction, by_theta

@@ -106,25 +106,45 @@ class Spherical(LandmarkModel):
         return np.hstack([turn, other[:, 3:] - parameters[:, 3:]])
 
     def transport(self, parameters: FloatArray, delta: FloatArray) -> FloatArray | None:
-        """Without a turn of the world."""
-        return self._carried(parameters, delta, np.eye(3))[0]
+        """By the left Jacobian of the turn, seen in the basis where it ends."""
+        basis = tangent_basis(parameters[:, :3])
+        axis = (basis @ delta[..., :2, None])[..., 0]
+        back = tangent_basis(self.retract(parameters, delta)[:, :3]).transpose(0, 2, 1)
+        J = np.zeros((len(parameters), 3, 3))
+        J[:, :2, :2] = back @ rotations.right_jacobian(-axis) @ basis
+        J[:, 2, 2] = 1.0
+        return J
+
+    def turned(
+        self,
+        anchors: FloatArray | None,
+        parameters: FloatArray,
+        turn: FloatArray,
+        spread: FloatArray,
+        correction: FloatArray,
+    ) -> FloatArray:
+        """The bearing as a point of the group, as `InverseDepth` has it."""
+        m = parameters[:, :3] @ turn.T + self._shift(parameters, correction) @ spread.T
+        return np.hstack([m / np.linalg.norm(m, axis=1, keepdims=True), parameters[:, 3:] + correction[:, 2:]])
+
+    @staticmethod
+    def _shift(parameters: FloatArray, correction: FloatArray) -> FloatArray:
+        m = parameters[:, :3]
+        shift: FloatArray = np.cross((tangent_basis(m) @ correction[:, :2, None])[:, :, 0], m)
+        return shift
 
     def turned_jacobians(
         self, anchors: FloatArray | None, parameters: FloatArray, theta: FloatArray, correction: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """By the left Jacobians of both turns, seen in the basis where they end."""
-        by_correction, back = self._carried(parameters, correction, rotations.exp(theta))
-        by_theta = np.zeros_like(by_correction)
-        by_theta[:, :2] = back @ rotations.right_jacobian(-theta)
+        """By the chain rule through the bearing, seen in the basis where it ends."""
+        spread, shift = rotations.right_jacobian(-theta), self._shift(parameters, correction)
+        start = parameters[:, :3]
+        m = start @ rotations.exp(theta).T
+        end = m + shift @ spread.T
+        square = np.einsum("mi,mi->m", end, end)[:, None, None]
+        by_end = tangent_basis(end / np.sqrt(square[:, :, 0])).transpose(0, 2, 1) @ rotations.skew(end) / square
+        by_correction, by_theta = np.zeros((len(m), 3, 3)), np.zeros((len(m), 3, 3))
+        by_correction[:, :2, :2] = by_end @ spread @ -rotations.skew(start) @ tangent_basis(start)
+        by_correction[:, 2, 2] = 1.0
+        by_theta[:, :2] = by_end @ (rotations.left_jacobian_derivative(theta, shift) - rotations.skew(m) @ spread)
         return by_correction, by_theta
-
-    def _carried(self, parameters: FloatArray, delta: FloatArray, R: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Jacobian of retraction, then rotation R, by delta; and the transposed basis (M, 2, 3) there."""
-        basis = tangent_basis(parameters[:, :3])
-        axis = (basis @ delta[..., :2, None])[..., 0]
-        end = self.retract(parameters, delta)[:, :3] @ R.T
-        back = tangent_basis(end).transpose(0, 2, 1)
-        J = np.zeros((len(parameters), 3, 3))
-        J[:, :2, :2] = back @ R @ rotations.right_jacobian(-axis) @ basis
-        J[:, 2, 2] = 1.0
-        return J, back

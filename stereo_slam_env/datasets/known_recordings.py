@@ -1,7 +1,9 @@
 """Makers of the true poses of public recordings, known by a digest of their positions.
 
 A layout says how files are written, not who made them: anybody may use that of KITTI. So a reader names a maker only
-where the positions are, to the last bit, those that he published; others are stated by the recording.
+where the positions are, to the last bit, those that he published; others are stated by the recording. The errors of
+their poses are those that the maker states, or that the poses themselves show (docs/covariances.md has the sources and
+`benchmarks/reference_jitter.py` the figures).
 """
 
 from __future__ import annotations
@@ -58,7 +60,12 @@ def reference_for(positions: FloatArray, stated: str, seconds: FloatArray | None
     return replace(known.reference, settled_at=float(seconds[known.first_scored]))
 
 
-_KITTI = Reference("ins", "KITTI's ground truth, to about 0.1 m where RTK held, noisier from frame to frame.")
+_KITTI = Reference(
+    "ins",
+    "KITTI's ground truth, to about 0.1 m where RTK held, noisier from frame to frame.",
+    position_jitter=1.5e-3,
+    rotation_jitter=1.5e-4,
+)
 
 
 def _kitti(fault: str, first_scored: int) -> KnownRecording:
@@ -67,8 +74,14 @@ def _kitti(fault: str, first_scored: int) -> KnownRecording:
 
 _KITTI_00 = _kitti("Before frame 16 it is extrapolated, and wrong.", 16)
 _KITTI_06 = _kitti("It is still settling in frames 0 to 10.", 12)
-_MH = KnownRecording(Reference("surveyed", "EuRoC's ground truth: laser tracker, smoothed with the IMU."))
-_V1 = KnownRecording(Reference("surveyed", "EuRoC's ground truth: motion capture, smoothed with the IMU."))
+_EUROC = {"position_jitter": 1e-3, "rotation_jitter": 2.7e-3}
+_MH = KnownRecording(Reference("surveyed", "EuRoC's ground truth: laser tracker, smoothed with the IMU.", **_EUROC))
+_V1 = KnownRecording(Reference("surveyed", "EuRoC's ground truth: motion capture, smoothed with the IMU.", **_EUROC))
+_TUM_VI = KnownRecording(
+    Reference(
+        "surveyed", "TUM-VI's ground truth: motion capture at 120 Hz.", position_jitter=1e-4, rotation_jitter=8e-4
+    )
+)
 _TARTANAIR = KnownRecording(Reference("simulation", "TartanAir's exact poses."))
 _STARRY = KnownRecording(
     Reference("surveyed", "Motion capture; its own errors are about 0.01 m and 0.01 to 0.03 rad."), 100
@@ -90,6 +103,8 @@ KNOWN: Mapping[str, KnownRecording] = {
     "464e4e0b30798b052a111a1b18f231965f71b78bf315ee8ca52ae67f24669958": _MH,
     "dc82ffc66aa6e0227feb7619cbac895247137cfa3b82a7ac62966397bc806d29": _MH,
     "0920b770cacf2cae627c80814ac33d7758ebb7a7ada849a06b05e709d604f41d": _V1,
+    # TUM-VI room1, 512 x 512, 16 bit
+    "44fd5b71c165adf7ee474a3163f184e4208a8a78778342476f130d9cf20ca391": _TUM_VI,
     # TartanAir V2, the drive whose first pairs are the test clip of MAC-VO
     "b62f08847edca1d0ccba8abf1c63fb5f87b9a7e0884f37e9319502da6a4d3c0a": _TARTANAIR,
     # Starry Night, steps 0 to 1199

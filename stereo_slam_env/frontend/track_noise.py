@@ -12,13 +12,15 @@ from __future__ import annotations
 import dataclasses
 import logging
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.stats import chi2
 
 from filters import ColouredNoise, LandmarkDrift, StereoCamera, StereoNoise, StereoObservation
 from filters.geometry.arrays import FloatArray, IntArray
-from stereo_slam_env.frontend.ego_motion import MIN_POINTS, Pairs, Step, robust_step, squared_distances, transfer
+from stereo_slam_env.frontend.camera_motion import camera_steps
+from stereo_slam_env.frontend.ego_motion import MIN_POINTS, Pairs, Step, squared_distances, transfer
 from stereo_slam_env.frontend.settings import DRIFT_SHARE
 from stereo_slam_env.recording.recording import Recording
 
@@ -29,8 +31,6 @@ LEAST_FLOW = 0.3
 """Points that move less between two frames, px, do not slide, and are left out."""
 OUTLIER = 8.0
 """Robust standard deviations beyond which a residual is a mismatch or a moving object."""
-FIRST_GUESS = StereoNoise.independent_pixels(0.4)
-"""For the weights of the motion between two frames, where measurements bring no covariance."""
 WHITE, GATE = 0.8, 1.2
 """Standard deviations of the white part and of the steps that the gate allows, in those of a residual; chosen on KITTI
 07, where the error hardly depends on them."""
@@ -200,21 +200,12 @@ def _fitted(residuals: FloatArray, by_step: FloatArray) -> FloatArray:
     return fitted
 
 
-def _R(seen: StereoObservation, index: IntArray) -> FloatArray:
-    return seen.covariances(FIRST_GUESS)[index]
-
-
 def track_noise(recording: Recording) -> TrackNoise:
     """Noise of the tracks of a recording, by robust motions between its frames."""
-    statistics, step, before = TrackStatistics(recording.camera), None, None
-    for frame in recording.frames:
-        now = frame.observation
-        if before is not None:
-            _, i, j = np.intersect1d(before.ids, now.ids, assume_unique=True, return_indices=True)
-            found = robust_step(recording.camera, Pairs(before.uvd[i], now.uvd[j], _R(before, i), _R(now, j)), step)
-            step = None if found is None else found.step
-            statistics.add(before, now, step)
-        before = now
+    statistics = TrackStatistics(recording.camera)
+    steps = camera_steps(recording.camera, recording.frames)
+    for (before, now), found in zip(pairwise(recording.frames), steps, strict=True):
+        statistics.add(before.observation, now.observation, None if found is None else found.step)
     return statistics.noise
 
 

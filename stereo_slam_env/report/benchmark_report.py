@@ -312,6 +312,7 @@ def write_report_of(directory: StudyDirectory, results: Sequence[CellResult]) ->
             attribution=None if factorial is None else attribution_of(factorial, result),
             looks=looks_of(result) if result.cell.scenario.policies else None,
             recordings=recordings_of(result),
+            audits=result.directory.audits(),
         )
         for result in results
     ]

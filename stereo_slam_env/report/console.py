@@ -152,12 +152,10 @@ def _lasting(noise: ColouredNoise) -> str:
 
 def _audit(recording: Recording) -> dict[str, str]:
     """Whether the images contradict the reference; nothing where there is none, or an exact one."""
-    reference = recording.reference
-    if not reference.counts_as_truth or reference.kind == "simulation":
-        return {}
     from stereo_slam_env.frontend.reference_audit import audit_of  # needs OpenCV, which a judge of filters may lack
 
-    return {"its steps": str(audit_of(recording))}
+    found = audit_of(recording)
+    return {} if found is None else {"its steps": str(found)}
 
 
 def _rig_found(recording: Recording) -> dict[str, str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -15,10 +16,11 @@ from stereo_slam_env.benchmark.statistics.measures import PairwiseTable, compare
 from stereo_slam_env.benchmark.statistics.policy_verdict import Looks, judge_policies
 from stereo_slam_env.benchmark.statistics.remarks import innovation_remarks, reference_remarks
 from stereo_slam_env.benchmark.statistics.verdict import Verdict, judge
+from stereo_slam_env.evaluation.reference_audit import ReferenceAudit
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
 from stereo_slam_env.evaluation.run_figures import Bounds, Figures, RunKey, key_of
 from stereo_slam_env.report import tables
-from stereo_slam_env.report.charts import accuracy, consistency, cost, policies, series
+from stereo_slam_env.report.charts import accuracy, consistency, cost, policies, reference, series
 from stereo_slam_env.report.charts.drawing import Chart
 from stereo_slam_env.report.comparison_report import attribution_section, conclusions
 from stereo_slam_env.report.data_section import Recordings, data_section
@@ -30,6 +32,12 @@ MOST_SHOWN = 6
 
 MOST_FAILURES = 100
 """Failures of a filter that are listed; the trial table has all."""
+
+_AUDIT_NOTE = (
+    "Tracks of each frame, carried to the next one by the step of the reference, and by the motion that fits them best."
+    " Where the two disagree, one of them is wrong, and errors of a filter say little. A drift over many frames is not"
+    " seen here."
+)
 
 
 def write_report(
@@ -44,13 +52,15 @@ def write_report(
     attribution: Attribution | None = None,
     looks: Looks | None = None,
     recordings: Recordings | None = None,
+    audits: Mapping[str, ReferenceAudit] = MappingProxyType({}),
 ) -> Path:
     """Write `out/report.html`, figures as `out/figures/<name>.png` and `.svg`, tables as `out/tables/<name>.tex`.
 
     Returns the page, which needs nothing but itself. Charts are of `runs`; `summaries` and `figures` are of these and,
     in a large campaign, of more, whose time series are not kept: all tables and tests are of them. `settings` is what
     was asked for (scenario, noise, gate, seeds, versions), JSON-able, perhaps nested; `attribution` is of the options
-    that the filters differ in; `recordings` are linked. With `looks` policies are compared: the page then first says
+    that the filters differ in; `recordings` are linked, and `audits` say by
+    their names where the images contradict the reference. With `looks` policies are compared: the page then first says
     what they claim and what is true. A `ValueError` says that there are no runs.
     """
     if not runs or not summaries:
@@ -71,7 +81,7 @@ def write_report(
         part("paragraph", _note(summaries, looks) + _drawn(runs, figures)),
         part("items", [remark for s in summaries for remark in s.remarks], "failures fair"),
         *([attribution_section(attribution, folder)] if attribution is not None else []),
-        *_drawn_sections(runs, summaries, bounds or {}, looks, folder),
+        *_drawn_sections(runs, summaries, bounds or {}, looks, audits, folder),
         pairs,
         _failures(summaries),
         part("section", "Settings", "", [part("settings", settings)]),
@@ -138,7 +148,12 @@ def _subtitle(runs: Sequence[FilterRun], figures: Figures, looks: Looks | None) 
 
 
 def _drawn_sections(
-    runs: Sequence[FilterRun], summaries: Sequence[FilterSummary], bounds: Bounds, looks: Looks | None, folder: Path
+    runs: Sequence[FilterRun],
+    summaries: Sequence[FilterSummary],
+    bounds: Bounds,
+    looks: Looks | None,
+    audits: Mapping[str, ReferenceAudit],
+    folder: Path,
 ) -> list[Markup]:
     """The sections; their charts are made first, then all are drawn at once and put in their places."""
     charts: dict[str, tuple[Chart, str]] = {}
@@ -147,7 +162,7 @@ def _drawn_sections(
         charts[name] = plot(*arguments), caption
         return Markup('<figure id="{}"></figure>').format(name)
 
-    sections = Markup("\n").join(_sections(runs, summaries, bounds, looks, draw, folder.parent / TABLES))
+    sections = Markup("\n").join(_sections(runs, summaries, bounds, looks, audits, draw, folder.parent / TABLES))
     for name, block in figure_blocks(charts, folder).items():
         sections = sections.replace(Markup('<figure id="{}"></figure>').format(name), block)
     return [sections]
@@ -158,6 +173,7 @@ def _sections(
     summaries: Sequence[FilterSummary],
     bounds: Bounds,
     looks: Looks | None,
+    audits: Mapping[str, ReferenceAudit],
     draw: Callable[..., Markup],
     folder: Path,
 ) -> Iterator[Markup]:
@@ -192,6 +208,8 @@ def _sections(
     guide = "Above the band a filter is overconfident, below it too cautious."
     table = tables.consistency_table(summaries, who, latex("consistency"))
     yield part("section", "Consistency", guide, [table, *_consistency(runs, summaries, with_nees, draw)])
+    if found := [*_audits(audits, draw)]:
+        yield part("section", "Is the reference right?", _AUDIT_NOTE, found)
     if with_nees:
         limit = consistency.error_limits(first)
         guide = "Position in the world, rotation in the camera frame; equal scales for all filters."
@@ -209,6 +227,12 @@ def _sections(
     guide = "Compare filters within a report, not across machines."
     table = tables.figures_table(summaries, ["cost", "events"], who, latex("cost"))
     yield part("section", "Cost and events", guide, [table, *_cost(runs, summaries, draw)])
+
+
+def _audits(audits: Mapping[str, ReferenceAudit], draw: Callable[..., Markup]) -> Iterator[Markup]:
+    for number, (name, audit) in enumerate(audits.items()):
+        if len(audit.frames):
+            yield draw(f"audit_{number}", f"{name}: {audit}.", reference.plot_audit, audit)
 
 
 def _gaze(runs: Sequence[FilterRun], looks: Looks, shown: str, draw: Callable[..., Markup]) -> Iterator[Markup]:

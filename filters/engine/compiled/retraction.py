@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 from numba import njit, types
 
 from filters.engine.compiled.blas import KERNEL, Routines, call
@@ -16,41 +14,16 @@ from filters.engine.compiled.storage import BLOCKS, CLONE_ROTATION, OWN, POINT, 
 from filters.engine.compiled.units import ADDRESSES, EFFECT, PLAN, SCRATCH, STORAGE, TURN, unit
 from filters.geometry.arrays import FloatArray
 from filters.geometry.retractions import additive_transport_of
-from filters.geometry.rotations import Four, Nine, matrix_of, product_of, quaternion_of, right_jacobian_of
+from filters.geometry.rotations import (
+    Four,
+    Nine,
+    left_jacobian_derivative_of,
+    matrix_of,
+    product_of,
+    quaternion_of,
+    right_jacobian_of,
+)
 from filters.geometry.three_by_three import IDENTITY, cross_matrix, multiply, put, times, transposed
-
-
-@njit(**KERNEL)
-def left_jacobian_derivative(t0: float, t1: float, t2: float, a0: float, a1: float, a2: float) -> Nine:
-    """d (J_l(t) a) / d t, row by row."""
-    square = t0 * t0 + t1 * t1 + t2 * t2
-    angle = math.sqrt(square)
-    if angle < 1e-1:
-        b = 0.5 - square / 24.0 * (1.0 - square / 30.0 * (1.0 - square / 56.0))
-        c = 1.0 / 6.0 - square / 120.0 * (1.0 - square / 42.0 * (1.0 - square / 72.0))
-        # derivatives of b and c by t, over t
-        db = -1.0 / 12.0 + square / 180.0 * (1.0 - square * 3.0 / 112.0)
-        dc = -1.0 / 60.0 + square / 1260.0 * (1.0 - square / 48.0)
-    else:
-        sine, cosine = math.sin(angle), math.cos(angle)
-        b, c = (1.0 - cosine) / square, (angle - sine) / (square * angle)
-        db = (angle * sine - 2.0 * (1.0 - cosine)) / (square * square)
-        dc = ((1.0 - cosine) * angle - 3.0 * (angle - sine)) / (square * square * angle)
-    x0, x1, x2 = t1 * a2 - t2 * a1, t2 * a0 - t0 * a2, t0 * a1 - t1 * a0
-    dot = t0 * a0 + t1 * a1 + t2 * a2
-    y0, y1, y2 = t0 * dot - square * a0, t1 * dot - square * a1, t2 * dot - square * a2
-    u0, u1, u2 = db * x0 + dc * y0, db * x1 + dc * y1, db * x2 + dc * y2
-    return (
-        u0 * t0 + c * (dot + t0 * a0 - 2.0 * a0 * t0),
-        u0 * t1 + b * a2 + c * (t0 * a1 - 2.0 * a0 * t1),
-        u0 * t2 - b * a1 + c * (t0 * a2 - 2.0 * a0 * t2),
-        u1 * t0 - b * a2 + c * (t1 * a0 - 2.0 * a1 * t0),
-        u1 * t1 + c * (dot + t1 * a1 - 2.0 * a1 * t1),
-        u1 * t2 + b * a0 + c * (t1 * a2 - 2.0 * a1 * t2),
-        u2 * t0 + b * a1 + c * (t2 * a0 - 2.0 * a2 * t0),
-        u2 * t1 - b * a0 + c * (t2 * a1 - 2.0 * a2 * t1),
-        u2 * t2 + c * (dot + t2 * a2 - 2.0 * a2 * t2),
-    )
 
 
 @njit(**KERNEL)
@@ -177,7 +150,7 @@ def move(routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch) -> None
             continue
         if plan.turns and kind[k] == POINT:
             if plan.resets:
-                put(W, row, 0, multiply(left_jacobian_derivative(t0, t1, t2, d0, d1, d2), R), 1.0)
+                put(W, row, 0, multiply(left_jacobian_derivative_of(t0, t1, t2, d0, d1, d2), R), 1.0)
                 put(D[k], 0, 0, spread, 1.0)
             d0, d1, d2 = times(spread, d0, d1, d2)
         moved_blocks[k, 0], moved_blocks[k, 1], moved_blocks[k, 2] = (
@@ -198,7 +171,7 @@ def move(routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch) -> None
             at = first if first == 0 else first + 1
             d0, d1, d2 = delta[first], delta[first + 1], delta[first + 2]
             if plan.resets:
-                put(W, first, 0, multiply(left_jacobian_derivative(t0, t1, t2, d0, d1, d2), R), 1.0)
+                put(W, first, 0, multiply(left_jacobian_derivative_of(t0, t1, t2, d0, d1, d2), R), 1.0)
             d0, d1, d2 = times(spread, d0, d1, d2)
             moved[at], moved[at + 1], moved[at + 2] = x[at] + d0, x[at + 1] + d1, x[at + 2] + d2
         if not plan.resets:

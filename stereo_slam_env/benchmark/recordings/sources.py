@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import msgspec
@@ -186,8 +187,11 @@ class DatasetSource(Source, frozen=True, tag="dataset"):
         from stereo_slam_env.datasets import load  # OpenCV, only where it is needed
         from stereo_slam_env.frontend.recorder import record_tracks
 
+        def read() -> Recording:
+            return load(self.path, **self.arguments)
+
         if not self.takes_images:
-            return self._stated(load(self.path, **self.arguments))
+            return self._stated(_tracked(_Tracking(f"{self.key} {_state_of(Path(self.path))}", None, None, read)))
 
         def track() -> Recording:
             return record_tracks(*self.sequence(seed), frames=frames, progress=progress)
@@ -300,7 +304,7 @@ def _loaded(point: EntryPoint) -> type[Source]:
 
 @dataclass(frozen=True)
 class _Tracking:
-    """Tracking through images, which is the same whoever is told of its progress."""
+    """Reading of tracks, or tracking through images, which is the same whoever is told of its progress."""
 
     key: str
     seed: int | None
@@ -310,8 +314,15 @@ class _Tracking:
 
 @lru_cache(maxsize=1)
 def _tracked(tracking: _Tracking) -> Recording:
-    """Tracks through images; kept, because tracking takes far longer than filtering."""
+    """The recording; kept, because tracking, and measuring the noise of tracks, takes longer than filtering."""
     return tracking.track()
+
+
+def _state_of(path: Path) -> list[tuple[str, int, int]]:
+    """Names, times of change and sizes of the files of a folder, or of one file."""
+    files = sorted(path.iterdir()) if path.is_dir() else [path]
+    found = [(file.name, file.stat()) for file in files if file.exists()]
+    return [(name, about.st_mtime_ns, about.st_size) for name, about in found]
 
 
 @lru_cache(maxsize=1)

@@ -165,7 +165,7 @@ def _short_digest(about: list[Any]) -> str:
 
 def as_given(description: Mapping[str, Any], scenario: Scenario) -> dict[str, Any]:
     """Description of a recording that is kept with a trial, with the noise that was assumed."""
-    about = {key: value for key, value in description.items() if key not in ("code", "plugin_code", "R")}
+    about = {key: value for key, value in description.items() if key not in ("code", "plugin_code", "R", "audit")}
     return {**about, "assumed_R": scenario.assumed_noise(StereoNoise(description["R"])).R.tolist()}
 
 
@@ -195,6 +195,11 @@ def description_of(recording: Recording) -> dict[str, Any]:
         "reference": dataclasses.asdict(recording.reference),
         "source": dict(recording.source),
     }
+    if recording.reference.counts_as_truth and recording.reference.kind != "simulation":
+        from stereo_slam_env.frontend.reference_audit import audit_of  # needs OpenCV, only where it is needed
+
+        audit = audit_of(recording)
+        description["audit"] = None if audit is None else audit.as_dict()
     from_images = any(frame.observation.R is not None for frame in recording.frames)
     if recording.landmarks is not None and from_images:
         rows = [dataclasses.asdict(row) for row in noise_by_range(measurement_errors(recording))]

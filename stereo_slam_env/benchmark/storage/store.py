@@ -35,6 +35,7 @@ from stereo_slam_env.benchmark.storage.settings import (
     why_no_run,
 )
 from stereo_slam_env.evaluation.cramer_rao import Bound
+from stereo_slam_env.evaluation.reference_audit import ReferenceAudit
 from stereo_slam_env.evaluation.results import FilterRun
 from stereo_slam_env.evaluation.run_figures import (
     RunKey,
@@ -245,6 +246,12 @@ class RunDirectory:
         with damage_named(path):
             about: dict[str, Any] = read_json(path, inside=self._root)
             return about
+
+    def audits(self) -> dict[str, ReferenceAudit]:
+        """What the images say of the references of the recordings that are kept, by name of the recording."""
+        kept = [about for seed in self.seeds if (about := self._about_recording(seed)) is not None]
+        with damage_named(self.out):
+            return {about["name"]: ReferenceAudit.from_dict(about["audit"]) for about in kept if about.get("audit")}
 
     def write_trajectories(self) -> None:
         """Write the trajectories of all recordings that are kept; raises as `trials`."""

@@ -188,10 +188,10 @@ def _right_jacobian(phi: np.ndarray) -> np.ndarray:
 
 
 def invariant_plus(recipe: Recipe, state: FilterState, delta: np.ndarray) -> FilterState:
-    """The right-invariant retraction in standard coordinates: points x + J_l(theta) dx, directions turned."""
+    """The right-invariant retraction in standard coordinates: points x + J_l(theta) dx, rays as points, too."""
     moved = plus(recipe, state, delta)
     theta = Rotation.from_quat(state.x[3:7]).apply(delta[3:6])
-    J, turn = _right_jacobian(-theta), Rotation.from_rotvec(theta)
+    J = _right_jacobian(-theta)
     v = recipe.plan.velocity
     moved.x[:3] = state.x[:3] + J @ delta[:3]
     moved.x[v + 1 : v + 4] = state.x[v + 1 : v + 4] + J @ delta[v : v + 3]
@@ -201,15 +201,10 @@ def invariant_plus(recipe: Recipe, state: FilterState, delta: np.ndarray) -> Fil
         if c not in rays:
             moved.blocks[c] = block + J @ d
             continue
-        effect = jacobian(lambda t, block=block: _turned(block[:2], Rotation.from_rotvec(t)), 3)
-        moved.blocks[c, :2] = _turned(block[:2] + d[:2] - effect @ theta, turn)
-        moved.blocks[c, 2] = block[2] + d[2]
+        shift = jacobian(lambda a, block=block: directions(block[None, :2] + a)[0], 2) @ d[:2]
+        m = directions(block[None, :2])[0] + J @ shift
+        moved.blocks[c] = np.arctan2(m[0], m[2]), np.arctan2(-m[1], np.hypot(m[0], m[2])), block[2] + d[2]
     return moved
-
-
-def _turned(angles: np.ndarray, turn: Rotation) -> np.ndarray:
-    m = turn.apply(directions(angles[None])[0])
-    return np.array([np.arctan2(m[0], m[2]), np.arctan2(-m[1], np.hypot(m[0], m[2]))])
 
 
 @pytest.mark.parametrize("landmark", LANDMARKS)

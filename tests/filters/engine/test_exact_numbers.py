@@ -20,7 +20,6 @@ from filters import (
     Strapdown,
     Variable,
 )
-from filters.engine.compiled.retraction import left_jacobian_derivative
 from filters.geometry import rotations, symmetric
 
 from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, SPEED, drive, start
@@ -175,5 +174,4 @@ def test_the_kernel_of_the_derivative_of_j_l_is_its_numpy_form(angle: float) -> 
     """On both sides of where its series ends."""
     theta, a = angle * np.array([2.0, -1.0, 2.0]) / 3.0, np.array([3.0, 5.0, -7.0])
     expected = rotations.left_jacobian_derivative(theta, a[None])[0]
-    kernel = getattr(left_jacobian_derivative, "py_func", left_jacobian_derivative)
-    np.testing.assert_allclose(kernel(*theta, *a), expected.ravel(), rtol=0, atol=1e-11)
+    np.testing.assert_allclose(rotations.left_jacobian_derivative_of(*theta, *a), expected.ravel(), rtol=0, atol=1e-11)

@@ -26,6 +26,8 @@ IMAGES = {
     "kitti06_stereo51": kitti06,
     "euroc": euroc,
 }
+KITTI, EUROC, TUM_VI = (1.5e-3, 1.5e-4), (1e-3, 2.7e-3), (1e-4, 8e-4)
+"""Jitter that is stated of the positions, m, and of the rotations, rad; sources: docs/covariances.md."""
 
 
 def long_kitti06(folder, frames=20):
@@ -107,19 +109,20 @@ def test_a_digest_is_of_all_positions_to_the_last_bit_and_of_nothing_else():
 
 
 @pytest.mark.parametrize(
-    ("file", "kind", "said", "first_scored"),
+    ("file", "kind", "said", "first_scored", "jitter"),
     [
-        ("kitti_poses/00.txt", "ins", "KITTI", 16),
-        ("kitti_poses/02.txt", "ins", "KITTI", 0),
-        ("kitti_poses/06.txt", "ins", "KITTI", 12),
-        ("kitti00_stereo_tracks/poses.txt", "ins", "KITTI", 16),
-        ("kitti06_stereo51/poses.txt", "ins", "KITTI", 12),
-        ("kitti07_tracks/poses.txt", "ins", "KITTI", 0),
-        ("field/trajectories/euroc_v102/V102_groundtruth.csv", "surveyed", "motion capture", 0),
-        ("field/trajectories/openvins_mh04/MH_04_difficult.txt", "surveyed", "laser tracker", 0),
+        ("kitti_poses/00.txt", "ins", "KITTI", 16, KITTI),
+        ("kitti_poses/02.txt", "ins", "KITTI", 0, KITTI),
+        ("kitti_poses/06.txt", "ins", "KITTI", 12, KITTI),
+        ("kitti00_stereo_tracks/poses.txt", "ins", "KITTI", 16, KITTI),
+        ("kitti06_stereo51/poses.txt", "ins", "KITTI", 12, KITTI),
+        ("kitti07_tracks/poses.txt", "ins", "KITTI", 0, KITTI),
+        ("field/trajectories/euroc_v102/V102_groundtruth.csv", "surveyed", "motion capture", 0, EUROC),
+        ("field/trajectories/openvins_mh04/MH_04_difficult.txt", "surveyed", "laser tracker", 0, EUROC),
+        ("field/tumvi_gt/dataset-room1_512_16.csv", "surveyed", "TUM-VI", 0, TUM_VI),
     ],
 )
-def test_the_published_poses_are_known(file, kind, said, first_scored):
+def test_the_published_poses_are_known_with_the_errors_that_are_stated_of_them(file, kind, said, first_scored, jitter):
     folder, _, name = file.partition("/")
     path = real_data(folder) / name
     rows = np.loadtxt(path, delimiter="," if path.suffix == ".csv" else None)
@@ -127,6 +130,7 @@ def test_the_published_poses_are_known(file, kind, said, first_scored):
     known = known_by(positions)
     assert (known.reference.kind, known.first_scored) == (kind, first_scored)
     assert said in known.reference.description
+    assert (known.reference.position_jitter, known.reference.rotation_jitter) == jitter
     assert known_by(positions[1:]) is None
 
 

@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 
 import numpy as np
 import pytest
 
 from filters import Pose
 from filters.geometry import rotations
+from stereo_slam_env.evaluation.reference_audit import ReferenceAudit
+from stereo_slam_env.frontend import camera_motion
+from stereo_slam_env.frontend.camera_motion import needed_motion
+from stereo_slam_env.frontend.ego_motion import robust_step
 from stereo_slam_env.frontend.reference_audit import audit_of
-from stereo_slam_env.recording.recording import Recording
+from stereo_slam_env.frontend.track_noise import with_measured_noise
+from stereo_slam_env.recording.recording import SIMULATION, Recording
 
 from .test_track_noise import drive
 
@@ -47,4 +53,29 @@ def test_frames_without_a_truth_are_not_audited() -> None:
     half = tuple(dataclasses.replace(frame, truth=None) for frame in recording.frames[:30])
     audit = audit_of(dataclasses.replace(recording, frames=half + recording.frames[30:]))
     assert audit.frames.min() == 31
-    assert "no motion" in str(audit_of(dataclasses.replace(recording, frames=half)))
+    one = half + recording.frames[30:31]
+    assert "no motion" in str(audit_of(dataclasses.replace(recording, frames=one)))
+
+
+def test_without_a_truth_or_with_an_exact_one_there_is_nothing_to_audit() -> None:
+    recording = drive(white=0.1)
+    none = tuple(dataclasses.replace(frame, truth=None) for frame in recording.frames)
+    assert audit_of(dataclasses.replace(recording, frames=none)) is None
+    assert audit_of(dataclasses.replace(recording, truth_from=SIMULATION)) is None
+
+
+def test_an_audit_survives_as_json() -> None:
+    audit = audit_of(spoiled(drive(white=0.1), range(20, 25), np.array([0.0, 0.01, 0.0])))
+    again = ReferenceAudit.from_dict(json.loads(json.dumps(audit.as_dict())))
+    np.testing.assert_array_equal(again.doubtful, audit.doubtful)
+    assert str(again) == str(audit)
+
+
+def test_the_motions_between_the_frames_are_found_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Noise of the tracks, accelerations and audit share them, and the noise that is found changes no frame."""
+    calls = []
+    monkeypatch.setattr(camera_motion, "robust_step", lambda *given: calls.append(0) or robust_step(*given))
+    recording = with_measured_noise(drive(white=0.1, seed=7))
+    needed_motion(recording)
+    audit_of(recording)
+    assert len(calls) == len(recording) - 1

@@ -12,6 +12,7 @@ from PIL import Image
 
 from stereo_slam_env.benchmark.statistics.verdict import judge
 from stereo_slam_env.evaluation.landmark_statistics import LandmarkStatistics
+from stereo_slam_env.evaluation.reference_audit import ReferenceAudit
 from stereo_slam_env.recording.recording import Reference
 from stereo_slam_env.report import run_report as report_module
 from stereo_slam_env.report.overview import overview
@@ -262,3 +263,16 @@ def test_tables_beside_the_page_are_linked(tmp_path):
 def test_nothing_to_report_is_refused(tmp_path):
     with pytest.raises(ValueError, match="nothing to report"):
         write_report(tmp_path, "empty", [], [], {}, {})
+
+
+def test_where_the_images_contradict_a_reference_is_said_and_drawn_frame_by_frame(tmp_path):
+    runs = make_runs(THREE, seeds=(None,))
+    frames = np.arange(1.0, 9.0)
+    audit = ReferenceAudit(frames, np.where(frames == 5.0, 3.0, 0.3), np.full(8, 0.2))
+    page = write_report(tmp_path / "out", "Drive", runs, *scored(runs), {}, audits={runs[0].recording_name: audit})
+    text = " ".join(Page(without_library(page)).text)
+    assert "Is the reference right?" in text
+    assert "doubtful in 1 of 8 steps" in text
+    assert "to frames 5 " in text
+    assert "reference doubtful here" in (tmp_path / "out" / "figures" / "audit_0.svg").read_text()
+    assert "Is the reference right?" not in without_library(report(tmp_path, runs))

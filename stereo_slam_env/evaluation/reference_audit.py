@@ -1,0 +1,55 @@
+"""What images say of the steps of a reference: how far tracks are from where it puts them, and which are doubtful."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from filters.geometry.arrays import BoolArray, FloatArray
+
+FACTOR, LEAST = 3.0, 0.5
+"""A step is doubtful whose median residual is so many times that of the images, and larger by so many pixels: turns of
+1 mrad a frame at the focal length of KITTI, which no mounting of a camera and no noise of a reference explain."""
+
+
+@dataclass(frozen=True, eq=False)
+class ReferenceAudit:
+    """Residuals of the steps to K frames, and which of them speak against the reference."""
+
+    frames: FloatArray
+    """(K,): numbers of the frames that the steps lead to."""
+    by_reference: FloatArray
+    """(K,): median distance of tracks in the left image from where the step of the reference puts them, px."""
+    by_images: FloatArray
+    """(K,): that of the motion which fits the tracks best, px."""
+
+    @classmethod
+    def from_dict(cls, kept: Mapping[str, Sequence[float]]) -> ReferenceAudit:
+        """The audit that `as_dict` gave."""
+        return cls(**{name: np.array(values, dtype=np.float64) for name, values in kept.items()})
+
+    def as_dict(self) -> dict[str, list[float]]:
+        """Its three series, JSON-able, to a thousandth of a pixel."""
+        return {name: np.nan_to_num(np.round(values, 3)).tolist() for name, values in vars(self).items()}
+
+    @property
+    def doubtful(self) -> BoolArray:
+        """(K,): whether the images contradict the step of the reference."""
+        far: BoolArray = self.by_reference > np.maximum(FACTOR * self.by_images, self.by_images + LEAST)
+        return far
+
+    def __str__(self) -> str:
+        frames = self.frames[self.doubtful].astype(int).tolist()
+        if not len(self.frames):
+            return "the images show no motion to hold it against"
+        medians = np.median([self.by_reference, self.by_images], axis=1)
+        residuals = f"median residual {medians[0]:.2f} px, by the images {medians[1]:.2f}"
+        if not frames:
+            return f"the images do not contradict it in {len(self.frames)} steps ({residuals})"
+        listed = ", ".join(map(str, frames[:12])) + (", ..." if len(frames) > 12 else "")
+        return (
+            f"doubtful in {len(frames)} of {len(self.frames)} steps, where the images say otherwise: "
+            f"to frames {listed} ({residuals})"
+        )
