@@ -30,7 +30,8 @@ from stereo_slam_env.policies.network import Network
 from stereo_slam_env.recording.archive import packed_recording
 from stereo_slam_env.recording.trajectory import Trajectory
 from stereo_slam_env.recording.trajectory_files import save_trajectory
-from stereo_slam_env.training.ppo import Evaluation, LearningCurve
+from stereo_slam_env.training.ppo import LearningCurve
+from stereo_slam_env.training.task import PolicyEvaluation
 
 Files = Mapping[str, bytes]
 
@@ -333,7 +334,7 @@ def training() -> Files:
     with TemporaryDirectory() as folder:
         path = Path(folder) / "learning_curve.csv"
         LearningCurve(path).add(
-            10, 1.0, 2.0, Evaluation(*(float(k) for k in range(len(dataclasses.fields(Evaluation)))))
+            10, 1.0, 2.0, PolicyEvaluation(*(float(k) for k in range(len(dataclasses.fields(PolicyEvaluation)))))
         )
         return {"learning_curve.csv": path.read_bytes()}
 

@@ -26,6 +26,8 @@ X, Y, COS, SIN, LENGTH, WIDTH, RADIUS = range(7)
 _RUN = 16
 _UNKNOWN, _MANY, _FEW = 0, -1, 128
 """Of a cell: not looked at yet; too many points, or two stretches of road, are about as near; so many are not."""
+_SCANNED = -1
+"""Of a cell: no start for a descent, all its points are looked at."""
 _LOWEST = 0.15
 """m above the ground; what is lower is no landmark."""
 _TOLERANCE = 1e-6
@@ -224,14 +226,26 @@ def sample_facing(
     `points` and `circles` of the roads are those of `nearest`, `cells` with their `corner` those of `RoadNetwork`.
     """
     outer, turned, number, at = circles_around(circles), np.empty((counts.sum(), 3)), 0, 0
+    limits, size = _convex_limits(points), corner[2]
     most = counts.max()
     samples, normals = np.empty((most, 3)), np.empty((most, 3))
     for shape, count in zip(shapes, counts):  # noqa: B905 (Numba knows no `strict`)
         _sample(shape, rng, samples[:count], normals[:count])
         for i in range(count):
             if _LOWEST < samples[i, 2] < highest:
-                at = _nearest_by_cell(points, circles, outer, cells, corner, samples[i, X], samples[i, Y], at)
-                x, y = points[at, X] - samples[i, X], points[at, Y] - samples[i, Y]
+                x, y = samples[i, X], samples[i, Y]
+                column, row = math.floor((x - corner[X]) / size), math.floor((y - corner[Y]) / size)
+                known = 0 <= column < cells.shape[0] and 0 <= row < cells.shape[1]
+                if known and cells[column, row, 1] == _UNKNOWN:
+                    middle_x, middle_y = corner[X] + (column + 0.5) * size, corner[Y] + (row + 0.5) * size
+                    _look_around(points, circles, outer, limits, cells[column, row], middle_x, middle_y, size, at)
+                if not known or cells[column, row, 1] == _MANY:
+                    at = _nearest(points, circles, outer, x, y, at)
+                elif cells[column, row, 2] == _SCANNED:
+                    at = _nearest_of_few(points, cells[column, row, 0], cells[column, row, 1], x, y)
+                else:
+                    at = _descended(points, cells[column, row, 0], cells[column, row, 1], cells[column, row, 2], x, y)
+                x, y = points[at, X] - x, points[at, Y] - y
                 if normals[i, X] * x + normals[i, Y] * y > 0.2 * math.sqrt(x * x + y * y):
                     turned[number] = samples[i]
                     number += 1
@@ -249,42 +263,88 @@ def _sample(shape: FloatArray, rng: np.random.Generator, points: FloatArray, nor
 
 
 @njit(**_INLINE)
-def _nearest_by_cell(
-    points: FloatArray,
-    circles: FloatArray,
-    outer: FloatArray,
-    cells: IntArray,
-    corner: tuple[float, float, float],
-    x: float,
-    y: float,
-    at: int,
-) -> int:
-    """Index of the nearest point, among those that can be the nearest to any place of the cell where (x, y) is."""
-    size = corner[2]
-    i, j = math.floor((x - corner[X]) / size), math.floor((y - corner[Y]) / size)
-    if not (0 <= i < cells.shape[0] and 0 <= j < cells.shape[1]):
-        return _nearest(points, circles, outer, x, y, at)
-    if cells[i, j, 1] == _UNKNOWN:
-        middle_x, middle_y = corner[X] + (i + 0.5) * size, corner[Y] + (j + 0.5) * size
-        at = _nearest(points, circles, outer, middle_x, middle_y, at)
-        reach = math.sqrt(_square(points, at, middle_x, middle_y)) + 1.4143 * size  # the diagonal
-        first, last = at, at
-        for o in range(len(outer)):
-            if _square(outer, o, middle_x, middle_y) < (reach + outer[o, 2]) ** 2:
-                for c in range(o * _RUN, min((o + 1) * _RUN, len(circles))):
-                    if _square(circles, c, middle_x, middle_y) < (reach + circles[c, 2]) ** 2:
-                        for k in range(c * _RUN, min((c + 1) * _RUN, len(points))):
-                            if _square(points, k, middle_x, middle_y) < reach**2:
-                                first, last = min(first, k), max(last, k)
-        cells[i, j, 0], cells[i, j, 1] = first, last + 1 if last - first < _FEW else _MANY
-    first, last = cells[i, j]
-    if last == _MANY:
-        return _nearest(points, circles, outer, x, y, at)
+def _convex_limits(points: FloatArray) -> FloatArray:
+    """Of each point: up to which distance from it the squares of distances are convex along its neighbours, m.
+
+    The second difference of |p - q_k|^2 is |q_k+1 - q_k|^2 + |q_k - q_k-1|^2 - 2 (p - q_k) . (q_k+1 - 2 q_k + q_k-1).
+    """
+    limits = np.zeros(len(points))
+    for k in range(1, len(points) - 1):
+        bend = math.hypot(
+            points[k + 1, X] - 2.0 * points[k, X] + points[k - 1, X],
+            points[k + 1, Y] - 2.0 * points[k, Y] + points[k - 1, Y],
+        )
+        steps = _square(points, k, points[k + 1, X], points[k + 1, Y])
+        steps += _square(points, k, points[k - 1, X], points[k - 1, Y])
+        limits[k] = 0.45 * steps / max(bend, 1e-12)  # 0.5 but for rounding
+    return limits
+
+
+@njit(**_INLINE)
+def _nearest_of_few(points: FloatArray, first: int, last: int, x: float, y: float) -> int:
+    """Index of the nearest of the points from `first` until `last`."""
     at, least = first, np.inf
     for k in range(first, last):
         away = _square(points, k, x, y)
         if away < least:
             at, least = k, away
+    return at
+
+
+@njit(**_INLINE)
+def _look_around(
+    points: FloatArray,
+    circles: FloatArray,
+    outer: FloatArray,
+    limits: FloatArray,
+    cell: IntArray,
+    x: float,
+    y: float,
+    size: float,
+    at: int,
+) -> None:
+    """Fill a cell with the middle (x, y): its first point, one more than its last, and where a descent starts."""
+    at = _nearest(points, circles, outer, x, y, at)
+    reach = math.sqrt(_square(points, at, x, y)) + 1.4143 * size  # the diagonal
+    first, last = at, at
+    for o in range(len(outer)):
+        if _square(outer, o, x, y) < (reach + outer[o, 2]) ** 2:
+            for c in range(o * _RUN, min((o + 1) * _RUN, len(circles))):
+                if _square(circles, c, x, y) < (reach + circles[c, 2]) ** 2:
+                    for k in range(c * _RUN, min((c + 1) * _RUN, len(points))):
+                        if _square(points, k, x, y) < reach**2:
+                            first, last = min(first, k), max(last, k)
+    cell[0], cell[1], cell[2] = first, _MANY, at
+    if last - first < _FEW:
+        cell[1] = last + 1
+        for k in range(first + 1, last):
+            if math.sqrt(_square(points, k, x, y)) + size > limits[k]:
+                cell[2] = _SCANNED
+
+
+@njit(**_INLINE)
+def _descended(points: FloatArray, first: int, last: int, start: int, x: float, y: float) -> int:
+    """Index of the nearest of the points from `first` until `last`, along which squares of distances are convex."""
+    at = start
+    for _ in range(2):
+        k = min(max(at, first + 1), last - 2)
+        if k <= first:
+            break
+        along_x, along_y = points[k + 1, X] - points[k - 1, X], points[k + 1, Y] - points[k - 1, Y]
+        steps = (x - points[k, X]) * along_x + (y - points[k, Y]) * along_y
+        at = k + math.floor(2.0 * steps / (along_x * along_x + along_y * along_y) + 0.5)
+        at = min(max(at, first), last - 1)
+    least = _square(points, at, x, y)
+    while at > first:
+        away = _square(points, at - 1, x, y)
+        if away > least:
+            break
+        at, least = at - 1, away
+    while at < last - 1:
+        away = _square(points, at + 1, x, y)
+        if away >= least:
+            break
+        at, least = at + 1, away
     return at
 
 

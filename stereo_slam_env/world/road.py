@@ -29,7 +29,7 @@ _FOLD = 0.2
 _SAME_PLACE, _OTHER_PASS = 0.9, 30.0
 """A stretch this near to another of its road, but that far from it along the road, is the same street again, m."""
 _SAME_DIRECTION = 0.3
-_BESIDE, _CELL, _MOST_CELLS = 64.0, 3.0, 1e6
+_BESIDE, _CELL, _MOST_CELLS = 64.0, 6.0, 1e6
 _LIFTS = 0.011
 """m between the lowest and the highest piece of paving."""
 
@@ -201,12 +201,13 @@ class RoadNetwork:
     def cells(self) -> tuple[IntArray, tuple[float, float, float]]:
         """Squares of ground with the points that may be nearest there; `compiled.sample_facing` fills them as it goes.
 
-        Of each the first point and one more than the last; and the lowest x and y and the side of a square, m.
+        Of each the first point, one more than the last, and where to start; and the lowest x and y and the side of a
+        square, m.
         """
         low, extent = self.points.min(axis=0) - _BESIDE, np.ptp(self.points, axis=0) + 2 * _BESIDE
         side = max(_CELL, float(np.sqrt(extent.prod() / _MOST_CELLS)))
         columns, rows = np.ceil(extent / side).astype(int)
-        return np.zeros((columns, rows, 2), dtype=np.int32), (float(low[0]), float(low[1]), side)
+        return np.zeros((columns, rows, 3), dtype=np.int32), (float(low[0]), float(low[1]), side)
 
     def distance(self, xy: FloatArray) -> FloatArray:
         """Distance of each point to the nearest centreline, m; (..., 2) -> (...)."""

@@ -12,7 +12,7 @@ from fuzz.harness import GONE, HEADER, LINK, RAW, Finding, Harness
 from fuzz.mutations import mutated
 from fuzz.targets import Target, targets
 
-INPUTS = 60
+INPUTS = 30
 
 
 @pytest.mark.parametrize("target", targets(), ids=lambda target: target.name)

@@ -1,4 +1,4 @@
-"""Machine code that is kept on disk is that of the present sources, in every process (2 min)."""
+"""Machine code that is kept on disk is that of the present sources, in every process (1 min)."""
 
 import json
 import os
@@ -37,12 +37,38 @@ if __name__ == "__main__":
 """
 
 
+def copied(folder):
+    """The filters elsewhere, without machine code, and a program that asks a kernel where a landmark is."""
+    shutil.copytree(ROOT / "filters", folder / "filters", ignore=shutil.ignore_patterns("*.nb[ic]"))
+    (folder / "points.py").write_text(POINTS)
+    return folder
+
+
 @pytest.fixture
 def copy(tmp_path):
-    """The filters elsewhere, without machine code, and a program that asks a kernel where a landmark is."""
-    shutil.copytree(ROOT / "filters", tmp_path / "filters", ignore=shutil.ignore_patterns("__pycache__"))
-    (tmp_path / "points.py").write_text(POINTS)
-    return tmp_path
+    """A copy of one's own."""
+    return copied(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def compiled_once(tmp_path_factory):
+    """A copy in which a process has compiled the kernel."""
+    folder = copied(tmp_path_factory.mktemp("compiled"))
+    assert result(start(folder)) == [[2.0, 3.0, 10.0], 0]
+    return folder
+
+
+@pytest.fixture
+def compiled(compiled_once, tmp_path):
+    """A copy of one's own, with the machine code of the kernel."""
+    return shutil.copytree(compiled_once, tmp_path / "copy")
+
+
+@pytest.fixture(scope="module")
+def first_filter(tmp_path_factory):
+    """A copy in which the first filter has been compiled at a terminal, and what was written there."""
+    folder = copied(tmp_path_factory.mktemp("first"))
+    return folder, shown(folder, FIRST_ESTIMATE, terminal=True)
 
 
 def start(copy, process="here"):
@@ -73,10 +99,9 @@ def kept(copy):
 
 
 @pytest.mark.parametrize("process", ["here", "spawn", "forkserver"])
-def test_a_change_in_a_module_that_the_kernel_reaches_takes_effect(copy, process):
-    assert result(start(copy)) == [[2.0, 3.0, 10.0], 0]
-    edit_leaf(copy)
-    assert result(start(copy, process)) == [[3.0, 3.0, 10.0], 0]
+def test_a_change_in_a_module_that_the_kernel_reaches_takes_effect(compiled, process):
+    edit_leaf(compiled)
+    assert result(start(compiled, process)) == [[3.0, 3.0, 10.0], 0]
 
 
 STRANGER = """
@@ -109,8 +134,9 @@ def step(settings, state, dt, odometry, moved, F, Q):
 """
 
 
-def test_a_kernel_of_a_third_party_is_that_of_its_present_sources(copy):
+def test_a_kernel_of_a_third_party_is_that_of_its_present_sources(first_filter, tmp_path):
     """Its package is one of those whose sources the stamp covers, those beside the kernel's file included."""
+    copy = shutil.copytree(first_filter[0], tmp_path / "copy")
     (copy / "strangers").mkdir()
     (copy / "strangers" / "__init__.py").write_text("")
     helper, kernel = SPEED.split("def step")
@@ -132,21 +158,19 @@ def test_a_kernel_of_a_third_party_is_that_of_its_present_sources(copy):
     assert driven() == "[0.0, 0.0, 3.0]\n"
 
 
-def test_what_did_not_change_comes_from_the_disk_and_old_code_leaves_it(copy):
-    result(start(copy))
-    assert result(start(copy)) == [[2.0, 3.0, 10.0], 1]
-    before = kept(copy)
-    edit_leaf(copy)
-    result(start(copy))
-    after = kept(copy)
+def test_what_did_not_change_comes_from_the_disk_and_old_code_leaves_it(compiled):
+    assert result(start(compiled)) == [[2.0, 3.0, 10.0], 1]
+    before = kept(compiled)
+    edit_leaf(compiled)
+    result(start(compiled))
+    after = kept(compiled)
     assert len(after) == len(before) == 2
     assert not set(after) & set(before)
 
 
-def test_an_edit_elsewhere_compiles_nothing(copy):
-    result(start(copy))
-    (copy / "filters" / "catalogue" / "registry.py").write_text("")
-    assert result(start(copy)) == [[2.0, 3.0, 10.0], 1]
+def test_an_edit_elsewhere_compiles_nothing(compiled):
+    (compiled / "filters" / "catalogue" / "registry.py").write_text("")
+    assert result(start(compiled)) == [[2.0, 3.0, 10.0], 1]
 
 
 def test_two_processes_at_once(copy):
@@ -157,6 +181,7 @@ def test_two_processes_at_once(copy):
 
 def test_where_the_package_cannot_be_written_to_the_cache_of_the_user_is_taken(copy):
     for folder in {path.parent for path in copy.glob("filters/**/*.py")}:
+        shutil.rmtree(folder / "__pycache__", ignore_errors=True)
         (folder / "__pycache__").write_text("no folder")
     result(start(copy))
     edit_leaf(copy)
@@ -202,11 +227,18 @@ for u in (300.0, 301.0):
 
 COUNTED = """
 import logging
+from numba import njit
+from filters.engine.compiled.disk_cache import include
 from filters.engine.compiled.progress import counted
-from points import seen
+
+@njit
+def double(x):
+    return 2.0 * x
+
+include("__main__")
 {setting}
 with counted(2) as count:
-    seen()
+    double(1.0)
     count()
     count()
 """
@@ -214,14 +246,14 @@ IN_TERMINAL = "import pty, sys; sys.exit(pty.spawn(sys.argv[1:]))"
 BAR = re.compile(r"compiling the filter, this once: \[(#*)(\.*)\] (\d+) of (\d+) parts(, \d+ s)?")
 
 
-def shown(copy, program, *, terminal=False):
-    """What a program writes to stderr, or to the terminal that it is called from."""
+def shown(folder, program, *, terminal=False):
+    """What a program writes to stderr, or to the terminal that it is called from, with the filters there or ours."""
     environment = {key: value for key, value in os.environ.items() if not key.startswith("NUMBA")}
-    environment |= {"PYTHONPATH": str(copy), "XDG_CACHE_HOME": str(copy / "home")}
+    environment |= {"PYTHONPATH": os.pathsep.join([str(folder), str(ROOT)]), "XDG_CACHE_HOME": str(folder / "home")}
     command = [*([sys.executable, "-c", IN_TERMINAL] if terminal else []), sys.executable, "-c", program]
     done = subprocess.run(
         command,
-        cwd=copy,
+        cwd=folder,
         env=environment,
         capture_output=True,
         stdin=subprocess.DEVNULL,
@@ -232,8 +264,9 @@ def shown(copy, program, *, terminal=False):
     return written.replace("\r\n", "\n").removesuffix("\x1b[0m")  # colours off: Numba's colorama at the end
 
 
-def test_at_a_terminal_a_bar_says_what_the_first_filter_compiles_which_is_no_more_than_it_needs(copy):
-    first, second = (shown(copy, FIRST_ESTIMATE, terminal=True) for _ in range(2))
+def test_at_a_terminal_a_bar_says_what_the_first_filter_compiles_which_is_no_more_than_it_needs(first_filter):
+    copy, first = first_filter
+    second = shown(copy, FIRST_ESTIMATE, terminal=True)
     drawn = [(int(done), int(parts)) for _, _, done, parts, _ in BAR.findall(first)]
     assert drawn[:14] == [(done, 13) for done in range(14)]
     assert first.count("\n") == 1
@@ -253,30 +286,30 @@ def test_at_a_terminal_a_bar_says_what_the_first_filter_compiles_which_is_no_mor
     }
 
 
-def test_where_nobody_sees_a_bar_one_line_says_it(copy):
-    told = shown(copy, COUNTED.format(setting=""))
+def test_where_nobody_sees_a_bar_one_line_says_it(tmp_path):
+    told = shown(tmp_path, COUNTED.format(setting=""))
     assert told.startswith("compiling machine code that is not on disk yet")
     assert told.count("\n") == 1
     assert "\r" not in told
 
 
 @pytest.mark.parametrize("terminal", [True, False])
-def test_it_is_silent_if_logging_says_so(copy, terminal):
+def test_it_is_silent_if_logging_says_so(tmp_path, terminal):
     quiet = COUNTED.format(setting="logging.getLogger('filters').setLevel(logging.ERROR)")
-    assert shown(copy, quiet, terminal=terminal) == ""
+    assert shown(tmp_path, quiet, terminal=terminal) == ""
 
 
-def test_where_logging_is_set_up_it_is_a_record_there(copy):
+def test_where_logging_is_set_up_it_is_a_record_there(tmp_path):
     setting = "logging.basicConfig(format='%(levelname)s %(name)s %(message)s')"
-    told = shown(copy, COUNTED.format(setting=setting), terminal=True)
+    told = shown(tmp_path, COUNTED.format(setting=setting), terminal=True)
     assert told.startswith("WARNING filters.engine.compiled.progress compiling machine code")
     assert told.count("\n") == 1
 
 
-def test_a_process_in_the_background_leaves_the_terminal_alone(copy):
+def test_a_process_in_the_background_leaves_the_terminal_alone(tmp_path):
     """As those of a benchmark: in a session of their own."""
     child = "import subprocess, sys; subprocess.run([sys.executable, '-c', {!r}], start_new_session=True, check=True)"
-    told = shown(copy, child.format(COUNTED.format(setting="")), terminal=True)
+    told = shown(tmp_path, child.format(COUNTED.format(setting="")), terminal=True)
     assert told.startswith("compiling machine code that is not on disk yet")
     assert told.count("\n") == 1
 

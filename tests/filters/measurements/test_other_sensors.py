@@ -104,6 +104,7 @@ def test_a_depth_is_that_along_the_axis_and_a_point_at_infinity_has_none() -> No
     assert np.isnan(no_depth[:, 3]).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SETUPS)
 def test_the_pose_is_as_certain_as_it_is_right(name: str) -> None:
     setup = SETUPS[name]

@@ -105,11 +105,13 @@ def test_it_is_a_motion_model(motion: MotionModel) -> None:
     check_part(motion)
 
 
+@pytest.mark.slow
 def test_with_its_biases_the_pose_is_as_certain_as_it_is_right_and_without_it_is_not() -> None:
     assert LOW < mean_nees(BiasedRates()) < HIGH
     assert mean_nees(WITHOUT_BIASES, 15) > 3.0 * HIGH
 
 
+@pytest.mark.slow
 def test_the_biases_are_found() -> None:
     beliefs = [driven(seed, BiasedRates()).belief("rate-bias") for seed in range(RUNS)]
     errors = [drive(seed)[3] - belief.value for seed, belief in enumerate(beliefs)]

@@ -310,7 +310,9 @@ def pole_drive(seed: int, frames: int = 15, lean: float = 0.15, v_right: bool = 
 
 
 @pytest.mark.parametrize("v_right", [False, True], ids=["one slope", "both slopes"])
-@pytest.mark.parametrize("error", ["so3", "first-estimates", "right-invariant"])
+@pytest.mark.parametrize(
+    "error", ["so3", *(pytest.param(error, marks=pytest.mark.slow) for error in ("first-estimates", "right-invariant"))]
+)
 def test_poles_alone_tell_the_pose_consistently(error: str, v_right: bool) -> None:
     """Mean of 12 x 6 numbers of variance one: within .6 and 1.5; height is not seen by poles, so it is as uncertain."""
     found, across = [], []

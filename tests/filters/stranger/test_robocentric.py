@@ -63,7 +63,9 @@ def final_nees(slam: StereoEKF, frame: Frame) -> float:
     return float(nees(error[None], covariance[None])[0]) / 6.0
 
 
-@pytest.mark.parametrize("error", ["so3", "right-invariant", "left-invariant"])
+@pytest.mark.parametrize(
+    "error", ["so3", *(pytest.param(error, marks=pytest.mark.slow) for error in ("right-invariant", "left-invariant"))]
+)
 def test_pose_and_map_are_consistent_and_nearly_those_of_landmarks_in_the_world(error: str) -> None:
     """Mean of 12 x 6 numbers of variance one: within .6 and 1.5."""
     found, apart = [], []

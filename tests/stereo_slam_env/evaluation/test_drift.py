@@ -136,6 +136,7 @@ def test_what_is_learned_from_some_drives_covers_others(drives):
     assert all(0.8 < check.coverage < 1.0 for check in model.checks)
 
 
+@pytest.mark.slow
 def test_the_factor_makes_up_for_errors_that_the_model_cannot_have(drives):
     """Drives of which each third one drifts three times as much: the fit alone covers fewer than 90 %."""
     estimates = drives[0]
@@ -149,6 +150,7 @@ def test_the_factor_makes_up_for_errors_that_the_model_cannot_have(drives):
     assert 0.85 < np.mean(inside) < 0.97
 
 
+@pytest.mark.slow
 def test_few_bad_windows_do_not_rule(drives):
     """A jump of a hundred deviations in one drive of ten changes the variances by less than a factor of 3."""
     estimates, truths = drives[0][:10], list(drives[1][:10])
@@ -162,6 +164,7 @@ def test_few_bad_windows_do_not_rule(drives):
     assert after < 3.0 * before
 
 
+@pytest.mark.slow
 def test_few_tracks_make_a_claim_larger_where_they_are_given(drives):
     """Errors by the inverse number of tracks, of which half of each drive has a twentieth: right in both halves."""
     variances = VARIANCES * [[1.0], [0.1], [0.1], [0.1], [0.0], [1.0]]

@@ -133,7 +133,7 @@ def test_the_covariance_of_a_motion_holds_jitter_at_both_ends_and_misalignment()
     np.testing.assert_allclose(reference.covariance(first, last), turn @ stated @ turn.T, atol=1e-15)
 
 
-@pytest.mark.parametrize("filter_name", ["inverse-depth", "right-invariant"])
+@pytest.mark.parametrize("filter_name", ["inverse-depth", pytest.param("right-invariant", marks=pytest.mark.slow)])
 def test_stated_errors_make_the_score_fair(filter_name):
     """30 drives against a reference whose errors are larger than the filter's: last pose, and motion over 1 s."""
     reference = replace(STATED, misalignment=0.01)

@@ -132,7 +132,8 @@ def test_of_many_at_once_one_works_at_a_time(tmp_path):
 def test_a_second_run_in_a_folder_is_refused_in_a_line_and_harms_nothing(command, tmp_path):
     out = tmp_path / "run"
     arguments = [*BENCH[:3], "--seeds", "1", "--frames", "40", "--jobs", "1", "--out", str(out)]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONDONTWRITEBYTECODE": "1"}
+    arguments += ["--filters", "euclidean"]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     first = subprocess.Popen([sys.executable, "-m", "stereo_slam_env", *arguments], env=environment, text=True,
                              stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)  # fmt: skip
     while not (out / "study.json").exists():
@@ -148,7 +149,7 @@ def test_a_second_run_in_a_folder_is_refused_in_a_line_and_harms_nothing(command
     _, err = first.communicate(timeout=120)
     assert first.returncode == 0, err
     assert command(*arguments)[0] == 0
-    assert len(trials(out)) == 3
+    assert len(trials(out)) == 1
 
 
 def test_a_full_disk_keeps_what_is_finished_and_the_same_command_goes_on(command, tmp_path):

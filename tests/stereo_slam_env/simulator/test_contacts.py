@@ -116,9 +116,9 @@ def separation(one, other):
 
 
 def test_boxes_touch_where_no_axis_separates_them():
-    """By the separating axis theorem, 20,000 pairs that nearly touch or nearly do not."""
+    """By the separating axis theorem, 8,000 pairs that nearly touch or nearly do not."""
     rng, wrong, touching_ones = np.random.default_rng(5), 0, 0
-    for _ in range(20_000):
+    for _ in range(8_000):
         size = rng.uniform(0.1, 5.0, 3)
         box = Box(tuple(rng.uniform(-100, 100, 3)), tuple(size), rng.uniform(-3, 3), GREY)
         R = rotations.exp(rng.normal(size=3) * (0.05, 0.05, 3.0))
@@ -128,7 +128,7 @@ def test_boxes_touch_where_no_axis_separates_them():
         found = touches_one(obstacles([box]).solids[0], tuple(R.ravel()), tuple(at), HALF)
         touching_ones += found
         wrong += found != (gap < 0) and abs(gap) > 1e-9
-    assert 2000 < touching_ones < 18_000
+    assert 800 < touching_ones < 7_200
     assert wrong == 0
 
 
