@@ -24,10 +24,8 @@ _INLINE: dict[str, Any] = {**LINKED, "error_model": "numpy"}
 X, Y, COS, SIN, LENGTH, WIDTH, RADIUS = range(7)
 """Columns of a table of rectangles on the ground: centre, direction, size, radius of the circle around it."""
 _RUN = 16
-_UNKNOWN, _MANY, _FEW = 0, -1, 128
-"""Of a cell: not looked at yet; too many points, or two stretches of road, are about as near; so many are not."""
-_SCANNED = -1
-"""Of a cell: no start for a descent, all its points are looked at."""
+_UNKNOWN, _MANY, _SCANNED, _FEW = 0, -1, -1, 128
+"""Of a cell: not looked at yet; too many points, or two stretches of road, are about as near; all are compared."""
 _LOWEST = 0.15
 """m above the ground; what is lower is no landmark."""
 _TOLERANCE = 1e-6
@@ -285,9 +283,8 @@ def _nearest_of_few(points: FloatArray, first: int, last: int, x: float, y: floa
     """Index of the nearest of the points from `first` until `last`."""
     at, least = first, np.inf
     for k in range(first, last):
-        away = _square(points, k, x, y)
-        if away < least:
-            at, least = k, away
+        if _square(points, k, x, y) < least:
+            at, least = k, _square(points, k, x, y)
     return at
 
 
