@@ -55,9 +55,9 @@ def nees(path: Path, work: Path, *, small: bool) -> None:
         axes.plot(time, mean, color=BLUE, label=f"mean of {runs}")
         axes.axhline(1.0, color=INK, linewidth=0.8)
         inside = 100.0 * np.mean((mean > low) & (mean < high))
-        title = f"{runs} {label}: NEES / 6 is {found.mean():.2f}, its mean in the band at {inside:.0f} % of the frames"
-        axes.set(title=title, xlabel="time (s)", ylim=(0.0, 3.0), xlim=(0.0, time[-1]))
-        axes.title.set_fontsize(9.5)
+        title = f"{runs} {label}: NEES / 6 {found.mean():.2f}, in the band at {inside:.0f} % of the frames"
+        axes.set_title(title, fontsize=9.5, loc="left")
+        axes.set(xlabel="time (s)", ylim=(0.0, 3.0), xlim=(0.0, time[-1]))
     axes.legend(loc="upper right")
     figure.savefig(path, dpi=DPI)
 

@@ -145,5 +145,7 @@ def test_what_is_wrong_is_named(given: dict[str, object], message: str) -> None:
 
 
 def test_a_head_has_no_smooth_vehicle() -> None:
-    with pytest.raises(ValueError, match=r"^vehicle must be 'kinematic' with a head that turns"):
+    with pytest.raises(
+        ValueError, match=r"^vehicle must be 'kinematic' and imu None with a head that turns, .*Drive-v0$"
+    ):
         gym.make("StereoSlam/DriveGaze-v0", vehicle="smooth")
