@@ -85,6 +85,11 @@ class Biased(LandmarkModel):
         """The ray turns."""
         return np.column_stack([POINT.rotated(anchors, parameters[:, :3], R), parameters[:, 3]])
 
+    def turned(self, anchors, parameters, turn, spread, correction):
+        """As inverse depth; the bias is added."""
+        ray = POINT.turned(anchors, parameters[:, :3], turn, spread, correction[:, :3])
+        return np.column_stack([ray, parameters[:, 3] + correction[:, 3]])
+
 
 def _predict(settings, camera, points, values, numbers, J, J_values, in_front):
     _inner_predict(settings, camera, points[:, :4], values, numbers, J[:, :, :4], J_values, in_front)
