@@ -121,14 +121,14 @@ def a_head_has_no_inertial_sensor():
 
 
 @says(
-    "A filter takes inertial samples, a recording keeps them, and the readers of EuRoC, KITTI raw and KITTI 00 read "
-    "them."
+    "A filter takes inertial samples, a recording keeps them, and the readers of EuRoC, KITTI raw, KITTI 00 and "
+    "bags read them."
 )
 def readers_make_inertial_samples():
     assert "inertial" in inspect.signature(StereoFilter.predict).parameters
     assert "inertial" in fields(Frame) & fields(StereoPair)
     reads = {path.name for path in SOURCES if re.search(r"samples_of_steps\(", path.read_text(encoding="utf-8"))}
-    assert reads == {"inertial.py", "euroc.py", "kitti_raw.py", "kitti00_stereo_tracks.py"}
+    assert reads == {"inertial.py", "euroc.py", "kitti_raw.py", "kitti00_stereo_tracks.py", "bag_motion.py"}
 
 
 @says("Images are rectified pairs.")
