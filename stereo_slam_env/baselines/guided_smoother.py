@@ -1,4 +1,4 @@
-"""What the smoothers on GTSAM share: a filter goes ahead as a guide, a graph takes what it believes."""
+"""Smoothing guided by a filter: an EKF goes ahead, and a graph of GTSAM takes the measurements that it believes."""
 
 from __future__ import annotations
 

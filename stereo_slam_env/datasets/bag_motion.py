@@ -1,4 +1,4 @@
-"""What a bag tells of the motion besides its pictures: inertial samples (Imu) and the steps of an odometry (Odometry).
+"""Inertial samples (Imu) and steps of an odometry (Odometry) from a bag, beside its pictures.
 
 Where the unit, and the body of the odometry, are on the rig is asked of the static transforms (/tf_static), from their
 frames to that of the left images. Noise is what the messages state.

@@ -1,4 +1,4 @@
-"""What images say of the steps of a reference: how far tracks are from where it puts them, and which are doubtful."""
+"""Residuals of tracks under the steps of a reference, and which of its steps they make doubtful."""
 
 from __future__ import annotations
 

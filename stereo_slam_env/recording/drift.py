@@ -1,4 +1,4 @@
-"""Which parts of the errors of an odometry two poses have in common: those that last, and those of each pose alone.
+"""Parts of the errors of an odometry: those that last, which two poses have in common, and those of each pose alone.
 
 A file of covariances says of each pose how uncertain it is, not what it shares with the others, so of a motion between
 two poses it says nothing. What an odometry claims has three parts, in the coordinates of its world, in which an error

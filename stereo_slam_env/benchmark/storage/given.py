@@ -1,4 +1,4 @@
-"""What filters were given: descriptions of the recordings of a run."""
+"""Descriptions of the recordings of a run, which its filters were given."""
 
 from __future__ import annotations
 
