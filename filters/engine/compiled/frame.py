@@ -591,7 +591,7 @@ def change(routines: Routines, plan_at: int, storage_at: int, scratch_at: int, b
         clone_pose(plan, S, b, s)
         return
     if what == FORGET:
-        leave(S.ids[b], S.own[b], S.anchor[b], S.users[b], S.counts[b], s.gone, s.core)
+        leave(S.ids[b], S.own[b], S.anchor[b], S.users[b], S.counts[b], s.gone, s.entered)
     close_gaps(plan, S, b)
 
 

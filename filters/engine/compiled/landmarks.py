@@ -305,7 +305,7 @@ def _merge(
             anchor[target, 0], anchor[target, 1] = anchor[i, 0], anchor[i, 1]
             i -= 1
         else:
-            all_ids[target], own[target] = new, s.core[j]
+            all_ids[target], own[target] = new, s.entered[j]
             anchor[target, 0] = s.land[j]
             anchor[target, 1] = s.turns[j]
             j -= 1
@@ -318,7 +318,7 @@ def enter(plan: Plan, S: Storage, b: int, s: Scratch, frame: FrameArrays, first:
     """Add the `count` landmarks that have started (`JointState.augment`); there is room for them."""
     P, x, blocks, users, counts = S.P[b], S.x[b], S.blocks[b], S.users[b], S.counts[b]
     measured, leading = plan.measured, plan.leading
-    taken, made = s.core, s.made  # parameter block of each, all anchor blocks
+    taken, made = s.entered, s.made  # parameter block of each, all anchor blocks
     gap, anchors, poses = 0, 0, plan.anchors == 2
     for i in range(count):
         s.land[i] = s.turns[i] = -1
@@ -374,7 +374,7 @@ def enter(plan: Plan, S: Storage, b: int, s: Scratch, frame: FrameArrays, first:
 def clone_pose(plan: Plan, S: Storage, b: int, s: Scratch) -> None:
     """Keep the present pose as two held blocks; there is room for them."""
     P, x, counts, held = S.P[b], S.x[b], S.counts[b], S.held[b]
-    places, gap, end = s.core, 0, 0
+    places, gap, end = s.entered, 0, 0
     while held[end] >= 0:
         end += 1
     for k in range(2):

@@ -36,7 +36,8 @@ class Scratch(NamedTuple):
     land: IntArray
     fates: IntArray
     select: IntArray
-    core: IntArray
+    entered: IntArray
+    """Blocks that new landmarks and clones take, (M,)."""
     base: IntArray
     """First rows of the landmark of each: of its anchor's position and orientation, where there are such (only the
     position: the second one), and its own; (M, 3)."""
@@ -149,7 +150,7 @@ def scratch(
         recipe.sensor_size,
         len(plan.moved_rows),
     )
-    integers = {name: np.zeros(M, dtype=np.int64) for name in ("where", "place", "land", "select", "core")}
+    integers = {name: np.zeros(M, dtype=np.int64) for name in ("where", "place", "land", "select", "entered")}
     return Scratch(
         F=np.zeros((leading, leading)),
         old=np.zeros((leading, leading)),
