@@ -137,6 +137,11 @@ class ColouredNoiseEKF(StereoEKF):
         self._unseen = np.square([scale, *[misalignment] * 3])
 
     @property
+    def does_as_the_engine(self) -> bool:
+        """Whether there is no doubt to add, so that it may run in a batch."""
+        return type(self) is ColouredNoiseEKF and not self._unseen.any()
+
+    @property
     def pose(self) -> PoseBelief:
         """Pose of the left camera, with the doubt about the way from the start."""
         return self._in_doubt(super().pose, self._start)

@@ -53,10 +53,13 @@ def run_batch(
         alike = all(r.camera == first.camera and r.reference.is_exact and len(r) > 0 for r in recordings)
         if use_odometry and any(frame.inertial is not None for frame in first.frames):
             return None  # a filter that takes samples fuses odometry by itself
-        if not alike or not all(goes_in_a_batch(one.filter) for one in made):
+        filters = [one.filter for one in made if goes_in_a_batch(one.filter)]
+        if not alike or len(filters) < len(made):
             return None
-        ready = iter(made)
-        batch = FilterBatch(lambda: next(ready).filter, len(made))  # type: ignore[arg-type,return-value]
+        if not all(slam.engine.recipe.is_that_of(filters[0].engine.recipe) for slam in filters):
+            return None  # noise of each recording's own may be a part of the recipe
+        ready = iter(filters)
+        batch = FilterBatch(lambda: next(ready), len(filters))
         batch.reset([recording.start for recording in recordings])
         rows = [_BatchRow(recording) for recording in recordings]
         longest = max(map(len, recordings))

@@ -50,7 +50,6 @@ class BeliefObservationRows(RowsWrapper):
         self.beliefs = filter_rows(
             lambda: make_filter(filter, camera=camera, noise=assumed, **given),
             filter,
-            assumed.R,
             rows.count,
             int(getattr(rows.world, "threads", 1)),
             use_odometry=bool(use_odometry),

@@ -116,7 +116,7 @@ class FilterRows(Kept, ABC):
 
 
 def filter_rows(
-    make: Callable[[], StereoFilter], name: str, R: FloatArray, count: int, threads: int, *, use_odometry: bool
+    make: Callable[[], StereoFilter], name: str, count: int, threads: int, *, use_odometry: bool
 ) -> FilterRows:
     """Filters of one recipe.
 
@@ -126,8 +126,6 @@ def filter_rows(
         Makes one.
     name : str
         Of the recipe.
-    R : (3, 3)
-        Noise of measurements that come without one.
     count, threads : int
         Number of filters, and threads over which they are spread.
     use_odometry : bool
@@ -135,7 +133,7 @@ def filter_rows(
     """
     first = make()
     if goes_in_a_batch(first) and first.options.motion.takes is BodyVelocity:  # samples come with whole frames
-        return _Lockstep(make, name, R, count, threads, use_odometry=use_odometry)
+        return _Lockstep(make, name, count, threads, use_odometry=use_odometry)
     return _OneByOne([first, *(make() for _ in range(count - 1))], name, use_odometry=use_odometry)
 
 
@@ -148,7 +146,6 @@ class _Lockstep(FilterRows):
         self,
         make: Callable[[], StereoFilter],
         name: str,
-        R: FloatArray,
         count: int,
         threads: int,
         *,
@@ -156,7 +153,7 @@ class _Lockstep(FilterRows):
     ) -> None:
         super().__init__(count, name)
         self._batch = FilterBatch(make, count, threads)  # type: ignore[arg-type]
-        self._R, self._use_odometry, self._times = R, use_odometry, np.zeros(count)
+        self._use_odometry, self._times = use_odometry, np.zeros(count)
         self._reports: list[Reports | None] = [None] * count
 
     @property
@@ -193,7 +190,7 @@ class _Lockstep(FilterRows):
         if moved.any() and not fused.any():
             self._batch[0].options.motion.check_odometry(None)
         dt = np.where(moved, seen.times - self._times, 0.0)
-        R = self._R if seen.R is None else seen.R
+        R = self._batch[0].noise.R if seen.R is None else seen.R  # `coloured-noise` takes the white part of its noise
         right = which & seen.with_right
         observations = Observations(which, seen.offsets, seen.ids, seen.uvd, R, right, seen.v_right)
         outcome = self._batch.engine.step(dt, observations, Odometry(fused, values, covariances))

@@ -9,6 +9,7 @@ import pytest
 
 import stereo_slam_env as sse
 from filters import ColouredNoise, LandmarkDrift, Pose, StereoEKF, StereoNoise, jacobian, make_filter
+from filters.engine.batch import goes_in_a_batch
 from filters.geometry import rotations
 from stereo_slam_env.recording.recording import Recording
 
@@ -52,6 +53,17 @@ def test_an_option_goes_before_what_the_noise_states(drive: Recording) -> None:
 
 def test_without_a_gate_there_is_no_joint_test(drive: Recording) -> None:
     assert not make_filter("coloured-noise", camera=drive.camera, noise=drive.noise, gate=None).options.consensus
+
+
+@pytest.mark.parametrize(
+    ("doubt", "in_a_batch"), [({}, True), ({"scale": 0.01}, False), ({"misalignment": 0.01}, False)]
+)
+def test_it_runs_in_a_batch_unless_it_has_a_doubt_to_add(
+    drive: Recording, doubt: dict[str, float], in_a_batch: bool
+) -> None:
+    noise = ColouredNoise(drive.noise.R, drift=DRIFT, **doubt)
+    assert goes_in_a_batch(make_filter("coloured-noise", camera=drive.camera, noise=noise)) is in_a_batch
+    assert not goes_in_a_batch(make_filter("coloured-noise-causal", camera=drive.camera, noise=noise))
 
 
 def test_what_no_image_shows_of_the_rig_is_added_to_the_covariance_of_the_way(drive: Recording) -> None:

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from filters import StereoEKF, StereoNoise
+from filters import ColouredNoise, LandmarkDrift, StereoEKF, StereoNoise
 from stereo_slam_env.evaluation.batch_run import run_batch
 from stereo_slam_env.evaluation.contract import ContractBroken
 from stereo_slam_env.evaluation.filter_run import AT_ONCE, run_filter
@@ -130,3 +130,12 @@ def test_what_does_not_go_in_a_batch_is_left_to_others():
             return super().update(observation)
 
     assert in_a_batch(recordings, Louder) is None
+
+
+def test_filters_that_take_other_drifts_from_their_noise_cannot_run_together():
+    recordings = [small_recording(seed, 15) for seed in range(2)]
+    R = recordings[0].noise.R
+    noises = [ColouredNoise(R, 0.5 * R, LandmarkDrift(share=share)) for share in (0.1, 0.1, 0.2)]
+    assert in_a_batch(recordings, "coloured-noise", noises=noises[1:]) is None
+    together, each = (run(recordings, "coloured-noise", noises=noises[:2]) for run in (in_a_batch, alone))
+    assert_same(together, each)

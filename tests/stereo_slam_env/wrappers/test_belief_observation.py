@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from filters import StereoFilter, make_filter
+from filters import ColouredNoise, LandmarkDrift, StereoFilter, make_filter
+from filters.engine.batch import goes_in_a_batch
 from filters.geometry import rotations
 from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.recording.recording import Recording
@@ -27,6 +28,18 @@ def test_it_runs_the_filter_as_the_benchmark_does(name):
     seen, _, _ = episode(BeliefObservation(ReplayEnv(recording), name, options=options))
     np.testing.assert_array_equal([o["belief_position"] for o in seen], run.positions.astype(np.float32))
     np.testing.assert_array_equal([o["belief_orientation"] for o in seen], run.orientations.astype(np.float32))
+    np.testing.assert_array_equal([o["belief_covariance"] for o in seen], run.pose_covariances.astype(np.float32))
+
+
+def test_a_filter_that_knows_which_part_of_the_noise_lasts_does_so_in_lock_step_too():
+    of_the_sensor = small_recording(frames=12)
+    R = of_the_sensor.noise.R
+    recording = replace(of_the_sensor, noise=ColouredNoise(R, 0.3 * R, LandmarkDrift(pixels=(0.2, 0.2, 0.1))))
+    run = run_filter(recording, "coloured-noise", {"motion": MOTION})
+    env = BeliefObservation(ReplayEnv(recording), "coloured-noise", options={"motion": MOTION})
+    seen, _, _ = episode(env)
+    assert goes_in_a_batch(env.slam)
+    np.testing.assert_array_equal([o["belief_position"] for o in seen], run.positions.astype(np.float32))
     np.testing.assert_array_equal([o["belief_covariance"] for o in seen], run.pose_covariances.astype(np.float32))
 
 
