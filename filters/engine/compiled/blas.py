@@ -70,7 +70,7 @@ WIDE = not PLAIN and bool(get_host_cpu_features().get("avx512f"))
 """Whether there are 32 registers of eight numbers: units multiply and add eight sums or more at a time then."""
 VECTORS = 2 if WIDE else 1
 PANEL = 4  # rows of a triangular solution at a time
-TALL = 8 if WIDE else PANEL  # rows of a large square at a time
+TALL = 8 if WIDE else 6  # rows of a large square at a time: 16 registers hold twelve sums, two vectors and a factor
 
 
 def _panel(rows: int, sign: int = 0) -> Any:
@@ -213,7 +213,7 @@ def _change_by_square(product: Any) -> Any:
 
 
 subtract_square, add_square = _change_by_square(_less_square), _change_by_square(_more_square)
-"""P -= HP^T HP and P += HP^T HP: below the triangle, and behind row and column n, they may write, too."""
+"""P -= HP^T HP and P += HP^T HP: below the triangle, and in the padding behind row and column n, they write, too."""
 
 
 @njit(**KERNEL)

@@ -13,6 +13,7 @@ import numpy as np
 from numba import njit
 
 from filters.engine.compiled import blas
+from filters.engine.compiled.storage import padded
 
 LANES = 8
 _libc = ctypes.CDLL(None, use_errno=True)
@@ -59,14 +60,14 @@ def guarded(values: np.ndarray) -> np.ndarray:
 
 
 def check(n: int, rows: int, rng: np.random.Generator) -> None:
-    """All four at n columns and so many rows, against NumPy, in no more room than whole vectors."""
-    width = up(n)
-    HP, P = rng.standard_normal((rows, width)), rng.standard_normal((width, width))
+    """All four at n columns and so many rows, against NumPy, in no more room than whole vectors, squares in a P's."""
+    width, room = up(n), padded(n)
+    HP, wide, P = (rng.standard_normal(shape) for shape in ((rows, width), (rows, room), (room, room)))
     upper = np.triu_indices(n)
     for sign in (-1.0, 1.0):
         changed = guarded(P)
-        change(changed, guarded(HP), rows, n, sign > 0.0)
-        expected = P[:n, :n] + sign * HP[:, :n].T @ HP[:, :n]
+        change(changed, guarded(wide), rows, n, sign > 0.0)
+        expected = P[:n, :n] + sign * wide[:, :n].T @ wide[:, :n]
         np.testing.assert_allclose(changed[:n, :n][upper], expected[upper], rtol=1e-12, atol=1e-12)
     for few in range(1, 5):
         H, target = rng.standard_normal((few, rows)), guarded(np.zeros((few, width)))
