@@ -76,8 +76,9 @@ def run_isolated(work: Callable[[Tell], Result], *, silence_limit: float, progre
 
     `work` is called with a function (done, total) that it calls as it goes on: a sign of life, which `progress` is told
     of and which must come within `silence_limit`, s. It is sent by cloudpickle, so functions and classes of a script or
-    notebook will do; what it returns or raises must be picklable, too. What it has started ends with it. Where the
-    system cannot fork, it runs in this process, without protection.
+    notebook will do; what it returns or raises must be picklable, too. What it logs is logged here, and the same words
+    only once: hundreds of trials have the same to say. What it has started ends with it. Where the system cannot fork,
+    it runs in this process, without protection.
 
     Raises
     ------
@@ -213,10 +214,10 @@ def _limit_waiting(connection: socket.socket, limit: float) -> None:
 
 
 def _listen(process: _Process, limit: float, progress: Tell | None) -> object:
+    began = time.monotonic()
     while True:
-        began = time.monotonic()
         # Its end is told apart from the connection, which a child of the process may hold.
-        ready = process.heard(limit, process.connection, process.status)
+        ready = process.heard(began + limit - time.monotonic(), process.connection, process.status)
         if not ready:
             raise WorkTooSlow(f"no sign of life for {time.monotonic() - began:.0f} s")
         if process.connection not in ready:
@@ -231,8 +232,17 @@ def _listen(process: _Process, limit: float, progress: Tell | None) -> object:
             return content
         if kind == "error":
             raise content
+        if kind == "logged":  # no sign of life: an endless loop may log
+            _log_once(*content)
+            continue
         if progress is not None:
             progress(*content)
+        began = time.monotonic()
+
+
+@cache
+def _log_once(name: str, level: int, words: str) -> None:
+    logging.getLogger(name).log(level, "%s", words)
 
 
 def _raise_for_death(process: _Process) -> NoReturn:

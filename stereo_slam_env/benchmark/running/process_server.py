@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import ctypes
 import importlib
+import logging
 import os
 import pickle
 import selectors
@@ -20,6 +21,7 @@ import signal
 import socket
 import struct
 import sys
+import threading
 from collections.abc import Callable
 from contextlib import suppress
 from multiprocessing.connection import Connection
@@ -29,6 +31,9 @@ from typing import NoReturn
 import cloudpickle
 
 from filters.contract.foreign_text import first_line
+
+Send = Callable[[str, object], None]
+"""Sends a kind of message, and its content."""
 
 PRELOADED = (
     "filters.engine.row",
@@ -169,12 +174,19 @@ def _work(connection: Connection, server: int) -> NoReturn:
         os._exit(1)
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)
     signal.signal(signal.SIGINT, signal.SIG_DFL)
-    code = 1
+    code, sending = 1, threading.Lock()  # the work may have threads, and they may log
+
+    def send(kind: str, content: object) -> None:
+        packed = _packed(kind, content)
+        with sending:
+            connection.send_bytes(packed)
+
+    logging.getLogger().addHandler(_Logged(send))
     try:
-        packed = _packed(*_answer(connection))
+        kind, content = _answer(connection, send)
         sys.stdout.flush()
         sys.stderr.flush()
-        connection.send_bytes(packed)
+        send(kind, content)
         code = 0
     except (BrokenPipeError, EOFError):  # nobody waits for the answer any more
         code = 0
@@ -182,11 +194,26 @@ def _work(connection: Connection, server: int) -> NoReturn:
         os._exit(code)
 
 
-def _answer(connection: Connection) -> tuple[str, object]:
+class _Logged(logging.Handler):
+    """Sends what is logged to the caller, whose logging it concerns."""
+
+    def __init__(self, send: Send) -> None:
+        super().__init__()
+        self._send = send
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Send the words of a record."""
+        try:
+            self._send("logged", (record.name, record.levelno, self.format(record)))
+        except Exception:  # wrong arguments of a record are no fault of the work
+            self.handleError(record)
+
+
+def _answer(connection: Connection, send: Send) -> tuple[str, object]:
     try:
         sys.path[:], folder, work = pickle.loads(connection.recv_bytes())
         os.chdir(folder)
-        return "result", pickle.loads(work)(lambda done, total: connection.send_bytes(_packed("alive", (done, total))))
+        return "result", pickle.loads(work)(lambda done, total: send("alive", (done, total)))
     except Exception as error:
         return "error", error
 

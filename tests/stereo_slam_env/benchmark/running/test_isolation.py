@@ -1,5 +1,6 @@
 """A process for each piece of work: answers, errors, crashes and hangs come back, and nothing is left (5 s)."""
 
+import logging
 import os
 import queue
 import signal
@@ -69,6 +70,18 @@ def test_signs_of_life_are_passed_on():
     heard = []
     assert run_isolated(work, silence_limit=LIMIT, progress=lambda done, total: heard.append((done, total))) == "done"
     assert heard == [(0, 4), (1, 4), (2, 4), (3, 4)]
+
+
+def test_what_is_logged_there_is_logged_here_and_the_same_words_once(caplog, capfd):
+    def work(tell):
+        logging.getLogger("filters.of.mine").warning("%s makes no use of %s", "Mine", "wheels")
+        logging.getLogger("filters.of.mine").warning("%d arguments", "too few")
+        logging.getLogger("filters.of.mine").info("a detail")
+
+    for _ in range(3):
+        run_isolated(work, silence_limit=LIMIT)
+    assert caplog.record_tuples == [("filters.of.mine", logging.WARNING, "Mine makes no use of wheels")]
+    assert "Mine" not in capfd.readouterr().err
 
 
 class TwoWords(Exception):
@@ -161,8 +174,8 @@ def test_a_process_that_leaves_a_child_with_its_connection_is_told_at_once():
 
 def test_half_an_answer_is_not_waited_for():
     def work(tell):
-        descriptor = tell.__closure__[0].cell_contents.fileno()
-        os.write(descriptor, b"\x00\x00\x10\x00half")
+        send = tell.__closure__[0].cell_contents
+        os.write(send.__closure__[0].cell_contents.fileno(), b"\x00\x00\x10\x00half")
         time.sleep(60)
 
     with pytest.raises(WorkTooSlow, match="half a sign of life"):
@@ -253,6 +266,18 @@ def test_silence_is_ended_but_not_slowness():
     assert "no sign of life" in str(error)
     assert time.monotonic() - began < 10
     assert is_gone(process)
+
+
+def test_an_endless_loop_that_logs_is_ended():
+    def work(tell):
+        for step in range(1000):
+            logging.getLogger("filters.of.mine").warning("still at it, %d", step)
+            time.sleep(0.05)
+
+    began = time.monotonic()
+    with pytest.raises(WorkTooSlow):
+        run_isolated(work, silence_limit=0.5)
+    assert time.monotonic() - began < 10
 
 
 def test_what_cannot_be_sent_is_an_error():
