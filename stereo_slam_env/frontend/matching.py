@@ -8,12 +8,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from filters.contract.validation import finite_array
-from filters.geometry.arrays import BoolArray, FloatArray, IntArray
+from filters.geometry.arrays import BoolArray, FloatArray
 from stereo_slam_env.frontend.correlation import best_peaks, refine
 from stereo_slam_env.frontend.patches import PATCH, Image, Patches, cut_patches
 
-_FAR = 1e9
-"""Outside of any ellipse, px."""
 _ROW_SIGMAS = 3.0
 """Standard deviations of the rows' offset within the tolerance."""
 _RETURNS_WITHIN = 1.0
@@ -50,24 +48,12 @@ def search(
     covariance = finite_array("S", S, (len(templates), 2, 2))
     reach = covariance + (np.sqrt(0.5) / gate) ** 2 * np.eye(2)
     try:  # d^T S^-1 d <= gate^2 as |B d| <= 1, with B upper triangular
-        whiten = np.linalg.inv(gate * np.linalg.cholesky(reach[:, ::-1, ::-1])[:, ::-1, ::-1])
+        whiten = np.linalg.inv(gate * np.linalg.cholesky(reach[:, ::-1, ::-1])[:, ::-1, ::-1]).astype(np.float64)
     except np.linalg.LinAlgError as error:
         raise ValueError("S must be positive semi-definite: a landmark has an impossible ellipse") from error
     extent = np.minimum(gate * np.sqrt(np.diagonal(reach, axis1=1, axis2=2)), max_radius)
 
-    def within(difference: FloatArray, limit: FloatArray) -> Patches:
-        return np.where(np.abs(difference) <= limit, difference, _FAR).astype(np.float32)
-
-    def inside(index: IntArray, u: IntArray, v: IntArray) -> BoolArray:
-        (a, b), (_, d) = whiten[index].transpose(1, 2, 0).astype(np.float32)[..., None]
-        du, dv = (within(u - c[index, :1], extent[index, :1]), within(v - c[index, 1:], extent[index, 1:]))
-        squared = (b * dv)[:, :, None] + (a * du)[:, None, :]
-        squared *= squared
-        squared += ((d * dv) ** 2)[:, :, None]
-        allowed: BoolArray = squared <= 1.0
-        return allowed
-
-    peaks = best_peaks(image, templates, np.ceil(c - extent), np.floor(c + extent), inside)
+    peaks = best_peaks(image, templates, np.ceil(c - extent), np.floor(c + extent), (c, whiten))
     found = peaks.score > -1.0
     position, score = np.full(c.shape, np.nan), np.full(len(c), -1.0)
     spread = np.full((len(c), 2, 2), np.nan)

@@ -5,12 +5,21 @@ Integer (u, v) is the centre of a pixel. Patches are (N, size, size) float32 gre
 
 from __future__ import annotations
 
+import math
+from typing import Any
+
 import numpy as np
+from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from filters import StereoCamera
 from filters.contract.validation import finite_array
-from filters.geometry.arrays import FloatArray, IntArray
+from filters.engine.compiled.disk_cache import KEPT, LINKED
+from filters.geometry.arrays import FloatArray
+
+_ENTRY: dict[str, Any] = {**KEPT, "error_model": "numpy"}
+_INLINE: dict[str, Any] = {**LINKED, "error_model": "numpy"}
+"""For functions that only compiled ones call."""
 
 Image = NDArray[np.uint8]
 Patches = NDArray[np.float32]
@@ -24,8 +33,6 @@ FLAT = 1.0
 
 _SHRINKS = 1.15
 """From this scale on a warp averages, so that fine texture does not alias."""
-_TOGETHER = 60
-"""Patches that are warped in one block: what is calculated on the way stays in the processor's cache."""
 _MOST_BLUR = 1.5
 """Largest difference of the blur of two patches that is made up for, px^2: more would make noise of the texture."""
 _SINGULAR = 1e-12
@@ -37,59 +44,49 @@ def cut_patches(image: Image, centers: ArrayLike, size: int = SUPPORT) -> Patche
 
     Pixels beyond the border repeat those on it. A `ValueError` where `centers` is not (N, 2) or not finite.
     """
-    at = finite_array("centers", centers, ("N", 2))
-    return np.ascontiguousarray(cut_stack(image, at, size).transpose(2, 0, 1))
+    return _cut_all(np.ascontiguousarray(image), finite_array("centers", centers, ("N", 2)), size)
 
 
-def cut_stack(image: Image, centers: FloatArray, size: int) -> Patches:
-    """`cut_patches` with the patches along the last axis, (size, size, N): quick to do arithmetic on.
-
-    All pixels of a patch share the fraction of its centre, so the interpolation is one weighted sum of four windows
-    along each axis. `cv2.remap` rounds positions to 1/32 px (OpenCV 4), and its INTER_CUBIC does not reproduce a ramp:
-    it shifts patches by up to 0.05 px.
-    """
-    base = np.floor(centers).astype(np.int64)
-    windows = windows_at(image, base - (size // 2 + 1), size + 3, size + 3)
-    stack = np.ascontiguousarray(windows.transpose(1, 2, 0)).astype(np.float32)
-    weights = _catmull_rom((centers - base).T)
-    rows = stack[:size] * weights[0, 1]
-    for k in (1, 2, 3):
-        rows += stack[k : k + size] * weights[k, 1]
-    patches: Patches = rows[:, :size] * weights[0, 0]
-    for k in (1, 2, 3):
-        patches += rows[:, k : k + size] * weights[k, 0]
+@njit(**_ENTRY)
+def _cut_all(image: Image, centers: FloatArray, size: int) -> Patches:
+    patches = np.empty((len(centers), size, size), dtype=np.float32)
+    for k in range(len(centers)):
+        cut(image, centers[k, 0], centers[k, 1], patches[k])
     return patches
 
 
-def _catmull_rom(f: FloatArray | Patches) -> Patches:
-    """Weights of the four neighbours at -1, 0, 1, 2 for fractions in [0, 1); (...) -> (4, ...)."""
-    weights = np.empty((4, *f.shape), dtype=np.float32)
+@njit(**_INLINE)
+def cut(image: Image, u: float, v: float, patch: Patches | FloatArray) -> None:
+    """Fill a square patch with the pixels around (u, v), as of `cut_patches`; for compiled code.
+
+    All pixels of a patch share the fraction of its centre, so the interpolation is one weighted sum of four rows and
+    one of four columns. `cv2.remap` rounds positions to 1/32 px (OpenCV 4), and its INTER_CUBIC does not reproduce a
+    ramp: displaced.
+    """
+    (height, width), size = image.shape, len(patch)
+    u0, v0 = math.floor(u), math.floor(v)
+    along_u, along_v, row = np.empty(4), np.empty(4), np.empty(size + 3)
+    _weigh(u - u0, along_u)
+    _weigh(v - v0, along_v)
+    for y in range(size):
+        for x in range(size + 3):
+            column = min(max(u0 - size // 2 - 1 + x, 0), width - 1)
+            row[x] = 0.0
+            for i in range(4):
+                row[x] += along_v[i] * image[min(max(v0 - size // 2 - 1 + y + i, 0), height - 1), column]
+        for x in range(size):
+            patch[y, x] = (
+                along_u[0] * row[x] + along_u[1] * row[x + 1] + along_u[2] * row[x + 2] + along_u[3] * row[x + 3]
+            )
+
+
+@njit(**_INLINE)
+def _weigh(f: float, weights: FloatArray) -> None:
+    """Catmull-Rom weights of the four neighbours at -1, 0, 1, 2 for a fraction in [0, 1)."""
     weights[0] = ((1.0 - 0.5 * f) * f - 0.5) * f
     weights[1] = (1.5 * f - 2.5) * f * f + 1.0
     weights[2] = ((2.0 - 1.5 * f) * f + 0.5) * f
     weights[3] = (0.5 * f - 0.5) * f * f
-    return weights
-
-
-def windows_at(image: Image, origin: IntArray, height: int, width: int) -> Image:
-    """Windows (N, height, width) with their first pixel at `origin` (N, 2) (u, v); beyond the border it is repeated."""
-    if len(origin) == 0:  # of an image that may be smaller than a window
-        return np.zeros((0, height, width), dtype=np.uint8)
-    pad_low = max(0, -int(origin.min(initial=0)))
-    beyond = origin - (image.shape[1] - width, image.shape[0] - height)
-    pad_high = max(0, int(beyond.max(initial=0)))
-    if pad_low or pad_high:
-        limit = 2 * (height + width)  # further out every window is constant, or nearly so
-        pad_low, pad_high = min(pad_low, limit), min(pad_high, limit)
-        image = np.pad(image, ((pad_low, pad_high), (pad_low, pad_high)), mode="edge")
-        last = (image.shape[1] - width, image.shape[0] - height)
-        origin = np.clip(origin + pad_low, 0, last)
-    image = np.ascontiguousarray(image)
-    starts = (image.shape[0] - height + 1, image.shape[1] - width + 1)
-    # As numpy's sliding_window_view, which takes longer than the copy.
-    every = np.ndarray((*starts, height, width), image.dtype, image, strides=2 * image.strides)
-    windows: Image = every[origin[:, 1], origin[:, 0]]
-    return windows
 
 
 def warped_patches(patches: Patches, affine: ArrayLike, size: int = PATCH, image_blur: float = 0.0) -> Patches:
@@ -103,15 +100,9 @@ def warped_patches(patches: Patches, affine: ArrayLike, size: int = PATCH, image
     A = finite_array("affine", affine, ("N", 2, 2))
     if len(A) != len(patches):
         raise ValueError(f"affine must have one matrix per patch: {len(patches)} patches, {len(A)} matrices")
-    warped = np.empty((len(A), size, size), dtype=np.float32)
-    for begin in range(0, len(A), _TOGETHER):
-        block = slice(begin, begin + _TOGETHER)
-        if image_blur:
-            wide = _interpolated(patches[block], A[block], size + 2)
-            warped[block] = _sharpened(wide, _blur_gained(A[block], image_blur))
-        else:
-            warped[block] = _interpolated(patches[block], A[block], size)
-    return warped
+    if not image_blur:
+        return _interpolated(patches, A, size)
+    return _sharpened(_interpolated(patches, A, size + 2), _blur_gained(A, image_blur))
 
 
 def _interpolated(patches: Patches, affine: FloatArray, size: int) -> Patches:
@@ -127,24 +118,30 @@ def _interpolated(patches: Patches, affine: FloatArray, size: int) -> Patches:
     return interpolated
 
 
+@njit(**_ENTRY)
 def _sampled(patches: Patches, affine: FloatArray, size: int, step: float) -> Patches:
     """`size` x `size` samples of each patch, `step` px apart in the current image and centred."""
     side = patches.shape[1]
-    offsets = step * (np.arange(size) - 0.5 * (size - 1))
-    grid = np.stack(np.meshgrid(offsets, offsets)).reshape(2, -1)
-    at = np.clip(affine.transpose(1, 0, 2) @ grid + side // 2, 1, side - 2).astype(np.float32)  # u and v: (2, N, K)
-    base = np.minimum(np.floor(at), side - 3)
-    weights = _catmull_rom(at - base)
-    first = (base[1] * side + base[0]).astype(np.intp)
-    first += (side * side * np.arange(len(patches)) - side - 1)[:, None]
-    sampled = np.zeros(first.shape, dtype=np.float32)
-    for i in range(4):
-        row = np.zeros_like(sampled)
-        for j in range(4):
-            row += patches.take(first + (i * side + j)) * weights[j, 0]
-        row *= weights[i, 1]
-        sampled += row
-    return sampled.reshape(-1, size, size)
+    sampled = np.empty((len(patches), size, size), dtype=np.float32)
+    along_u, along_v = np.empty(4), np.empty(4)
+    for k in range(len(patches)):
+        for y in range(size):
+            dv = step * (y - 0.5 * (size - 1))
+            for x in range(size):
+                du = step * (x - 0.5 * (size - 1))
+                u = min(max(affine[k, 0, 0] * du + affine[k, 0, 1] * dv + side // 2, 1.0), side - 2.0)
+                v = min(max(affine[k, 1, 0] * du + affine[k, 1, 1] * dv + side // 2, 1.0), side - 2.0)
+                u0, v0 = min(int(u), side - 3), min(int(v), side - 3)
+                _weigh(u - u0, along_u)
+                _weigh(v - v0, along_v)
+                value = 0.0
+                for i in range(4):
+                    row = 0.0
+                    for j in range(4):
+                        row += along_u[j] * patches[k, v0 - 1 + i, u0 - 1 + j]
+                    value += along_v[i] * row
+                sampled[k, y, x] = value
+    return sampled
 
 
 def _blur_gained(affine: FloatArray, image_blur: float) -> FloatArray:
