@@ -62,7 +62,9 @@ class Limit(NamedTuple):
     beyond: dict[str, float]
 
     def note(self, unit: str = "") -> str:
-        """Note above the panel: "↑ euclidean to 27 m", or ""."""
+        """Note above the panel: "↑ euclidean to 27 m", of more than two "↑ 3 filters to 27 m at the most", or ""."""
+        if len(self.beyond) > 2:  # their names would run into the title
+            return f"↑ {len(self.beyond)} filters to {short_number(max(self.beyond.values()))}{unit} at the most"
         far = ", ".join(f"{name} to {short_number(peak)}{unit}" for name, peak in self.beyond.items())
         return f"↑ {far}" if far else ""
 

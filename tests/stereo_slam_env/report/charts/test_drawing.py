@@ -36,6 +36,13 @@ def test_a_diverged_filter_does_not_set_the_limit():
     assert limit.beyond == {"c": 400.0}
 
 
+def test_two_that_go_beyond_are_named_and_more_are_counted():
+    """The names of many would run into the title of the panel."""
+    two = shared_limit({"a": 1.0, "b": 40.0, "c": 400.0})
+    assert two.note(" m") == "↑ b to 40 m, c to 400 m"
+    assert shared_limit({**two.beyond, "a": 1.0, "d": 90.0}).note(" m") == "↑ 3 filters to 400 m at the most"
+
+
 def test_filters_of_the_same_size_all_fit():
     assert shared_limit({"a": 1.0, "b": 9.0}) == (9.0, {})
 
