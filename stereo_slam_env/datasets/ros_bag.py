@@ -247,7 +247,9 @@ def _cameras(
 ) -> tuple[str, str]:
     """Topics of the left and of the right images."""
     images = sorted(topic for topic, kind in topics.items() if kind in IMAGES)
-    listed = ", ".join(map(plain, images)) or "none"
+    if not images:
+        raise ValueError(f"{path} holds no images, on none of its {len(topics)} topics: give one with a stereo pair")
+    listed = ", ".join(map(plain, images))
     for asked in (left, right):
         if asked is not None and asked not in images:
             raise ValueError(f"{path} has no images on {asked!r}; topics with images: {listed}")

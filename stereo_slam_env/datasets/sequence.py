@@ -140,7 +140,8 @@ def usable_pairs(files: ImageFiles, choice: Choice, faults: Faults) -> list[Fram
     kept = _longest_increase([pair.timestamp for pair in pairs])
     for at, pair in enumerate(pairs):
         if at not in kept:
-            other = pairs[at - 1 if at else 1]
+            disagree = [k for k, p in enumerate(pairs) if k != at and (p.timestamp - pair.timestamp) * (k - at) <= 0.0]
+            other = pairs[min(disagree, key=lambda k: abs(k - at))]
             message = (
                 f"{files.times_file}: times must increase, frame {pair.number} has {pair.timestamp:.9g} s next to "
                 f"{other.timestamp:.9g} s of frame {other.number}: correct it, or skip broken pairs"

@@ -71,6 +71,11 @@ BROKEN = {
         r"times\.txt: times must increase, frame 3 has 0\.05 s next to 0\.2 s of frame 2",
         {"time stamp does not increase": 1},
     ),
+    "a wild time": (
+        lambda root: rewrite_rows(root / "sequences/07/times.txt", set_row(1, "1e9")),
+        r"times\.txt: times must increase, frame 1 has 1e\+09 s next to 0\.2 s of frame 2",
+        {"time stamp does not increase": 1},
+    ),
     "duplicate times": (
         lambda root: rewrite_rows(root / "sequences/07/times.txt", set_row(3, "0.2")),
         r"times\.txt: times must increase, frame [23] has 0\.2 s",

@@ -194,6 +194,12 @@ def test_topics_can_be_named_and_what_is_no_stereo_bag_is_refused_in_one_line(tm
         assert said.count("\n") == 1
 
 
+def test_a_bag_without_images_is_told_so_and_not_to_name_topics():
+    bag = real_data("field/bags") / "nav2_turtlebot.mcap"
+    with pytest.raises(ValueError, match=r"nav2_turtlebot\.mcap holds no images, on none of its \d+ topics"):
+        open_image_sequence(bag)
+
+
 def test_an_image_that_is_not_what_it_says_is_named():
     class Message:
         encoding, width, height, step, is_bigendian, data = "mono8", 4, 3, 4, 0, np.zeros(11, np.uint8)
