@@ -1,4 +1,4 @@
-"""What an inertial unit is worth on smooth drives: images alone, with wheels, with samples of three units.
+"""What an inertial unit is worth on smooth drives: images alone, with wheels, with samples of three units, with both.
 
     python benchmarks/inertial_worth.py --landmarks 8      # a minute; 25 and 100 take longer
 
@@ -23,9 +23,9 @@ def main() -> None:
     first = next(iter(DATA_SHEETS))
     jobs = [("right-invariant", {}, False, first), ("right-invariant", {}, True, first), ("msckf", {}, False, first)]
     jobs += [
-        (name, options, False, sheet)
+        (name, options, wheels, sheet)
         for sheet in DATA_SHEETS
-        for name, options in (("inertial", {}), ("msckf", INERTIAL))
+        for name, options, wheels in (("inertial", {}, False), ("inertial", {}, True), ("msckf", INERTIAL, False))
     ]
     for landmarks in given.landmarks:
         drives = {
@@ -35,11 +35,11 @@ def main() -> None:
         rows = []
         for name, options, wheels, sheet in jobs:
             runs = [evaluate(name, drive, gate=None, use_odometry=wheels, **options).figures for drive in drives[sheet]]
-            samples = sheet if name == "inertial" or options else ""
+            inputs = ["wheels"] * wheels + [sheet] * (name == "inertial" or bool(options))
             rotation = [1000.0 * np.deg2rad(run.rotation_rmse_deg) for run in runs]
             nees = mean_and_error(np.array([run.pose_anees / 6.0 for run in runs]), 2)
             position = mean_and_error(np.array([run.position_rmse_m for run in runs]))
-            rows.append([name, "wheels" if wheels else samples, position, f"{np.mean(rotation):.1f}", nees])
+            rows.append([name, ", ".join(inputs) or "images alone", position, f"{np.mean(rotation):.1f}", nees])
         show(
             f"{landmarks} landmarks, {given.seeds} drives of 160 m",
             ["filter", "with", "position, m", "rotation, mrad", "NEES/6"],
