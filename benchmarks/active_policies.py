@@ -1,13 +1,14 @@
 """Does looking well help, by the truth? Policies in `ActiveGaze-v0`, claim beside truth and consistency.
 
     python benchmarks/active_policies.py                                    # 500 drives, white errors
-    python benchmarks/active_policies.py --world lasting --belief right-invariant --out lasting.csv
+    python benchmarks/active_policies.py --world lasting --belief coloured-noise --options '{"landmark": "euclidean"}'
     python benchmarks/active_policies.py --policies fixed,oracle --drives 64
 
 For each policy, in the same drives: change against `fixed` of the mean true final error, of its root mean square over
 the drive and of the claimed sigma, paired, with 95 % bootstrap intervals; mean log det of the final pose, position
 NEES / 3, score (0 is `fixed`, 100 the oracle, by the return of minus squared true error) and processor seconds. Worlds
-are those of `tasks.levels.WORLDS`. A policy is a name, or a checkpoint of `stereo-slam train`.
+are those of `tasks.levels.WORLDS`; options of the belief come on top of those of `GazeTask`. A policy is a name, or a
+checkpoint of `stereo-slam train`.
 """
 
 from __future__ import annotations
@@ -74,11 +75,14 @@ def main() -> None:
         seed=SEED,
         world="white",
         belief="shared-anchor",
+        options={},
         policies="fixed,random,sweep,greedy,lookahead,ppo",
         out=Path("active_policies.csv"),
     )
     seeds = range(given.seed, given.seed + given.drives)
     task = GazeTask(arguments=dict(WORLDS[given.world]), filter=given.belief, reward="error")
+    task = replace(task, filter_options={**task.filter_options, **given.options})
+    belief = " ".join([given.belief, *(f"{name}={value}" for name, value in given.options.items())])
     rows, kept, base = [], [], None
     for policy in given.policies.split(","):
         began = time.process_time()
@@ -97,20 +101,20 @@ def main() -> None:
                 f"{means['final_pose_logdet']:.1f}",
                 f"{means['final_position_nees']:.2f}",
                 f"{means['returns']:.2f}",
-                f"{score:.0f}" if given.world == "white" and given.belief == "shared-anchor" else "",
+                f"{score:.0f}" if task == GazeTask(arguments=dict(WORLDS["white"])) else "",
                 f"{time.process_time() - began:.0f}",
             ]
         )
         claimed = dict(zip(("claimed", "claimed_low", "claimed_high"), changes[2][1], strict=True))
         true = dict(zip(("true", "true_low", "true_high"), changes[0][1], strict=True))
-        about = {"world": given.world, "belief": given.belief, "policy": label, "drives": given.drives}
+        about = {"world": given.world, "belief": belief, "policy": label, "drives": given.drives}
         kept.append({**about, **means, **true, **claimed})
         with given.out.open("w", newline="", encoding="utf-8") as stream:
             writer = csv.DictWriter(stream, list(kept[0]))
             writer.writeheader()
             writer.writerows({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in row.items()} for row in kept)
-        show(f"{given.world}, {given.belief}, {given.drives} drives", HEADS, rows[-1:])
-    show(f"{given.world}, {given.belief}, {given.drives} drives", HEADS, rows)
+        show(f"{given.world}, {belief}, {given.drives} drives", HEADS, rows[-1:])
+    show(f"{given.world}, {belief}, {given.drives} drives", HEADS, rows)
 
 
 HEADS = (

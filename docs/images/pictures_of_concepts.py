@@ -274,6 +274,14 @@ def runs(seeds: int = 12, frames: int = 240, landmarks: int = 30) -> tuple[Filte
     return tuple(made)
 
 
+WORLDS_AND_BELIEFS = {
+    ("white", "shared-anchor"): "White errors",
+    ("lasting", "shared-anchor"): "Errors that last",
+    ("lasting", "coloured-noise"): "The same, stated as walks",
+}
+"""Panels of `claimed_and_true`: world and belief, and a title."""
+
+
 @style_context()
 def claimed_and_true() -> Figure:
     """What policies of gaze claim to gain against a fixed gaze, and what they gain by the truth.
@@ -281,16 +289,15 @@ def claimed_and_true() -> Figure:
     `results/active_policies.csv` is what `benchmarks/active_policies.py` has written.
     """
     figure = Figure(figsize=(WIDTH_INCHES, 3.8))
-    panels = figure.subplots(1, 2, sharey=True)
+    panels = figure.subplots(1, len(WORLDS_AND_BELIEFS), sharey=True)
     figure.subplots_adjust(left=0.09, right=0.98, bottom=0.14, top=0.9, wspace=0.06)
     with (Path(__file__).resolve().parents[2] / "results" / "active_policies.csv").open(newline="") as stream:
         rows = list(csv.DictReader(stream))
-    for ax, (world, title) in zip(
-        panels, {"white": "White errors", "lasting": "Errors that last"}.items(), strict=True
-    ):
+    for ax, (case, title) in zip(panels, WORLDS_AND_BELIEFS.items(), strict=True):
         ax.axline((0, 0), slope=1, color=MUTED, linestyle="--", linewidth=1.0)
-        here = sorted((row for row in rows if row["world"] == world), key=lambda row: -float(row["true"]))
-        for number, row in enumerate(here):
+        ax.axhline(0, color=MUTED, linewidth=0.6)
+        here = [row for row in rows if (row["world"], row["belief"]) == case and float(row["claimed"])]
+        for number, row in enumerate(sorted(here, key=lambda row: -float(row["true"]))):
             x, y = float(row["claimed"]), float(row["true"])
             spread = [[x - float(row["claimed_low"])], [float(row["claimed_high"]) - x]]
             height = [[y - float(row["true_low"])], [float(row["true_high"]) - y]]
@@ -300,13 +307,12 @@ def claimed_and_true() -> Figure:
             ax.annotate(
                 f"{row['policy']}, {row['drives']} drives",
                 (x, y),
-                (-58.0, -52.0 - 8.0 * number) if x < -30 else (x + 1.5, y - 6.0),
+                (-58.0, -52.0 - 9.0 * number) if x < -30 else (x + 1.5, y - 6.0),
                 color=colour,
                 arrowprops=arrow,
             )
-        ax.annotate("as claimed", (-16, -8), color=MUTED)
-        ax.set(title=f"{title}, %", xlabel="change of the claimed sigma", xlim=(-60, 2), ylim=(-92, 2))
-    panels[0].set_ylabel("change of the true end error")
+        ax.set(title=title, xlabel="change of the claimed sigma, %", xlim=(-60, 2))
+    panels[0].set_ylabel("change of the true end error, %")
     return figure
 
 

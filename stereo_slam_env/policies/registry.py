@@ -60,14 +60,20 @@ def available_policies() -> dict[str, str]:
     return {name: (inspect.getdoc(_found(name)) or "no description").splitlines()[0] for name in _entry_points()}
 
 
+def _own_entry_points() -> dict[str, EntryPoint]:
+    return {name: EntryPoint(name, f"{__package__}.{what}", ENTRY_POINT_GROUP) for name, what in _OWN.items()}
+
+
 def _entry_points() -> dict[str, EntryPoint]:
     """Ours, and those of third parties that have another name."""
-    own = {name: EntryPoint(name, f"{__package__}.{what}", ENTRY_POINT_GROUP) for name, what in _OWN.items()}
+    own = _own_entry_points()
     return {**own, **{point.name: point for point in entry_points(group=ENTRY_POINT_GROUP) if point.name not in own}}
 
 
 def _found(name: str) -> Callable[..., Any]:
-    known = _entry_points()
+    known = _own_entry_points()
+    if name not in known:
+        known = _entry_points()  # asks every installed package: a tenth of a second
     if name not in known:
         raise ValueError(f"policy must be one of {', '.join(known)}, got {name!r}{did_you_mean(name, known)}")
     point = known[name]
