@@ -1,8 +1,8 @@
 """All pictures of the manual, drawn afresh.
 
-    python docs/images/make.py                    # all of them: half an hour, of which the trainings take most
+    python docs/images/make.py                    # all of them
     python docs/images/make.py report.png view.png
-    python docs/images/make.py --but learning_curve.png
+    python docs/images/make.py --but view_rerun.jpg
     python docs/images/make.py --small --out /tmp/pictures      # short runs, to see that each can be drawn
 
 Needs the extras dev, gl, rl and viewer, and a browser (apt install chromium) for `report.png` and `view_rerun.jpg`; a
@@ -40,7 +40,6 @@ OF_RUNS: Mapping[str, Callable[..., None]] = {
     "view_rerun.jpg": runs.rerun,
     "paper_cloud.png": runs.paper_cloud,
     "paper_depth.png": runs.paper_depth,
-    "learning_curve.png": runs.learning_curve,
     "inertial_nees.png": inertial.nees,
     "inertial_worth.png": inertial.worth,
 }

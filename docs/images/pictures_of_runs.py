@@ -25,17 +25,13 @@ from PIL.PngImagePlugin import PngInfo
 import stereo_slam_env as sse
 from stereo_slam_env.benchmark import preset_study, run_benchmark
 from stereo_slam_env.report.benchmark_report import write_report_of
-from stereo_slam_env.report.charts.policies import plot_learning
 from stereo_slam_env.studies.paper import convergence, figures
-from stereo_slam_env.training.ppo import VALIDATION_SEEDS, LearningCurve, PPOSettings, merit, train
-from stereo_slam_env.training.task import GazeTask, evaluate
 from stereo_slam_env.viewer import Drive, RerunView
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 REPORT_SIZE, RERUN_SIZE = (1280, 1180), (1120, 860)
 HEADINGS, MILLISECONDS = "headings", "milliseconds"
 """Texts in the PNG of the report: headings of its first table, and time a frame by filter, as JSON."""
-TRAININGS = range(5)
 
 
 class NoBrowser(RuntimeError):
@@ -95,17 +91,6 @@ def paper_depth(path: Path, work: Path, *, small: bool) -> None:
 def paper_cloud(path: Path, work: Path, *, small: bool) -> None:
     """Figure 1 of the paper."""
     figures.figure_1(500 if small else 10_000).save(path)
-
-
-def learning_curve(path: Path, work: Path, *, small: bool) -> None:
-    """Learning curves of some trainings of the task `ActiveGaze`."""
-    task, curves = GazeTask(), []
-    for seed in TRAININGS[:1] if small else TRAININGS:
-        settings = PPOSettings(seed=seed, **({"decisions": 2048, "environments": 4, "validation": 2} if small else {}))
-        train(task, settings, work / f"training-{seed}")
-        curves.append(LearningCurve(work / f"training-{seed}" / "learning_curve.csv").rows)
-    seeds = VALIDATION_SEEDS[:2] if small else VALIDATION_SEEDS
-    plot_learning(curves, dataclasses.asdict(evaluate(None, task, seeds)), merit).save(path)
 
 
 @contextmanager
