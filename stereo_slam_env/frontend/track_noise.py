@@ -39,6 +39,8 @@ COMMON_WALK = 0.0043
 tracker add to all tracks of a frame. The log score of windows chose it (docs/covariances.md)."""
 COMMON_WALK_WITH_R = 0.0014
 """That of measurements which bring one, as the project's own front end does."""
+ROUGH = 2.0
+"""Step of a residual in u or v, px, beyond which no covariance was right (KITTI 00 with noise and outliers added)."""
 TINY = 1e-12
 """Least variance, px^2."""
 MEDIAN = float(chi2.median(3))
@@ -73,6 +75,11 @@ class TrackNoise:
     claimed_too_small: float
     """Factor, at least 1, by which the variances that measurements claim are too small at least: a residual has no more
     than they allow. Of the median; 1 without residuals."""
+
+    @property
+    def is_rough(self) -> bool:
+        """Whether tracks jump so far from frame to frame that no covariance was right."""
+        return bool(np.max(self.step[:2]) > ROUGH)
 
     @property
     def ignorance(self) -> float:
@@ -219,6 +226,14 @@ def with_measured_noise(recording: Recording) -> Recording:
     measurements bring a covariance: tracks that slide over the ground ahead look like one.
     """
     found = track_noise(recording)
+    if found.is_rough:
+        _log.warning(
+            "%s: its tracks jump by %.1f px from frame to frame beside the motion of the camera; with more than %.0f px "
+            "covariances were too small up to a hundredfold: look at its matches",
+            recording.name,
+            np.max(found.step[:2]),
+            ROUGH,
+        )
     noise = stated_noise(found, recording.noise, bring_R(recording), recording.truth_from.kind != "simulation")
     _log.info("%s: %s", recording.name, noise)
     return dataclasses.replace(_with_claims_raised(recording, found.claimed_too_small), noise=noise)

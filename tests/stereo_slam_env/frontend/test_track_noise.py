@@ -232,6 +232,14 @@ def test_a_covariance_that_is_too_small_is_raised_to_what_residuals_show() -> No
     assert 0.35 < np.sqrt(raised[:, 0, 0].mean()) < 0.8
 
 
+@pytest.mark.parametrize(("white", "warned"), [(1.0, False), (2.0, True)])
+def test_tracks_too_rough_for_any_claim_are_warned_of(
+    white: float, warned: bool, caplog: pytest.LogCaptureFixture
+) -> None:
+    with_measured_noise(drive(white=white))
+    assert ["drive: its tracks jump by 2.9 px" in message for message in caplog.messages] == [True] * warned
+
+
 def test_wrong_matches_do_not_count() -> None:
     recording, rng = drive(white=0.3), np.random.default_rng(1)
     wrong = []
