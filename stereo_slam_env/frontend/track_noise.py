@@ -228,7 +228,7 @@ def with_measured_noise(recording: Recording) -> Recording:
     found = track_noise(recording)
     if found.is_rough:
         _log.warning(
-            "%s: its tracks jump by %.1f px from frame to frame beside the motion of the camera; with more than %.0f px "
+            "%s: its tracks jump by %.1f px from frame to frame beside the camera's motion; with more than %.0f px "
             "covariances were too small up to a hundredfold: look at its matches",
             recording.name,
             np.max(found.step[:2]),

@@ -20,7 +20,7 @@ _TALL = 1.8
 """Height of a person, m: what is above is not in the way."""
 
 
-class Obstacles:
+class GroundOutlines:
     """Outlines on the ground of solids lower than a person, as rectangles."""
 
     def __init__(self, solids: Iterable[Primitive]) -> None:
@@ -113,7 +113,7 @@ def traffic(
         long = props.length_of(parts)
         draw = partial(cast.leading, long, own) if own.random() < _LEADING else partial(cast.oncoming, own)
         cast.add("car", parts, 0.5 * long, 1.35, draw)
-    obstacles = Obstacles(solids)
+    obstacles = GroundOutlines(solids)
     for own in walker_rng.spawn(pedestrians):
         walk = cast.crossing if own.random() < _CROSSING else cast.walking
         cast.add("pedestrian", props.pedestrian(own), 0.0, 0.35, partial(walk, walkway, own), obstacles)
@@ -141,7 +141,7 @@ class _Cast:
         half_length: float,
         radius: float,
         draw: Callable[[], _Way],
-        obstacles: Obstacles | None = None,
+        obstacles: GroundOutlines | None = None,
     ) -> None:
         """Take the first of the drawn ways that is free for circles of `radius` along the body."""
         count = max(1, int(np.ceil(half_length)))

@@ -28,27 +28,27 @@ from filters.engine.compiled.scratch import scratch
 from filters.engine.compiled.storage import empty_frame, empty_storage
 
 
-class Reference(types.Type):
+class TupleReference(types.Type):
     """The address of a named tuple of arrays, as `Packed` has written it: one number, whatever the tuple holds."""
 
     def __init__(self, value: Any) -> None:
         self.kind = numba.typeof(value)
-        super().__init__(f"Reference({type(value).__name__})")
+        super().__init__(f"TupleReference({type(value).__name__})")
 
 
-register_model(Reference)(models.OpaqueModel)
+register_model(TupleReference)(models.OpaqueModel)
 
 
 @infer_getattr
 class _Fields(AttributeTemplate):
-    key = Reference
+    key = TupleReference
 
     def generic_resolve(self, reference: Any, name: str) -> Any:
         kind = reference.kind
         return kind[kind.fields.index(name)] if name in kind.fields else None
 
 
-@lower_getattr_generic(Reference)
+@lower_getattr_generic(TupleReference)
 def _field(context: Any, builder: Any, reference: Any, address: Any, name: str) -> Any:
     """Load one field. What describes the arrays does not change during a call, so that loops need not load it again."""
     index = reference.kind.fields.index(name)
@@ -83,8 +83,8 @@ def _words(kind: Any) -> int:
 
 _RECIPE = Recipe()
 _STORAGE = empty_storage(_RECIPE, 1, 1)
-PLAN, STORAGE = Reference(_RECIPE.plan), Reference(_STORAGE)
-SCRATCH, FRAME = Reference(scratch(_RECIPE, _STORAGE, 1)), Reference(empty_frame(_RECIPE, 1, 1, 1))
+PLAN, STORAGE = TupleReference(_RECIPE.plan), TupleReference(_STORAGE)
+SCRATCH, FRAME = TupleReference(scratch(_RECIPE, _STORAGE, 1)), TupleReference(empty_frame(_RECIPE, 1, 1, 1))
 VECTOR, MATRIX, INDEX = types.float64[::1], types.float64[:, ::1], types.int64[::1]
 MATRICES, FLAGS = types.float64[:, :, ::1], types.boolean[::1]
 UNITS = ("predict", "fuse", "linearise", "gate", "agree", "iterate", "correct", "retract", "start", "enter", "walk")

@@ -40,7 +40,7 @@ _MOTION: Mapping[str, float] = asdict(ConstantVelocity())
 
 
 @dataclass(frozen=True)
-class _Choice:
+class _LabelledChoice:
     label: str
     name: str
     options: Mapping[str, Any] = field(default_factory=dict)
@@ -64,7 +64,7 @@ class _Choice:
 
 
 @dataclass(frozen=True)
-class PolicyChoice(_Choice):
+class PolicyChoice(_LabelledChoice):
     """A policy by name, its options, and the label it has in tables and files.
 
     Raises
@@ -77,7 +77,7 @@ class PolicyChoice(_Choice):
 
 
 @dataclass(frozen=True)
-class FilterChoice(_Choice):
+class FilterChoice(_LabelledChoice):
     """One competitor: a filter by name, its options, and the label it has in tables and files.
 
     Attributes
@@ -384,7 +384,7 @@ class Scenario:
             raise ValueError(f"scenario {data['name']!r} must say its kind, one of {known_kinds()}")
         values = dict(data)
         source = source_of(values.pop("kind"), values.pop("options", {}))
-        choices: tuple[tuple[str, Callable[[str | Mapping[str, Any]], _Choice]], ...] = (
+        choices: tuple[tuple[str, Callable[[str | Mapping[str, Any]], _LabelledChoice]], ...] = (
             ("filters", filter_choice),
             ("policies", policy_choice),
         )
