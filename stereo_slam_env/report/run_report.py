@@ -129,7 +129,9 @@ def _subtitle(runs: Sequence[FilterRun], figures: Figures, looks: Looks | None) 
     recordings = _recordings(figures)
     first = series.first_recording(runs)[0]
     length = series.last_known(series.distance(first))
-    who = len(series.by_filter(runs))
+    by_filter = series.by_filter(runs)
+    outside = sum(all(map(_is_from_outside, of_one)) for of_one in by_filter.values())
+    who = len(by_filter) - outside
     frames = sorted({len(run) for run in runs})
     each = f"{frames[0]}" if len(frames) == 1 else f"{frames[0]} to {frames[-1]}"
     parts = [
@@ -137,12 +139,20 @@ def _subtitle(runs: Sequence[FilterRun], figures: Figures, looks: Looks | None) 
         if looks is not None
         else f"{who} filters on identical measurements"
         if who > 1
-        else "1 filter",
+        else "1 filter"
+        if who
+        else "no filter",
+        *([f"{outside} trajector{'y' if outside == 1 else 'ies'} from outside"] if outside else []),
         f"{len(recordings)} recordings" if len(recordings) > 1 else f"1 recording ({first.recording_name})",
         f"{each} frames{' each' if len(recordings) > 1 else ''}"
         + (f", {'the first ' if len(recordings) > 1 else ''}over {length:.3g} m" if np.isfinite(length) else ""),
     ]
     return " · ".join(parts)
+
+
+def _is_from_outside(run: FilterRun) -> bool:
+    """Whether it is a trajectory of another program: neither innovations nor times of its frames are known."""
+    return run.failure is None and not (np.isfinite(run.nis).any() or np.isfinite(run.milliseconds).any())
 
 
 # ---- sections -------------------------------------------------------------------------------------------------------

@@ -91,3 +91,9 @@ def test_what_a_trajectory_cannot_tell_is_a_dash_and_its_error_is_that_of_the_fi
         at = next(k for k, title in enumerate(heading) if title.startswith(column))
         assert ours[at] != "–"
         assert theirs[at] == (ours[at] if known else "–")
+
+
+def test_a_trajectory_is_not_counted_as_a_filter_on_the_same_measurements(both, tmp_path):
+    told = words(without_library(report(tmp_path, both)))
+    assert "1 filter · 1 trajectory from outside · 1 recording" in told
+    assert "identical measurements" not in told
