@@ -1,0 +1,75 @@
+"""Trainings of several seeds on scenes that no training and no choice of a network has seen.
+
+Run it: for s in 0 1 2 3 4; do stereo-slam train --environment StereoSlam/Revisit-v0 --seed $s --out runs/$s; done
+        python benchmarks/trained_scores.py runs/0 runs/1 runs/2 runs/3 runs/4
+        python benchmarks/trained_scores.py runs/0 runs/1 runs/2 runs/3 runs/4 --episodes 200
+
+A row for each training, means over the episodes; below, the interquartile mean over the trainings with its 95 %
+bootstrap interval over them, and what an agent has that does nothing (looks straight ahead, or has action 0). Seconds
+are those of the training, decisions those of the network that was kept.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.stats import bootstrap, trim_mean
+
+from harness import arguments, show
+from stereo_slam_env.policies.network import Network
+from stereo_slam_env.policies.scores import REFERENCE_RETURNS, normalised_score
+from stereo_slam_env.training.ppo import LearningCurve, Task
+from stereo_slam_env.training.registered_task import RegisteredTask
+from stereo_slam_env.training.task import GazeTask, evaluate
+
+SEED = 300_000
+"""The first one."""
+
+
+def task_of(run: Path) -> Task:
+    """What a training was about."""
+    task = json.loads((run / "run.json").read_text(encoding="utf-8"))["task"]
+    return GazeTask(**task) if "filter" in task else RegisteredTask(**task)
+
+
+def results_of(network: Network | None, task: Task, episodes: int) -> dict[str, float]:
+    """Means over the episodes, with the score where there is one."""
+    means: dict[str, float] = asdict(evaluate(network, task, range(SEED, SEED + episodes)))
+    if isinstance(task, RegisteredTask) and task.environment in REFERENCE_RETURNS and not task.arguments:
+        means["score"] = float(normalised_score(task.environment, means["validation_return"]))
+    return means
+
+
+def interval(values: Any) -> str:
+    """Interquartile mean, and its 95 % bootstrap interval."""
+    middle = partial(trim_mean, proportiontocut=0.25)
+    low, high = bootstrap((values,), middle, method="percentile", rng=0).confidence_interval
+    return f"{middle(values):.3g} [{low:.3g}, {high:.3g}]"
+
+
+def main() -> None:
+    """Run everything."""
+    given = arguments(__doc__, "runs", runs=[Path], episodes=500)
+    task, found, rows = task_of(given.runs[0]), [], []
+    for run in given.runs:
+        if task_of(run) != task:
+            raise SystemExit(f"{run} is a training of something else than {given.runs[0]}")
+        curve = LearningCurve(run / "learning_curve.csv")
+        found.append(results_of(Network.load(run / "policy.npz"), task, given.episodes))
+        made = [f"{curve.best['decisions']:.0f}", f"{curve.seconds:.0f}"]
+        rows.append([run.name, *(f"{value:.3g}" for value in found[-1].values()), *made])
+    columns = {name: np.array([row[name] for row in found]) for name in found[0]}
+    if len(found) > 1:
+        rows.append(["interquartile mean", *map(interval, columns.values()), "", ""])
+    nothing = results_of(None, task, given.episodes)
+    rows.append(["does nothing", *(f"{nothing[name]:.3g}" for name in columns), "", ""])
+    show(f"{task.environment}, {given.episodes} episodes", ("training", *columns, "decisions", "s"), rows)
+
+
+if __name__ == "__main__":
+    main()
