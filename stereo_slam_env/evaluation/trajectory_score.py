@@ -123,7 +123,8 @@ class TrajectoryScore:
         drift = "" if self.end_drift_percent is None else f", {self.end_drift_percent:.3g} % at the end"
         rows = {
             "poses": f"{self.frames} scored, {self.unmatched} without a reference",
-            "alignment": f"{self.alignment} by {self.aligned_by} poses, scale {self.scale:.4g}",
+            "alignment": self.alignment
+            + (f" by {self.aligned_by} poses, scale {self.scale:.4g}" if self.aligned_by else ""),
             "position": f"{self.position_rmse_m:.4g} m of {self.path_m:.4g} m{drift}",
             "rotation": f"{self.rotation_rmse_deg:.3g} degrees",
             "claim": self.verdict,

@@ -25,7 +25,7 @@ def paragraph(text: str) -> str:
 
 def fixed_width(text: str) -> str:
     """Text with its columns."""
-    return f'<pre style="line-height:1.25">{_plain(text)}</pre>'
+    return f'<pre style="font-family:monospace;line-height:1.25">{_plain(text)}</pre>'
 
 
 def facts(rows: Mapping[str, str]) -> str:
