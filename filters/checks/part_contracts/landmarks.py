@@ -93,6 +93,9 @@ def check_landmark_jacobians(model: LandmarkModel) -> None:
         turn, spread = rotations.exp(theta + e[:3]), rotations.right_jacobian(-theta - e[:3])
         return model.turned(anchors, x, turn, spread, correction + e[3:])
 
+    turn, spread = rotations.exp(theta), rotations.right_jacobian(-theta)
+    uncorrected = model.turned(anchors, x, turn, spread, np.zeros_like(correction))
+    assert_close("turned without a correction", uncorrected, model.rotated(anchors, x, turn), 1e-9)
     there = carried(np.zeros(3 + model.size))
     by_both = differences.jacobian(lambda e: model.local(there, carried(e)), 3 + model.size)
     claimed_both = model.turned_jacobians(anchors, x, theta, correction)
@@ -128,6 +131,7 @@ def check_landmark_invariance(model: LandmarkModel) -> None:
         check_carried(model, x)
         return
     if model.in_anchor:
+        assert_close("rotated of what is in the axes of the anchor", model.rotated(anchors, x, TURN), x, 1e-12)
         return
     turned = model.rotated(anchors, x, TURN)
     again = model.homogeneous(TURN @ position, None if anchors is None else anchors @ TURN.T, turned)

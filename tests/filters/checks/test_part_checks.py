@@ -19,6 +19,7 @@ from filters import (
     Hybrid,
     InverseDepth,
     MotionModel,
+    Polar,
     QuaternionError,
     RangeBearing,
     RightInvariant,
@@ -95,6 +96,19 @@ class StaysBehind(Euclidean):
 
     def rotated(self, anchors: Any, parameters: Any, R: Any) -> Any:
         return parameters.copy()
+
+
+class TurnsTooFar(Polar):
+    """The retraction of an invariant error turns it twice."""
+
+    def turned(self, anchors: Any, parameters: Any, turn: Any, spread: Any, correction: Any) -> Any:
+        return super().turned(anchors, parameters, turn @ turn, spread, correction)
+
+
+class TurnsWithItsAnchor(Polar):
+    """It is in the axes of its anchor, and turns with the world as if it were not."""
+
+    in_anchor = True
 
 
 class AtInfinity(Euclidean):
@@ -296,6 +310,8 @@ BROKEN = {
     HalfBack(): "A correction is undone",
     NoTransport(): "A correction is undone",
     StaysBehind(): "A landmark is seen the same",
+    TurnsTooFar(): "Jacobians of a landmark in the map",
+    TurnsWithItsAnchor(): "A landmark is seen the same",
     DoubleDisparity(): "A point is backprojected to where it is",
     NoCrossTerm(): "Jacobians of numbers and backprojection",
     ForgetsItsVariable(offset_sigma=1.0): "Jacobians of numbers and backprojection",
