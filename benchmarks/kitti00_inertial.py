@@ -18,6 +18,8 @@ FILTERS = {
     "inertial": ("inertial", {}),
     "inertial, open mounting": ("inertial", {"motion": OPEN}),
     "msckf, open mounting": ("msckf", {"motion": OPEN}),
+    "coloured-noise": ("coloured-noise", {}),
+    "coloured-noise, strapdown, open mounting": ("coloured-noise", {"motion": OPEN}),
 }
 FROM, SECONDS = (None, 30, 50, 60, 70, 80), 3.0
 NOTHING = StereoObservation(np.zeros(0, dtype=np.int64), np.zeros((0, 3)))
@@ -42,7 +44,7 @@ def main() -> None:
         for first in FROM:
             figures = evaluate(name, dark(recording, first), **options).figures
             mrad = 1000.0 * np.deg2rad(figures.rotation_rmse_deg)
-            cells.append(f"{figures.ate_rigid_m:.3f} ({mrad:.0f}) {figures.pose_anees / 6.0:.0f}")
+            cells.append(f"{figures.ate_rigid_m:.3f} ({mrad:.0f}) {figures.pose_anees / 6.0:.1f}")
         rows.append([label, *cells])
     show(
         "ATE, m (rotation, mrad) NEES/6",
