@@ -7,18 +7,12 @@ calculated; Numba compiles it when it is first used and keeps the result on disk
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 from numba import njit
 
-from filters.engine.compiled.disk_cache import KEPT, LINKED
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
-from stereo_slam_env.frontend.patches import FLAT, PATCH, Image, Patches, cut
-
-_ENTRY: dict[str, Any] = {**KEPT, "error_model": "numpy"}
-_INLINE: dict[str, Any] = {**LINKED, "error_model": "numpy"}
-"""For functions that only others here call."""
+from stereo_slam_env.frontend.patches import ENTRY, FLAT, INLINE, PATCH, Image, Patches, cut
 
 _RADIUS = PATCH // 2
 _PIXELS = PATCH * PATCH
@@ -26,7 +20,7 @@ _MIDDLE = np.float32(128.0)
 """Taken from all grey values: the template has no mean, so this changes nothing but the rounding."""
 
 
-@njit(**_ENTRY)
+@njit(**ENTRY)
 def correlation_map(window: Image, template: Patches) -> Patches:
     """Zero-mean normalised cross-correlation of a template (11, 11) at every position inside a window (H, W).
 
@@ -80,7 +74,7 @@ def correlation_map(window: Image, template: Patches) -> Patches:
     return scores
 
 
-@njit(**_INLINE)
+@njit(**INLINE)
 def _add_row(row: Image, sign: int, sums: IntArray, squares: IntArray) -> None:
     """Let a row enter the sums of the columns, or leave them."""
     for x in range(len(row)):
@@ -89,7 +83,7 @@ def _add_row(row: Image, sign: int, sums: IntArray, squares: IntArray) -> None:
         squares[x] += sign * value * value
 
 
-@njit(**_ENTRY)
+@njit(**ENTRY)
 def note_peaks(
     image: Image,
     templates: Patches,
@@ -142,7 +136,7 @@ def note_peaks(
                     second[k] = max(second[k], _parabola_top(scores, y, x)[0])
 
 
-@njit(**_INLINE)
+@njit(**INLINE)
 def _at(scores: Patches, y: int, x: int) -> float:
     """A value of the map; -1 beyond it."""
     if y < 0 or x < 0 or y >= scores.shape[0] or x >= scores.shape[1]:
@@ -150,7 +144,7 @@ def _at(scores: Patches, y: int, x: int) -> float:
     return float(scores[y, x])
 
 
-@njit(**_INLINE)
+@njit(**INLINE)
 def _highest_around(scores: Patches, y: int, x: int) -> float:
     highest = -1.0
     for i in range(-1, 2):
@@ -159,7 +153,7 @@ def _highest_around(scores: Patches, y: int, x: int) -> float:
     return highest
 
 
-@njit(**_INLINE)
+@njit(**INLINE)
 def _parabola_top(scores: Patches, y: int, x: int) -> tuple[float, float, float]:
     """Height and place (u, v) of the tops of the parabolas along u and v through a pixel of a map."""
     middle = _at(scores, y, x)
@@ -168,7 +162,7 @@ def _parabola_top(scores: Patches, y: int, x: int) -> tuple[float, float, float]
     return min(middle + 0.5 * (along_u + along_v), 1.0), u, v
 
 
-@njit(**_INLINE)
+@njit(**INLINE)
 def _top(before: float, middle: float, after: float) -> tuple[float, float]:
     """Place of the top of a parabola, within 0.5, and slope times place; zeros where there is none."""
     bend, slope = 2.0 * middle - before - after, 0.5 * (after - before)
@@ -177,7 +171,7 @@ def _top(before: float, middle: float, after: float) -> tuple[float, float]:
     return 0.0, 0.0
 
 
-@njit(**_ENTRY)
+@njit(**ENTRY)
 def note_refined(
     image: Image,
     templates: Patches,
@@ -229,7 +223,7 @@ def note_refined(
         away[k, 0], away[k, 1], score[k] = u, v, _dot(t, patch)
 
 
-@njit(**_INLINE)
+@njit(**INLINE)
 def _normalise(values: FloatArray) -> float:
     """Bring a patch to zero mean and unit length, and return the length it had."""
     mean = 0.0
@@ -246,7 +240,7 @@ def _normalise(values: FloatArray) -> float:
     return length
 
 
-@njit(**_INLINE)
+@njit(**INLINE)
 def _derive(g: FloatArray, t: FloatArray, length: float) -> None:
     """Turn the derivative of a patch into that of the normalised patch `t`."""
     mean = 0.0
@@ -262,7 +256,7 @@ def _derive(g: FloatArray, t: FloatArray, length: float) -> None:
         g[n] -= along * t[n]
 
 
-@njit(**_INLINE)
+@njit(**INLINE)
 def _dot(a: FloatArray, b: FloatArray) -> float:
     product = 0.0
     for n in range(_PIXELS):
