@@ -55,6 +55,7 @@ from .geometry.retractions import Retraction as Retraction
 from .landmarks.euclidean import Euclidean as Euclidean
 from .landmarks.hybrid import Hybrid as Hybrid
 from .landmarks.inverse_depth import InverseDepth as InverseDepth
+from .landmarks.lasting_errors import LastingErrors as LastingErrors
 from .landmarks.model import InverseDistances as InverseDistances
 from .landmarks.model import LandmarkKernels as LandmarkKernels
 from .landmarks.model import LandmarkModel as LandmarkModel
@@ -67,6 +68,7 @@ from .landmarks.spherical import Spherical as Spherical
 from .measurements.calibrated_pair import CalibratedPair as CalibratedPair
 from .measurements.depth_camera import DepthCamera as DepthCamera
 from .measurements.fisheye_pair import FisheyePair as FisheyePair
+from .measurements.lasting_pair import PairWithLastingErrors as PairWithLastingErrors
 from .measurements.model import MeasurementKernels as MeasurementKernels
 from .measurements.model import MeasurementModel as MeasurementModel
 from .measurements.model import SensorJacobians as SensorJacobians

@@ -17,6 +17,8 @@ from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray, IntArray
 from filters.geometry.camera import StereoCamera
 from filters.geometry.poses import Pose
+from filters.landmarks.lasting_errors import LastingErrors
+from filters.measurements.lasting_pair import PairWithLastingErrors
 from filters.submaps.submap_ekf import SubmapEKF
 
 
@@ -127,6 +129,10 @@ class ColouredNoiseEKF(StereoEKF):
                 "yaw_sigma": noise.right_yaw,
                 "roll_sigma": noise.right_roll,
             }
+            chosen = any(priors.values()) or not options.keys().isdisjoint(("landmark", "measurement", "drift"))
+            if noise.white is not None and noise.lasting_time is not None and not chosen:
+                errors = LastingErrors(noise.R - noise.white, noise.lasting_time)
+                stated |= {"drift": None, "landmark": errors, "measurement": PairWithLastingErrors()}
             if any(priors.values()):
                 given = {name: sigma for name, sigma in priors.items() if sigma}
                 stated["measurement"] = {"name": "calibrated", **given}

@@ -83,6 +83,9 @@ class ColouredNoise(StereoNoise):
         covariance of their own have that.
     drift : LandmarkDrift, optional
         Random walk of each tracked point on its surface. None: points stay where they are.
+    lasting_time : float, optional
+        Time constant of a Gauss-Markov process of each landmark, s, where the errors beside the white ones are one: its
+        covariance is R - white. The drift is what stands for it in a filter that does not keep such errors.
     gauge_walk : float
         Of the part that all tracks of a frame have in common, rad per root of a radian of image motion (`StereoEKF`).
     misalignment : float
@@ -110,11 +113,17 @@ class ColouredNoise(StereoNoise):
     right_yaw: float = 0.0
     right_roll: float = 0.0
     scale: float = 0.0
+    lasting_time: float | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.white is not None:
             object.__setattr__(self, "white", covariance_matrix("white", self.white, 3, definite=True))
+        if self.lasting_time is not None:
+            object.__setattr__(self, "lasting_time", positive("lasting_time", self.lasting_time))
+            if self.white is None:
+                raise ValueError("white must be given with lasting_time, got None: R - white is what lasts")
+            covariance_matrix("R - white", self.R - self.white, 3)
         object.__setattr__(self, "drift", LandmarkDrift.of(self.drift))
         for name in _ERRORS_IN_COMMON:
             object.__setattr__(self, name, positive(name, getattr(self, name), allow_zero=True))
@@ -124,7 +133,8 @@ class ColouredNoise(StereoNoise):
         """What there is besides R, JSON-able, as the constructor takes it."""
         white = None if self.white is None else self.white.tolist()
         drift = None if self.drift is None else dataclasses.asdict(self.drift)
-        return {"white": white, "drift": drift, **{name: getattr(self, name) for name in _ERRORS_IN_COMMON}}
+        lasting = {} if self.lasting_time is None else {"lasting_time": self.lasting_time}
+        return {"white": white, "drift": drift, **lasting, **{name: getattr(self, name) for name in _ERRORS_IN_COMMON}}
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, ColouredNoise) and np.array_equal(self.R, other.R) and self.parts == other.parts

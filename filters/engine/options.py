@@ -151,6 +151,12 @@ def _check_landmark(landmark: LandmarkModel) -> None:
         covariance_matrix(f"prior of landmark {name}", np.zeros((0, 0)) if prior is None else prior, size - 3)
     elif prior is not None:
         raise ValueError(f"prior of landmark {name} must be None, got {prior!r}: all {size} numbers are measured")
+    if landmark.memory is not None:
+        positive(f"memory of landmark {name}", landmark.memory)
+        if not 3 < size == landmark.value_size:
+            raise ValueError(
+                f"size of landmark {name} must be its value_size and more than 3 where it has memory, got {size}"
+            )
     if size > 3 and not landmark.steady:
         raise ValueError(f"size of landmark {name} must be 3 where landmarks may become points, got {size}")
     for frame, flag in (("the camera", landmark.in_camera), ("its anchor", landmark.in_anchor)):

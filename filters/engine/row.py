@@ -71,6 +71,7 @@ def recipe_of(camera: StereoCamera, options: Options) -> Recipe:
         motion=_settings(motion, driven),
         size=model.size,
         prior=prior,
+        memory=np.inf if model.memory is None else float(model.memory),
         anchors=2 if model.in_anchor else int(model.anchored),
         shares_anchors=model.shares_anchors,
         additive=model.additive,

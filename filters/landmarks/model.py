@@ -142,6 +142,9 @@ class LandmarkModel:
     prior: FloatArray | None = None
     """Covariance (size - 3, size - 3) of the error numbers behind the third, which the first measurement of a landmark
     leaves open: about the values from `parameters_of`, independent of all else."""
+    memory: float | None = None
+    """Time constant with which those go back to zero, s: a Gauss-Markov process of first order, `prior` its covariance
+    in the long run. They are the last numbers of the value, and add. None: they stay as they are."""
     steady: ClassVar[bool] = True
     """Whether a frame in which no landmark comes or goes leaves the map's structure as it is."""
     submaps: ClassVar[bool] = False

@@ -125,7 +125,7 @@ class CoreRows(Rows):
         if time is None:
             return StereoNoise(R)
         step = lasting * np.sqrt(2.0 * (1.0 - np.exp(-FRAME_PERIOD / time)))
-        return ColouredNoise(R, white.R, LandmarkDrift(pixels=(step, step, np.sqrt(2.0) * step)))
+        return ColouredNoise(R, white.R, LandmarkDrift(pixels=(step, step, np.sqrt(2.0) * step)), lasting_time=time)
 
     # --- episodes ---------------------------------------------------------------------------------------------------
 

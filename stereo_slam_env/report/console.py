@@ -136,6 +136,8 @@ def _lasting(noise: ColouredNoise) -> str:
         said.append(f"each point walks {steps} px of u / v / d a frame")
     if noise.drift is not None and noise.drift.share:
         said.append(f"each point walks {noise.drift.share:.2f} of its sigma a frame")
+    if noise.lasting_time is not None:
+        said.append(f"its errors are forgotten with a time constant of {noise.lasting_time:.1f} s")
     if noise.gauge_walk:
         said.append(f"all together by {1e3 * noise.gauge_walk:.1f} mrad per root of a radian of image motion")
     if noise.misalignment:

@@ -8,7 +8,7 @@ formula of the package is repeated. Slow; only good as a reference.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -220,4 +220,55 @@ class TextbookEKF:
         cross = J_x @ self.P
         self.P = np.block([[self.P, cross.T], [cross, cross @ J_x.T + J_R @ self.R @ J_R.T]])
         self.x = np.concatenate([self.x, g(self.camera, pose, z).real])
+        self.ids = [*self.ids, identity]
+
+
+@dataclass
+class WithOwnErrors(TextbookEKF):
+    """With numbers e of each landmark's own behind its six, which is measured at z + own e.
+
+    They are independent of all else at first, with a covariance to which they return where they are forgotten.
+    """
+
+    own: np.ndarray = field(default_factory=lambda: np.eye(3))
+    covariance: np.ndarray = field(default_factory=lambda: np.eye(3))
+    memory: float = np.inf
+
+    def predict(self, dt: float) -> None:
+        """Own errors go back to zero, and to their variance."""
+        super().predict(dt)
+        kept, decay, fresh = np.exp(-dt / self.memory), np.ones(len(self.x)), np.zeros_like(self.P)
+        for i in self.ids:
+            rows = self._rows(i)[6:]
+            decay[rows] = kept
+            fresh[np.ix_(rows, rows)] = (1.0 - kept**2) * self.covariance
+        self.x = decay * self.x
+        self.P = decay[:, None] * self.P * decay + fresh
+
+    def _size(self) -> int:
+        return 6 + self.own.shape[1]
+
+    def _predict_measurement(self, x: np.ndarray, known: list[int], T: np.ndarray) -> np.ndarray:
+        told = []
+        for i in known:
+            y = x[self._rows(i)]
+            told.append(project(self.camera, x[:7], point_of_inverse_depth(y[:6])) + self.own @ y[6:])
+        return np.concatenate(told)
+
+    def _add(self, identity: int, z: np.ndarray) -> None:
+        """y = g(pose, z - own e): what is own is more numbers that are not known, beside z."""
+        more = self.own.shape[1]
+
+        def g(pose: np.ndarray, given: np.ndarray) -> np.ndarray:
+            return np.append(new_inverse_depth(self.camera, pose, given[:3] - self.own @ given[3:]), given[3:])
+
+        pose, given = self.x[:7], np.append(z, np.zeros(more))
+        J_x = np.zeros((self._size(), len(self.x)))
+        J_x[:, :7] = complex_step_jacobian(lambda p: g(p, given), pose)
+        J = complex_step_jacobian(lambda y: g(pose, y), given)
+        noise = np.zeros((3 + more, 3 + more))
+        noise[:3, :3], noise[3:, 3:] = self.R, self.covariance
+        cross = J_x @ self.P
+        self.P = np.block([[self.P, cross.T], [cross, cross @ J_x.T + J @ noise @ J.T]])
+        self.x = np.concatenate([self.x, g(pose, given).real])
         self.ids = [*self.ids, identity]

@@ -1,12 +1,15 @@
-"""Kernels of the drift of landmarks: the steps of `LandmarkDrift`."""
+"""Kernels of what changes in landmarks by itself: the steps of `LandmarkDrift`, and numbers that are forgotten."""
 
 from __future__ import annotations
+
+import math
 
 from numba import njit
 
 from filters.engine.compiled.blas import KERNEL
 from filters.engine.compiled.recipe import Plan
 from filters.engine.compiled.scratch import Scratch
+from filters.engine.compiled.storage import BLOCKS, OWN, POINT, Storage
 from filters.geometry.arrays import FloatArray, IntArray
 
 SMALLEST_DETERMINANT = 1e-3
@@ -52,3 +55,26 @@ def take_steps(plan: Plan, part: FloatArray, P: FloatArray, s: Scratch, select: 
                 for k in range(3):
                     total += half[a, k] * inverse[b, k]
                 P[own + a, own + b] += total / determinant
+
+
+@njit(**KERNEL)
+def forget(plan: Plan, S: Storage, b: int, s: Scratch, dt: float) -> None:
+    """Numbers of landmarks behind the third go back to zero, and their covariance to `prior`, as time goes on."""
+    P, blocks, kept = S.P[b], S.blocks[b], math.exp(-dt / plan.memory)
+    n, factors = plan.leading + plan.size * S.counts[b, BLOCKS], s.G[0]
+    for i in range(n):
+        factors[i] = 1.0
+    for k in range(S.counts[b, BLOCKS]):
+        if S.kind[b, k] == OWN or S.kind[b, k] == POINT:
+            for a in range(3, plan.size):
+                factors[plan.leading + plan.size * k + a] = kept
+                blocks[k, a] *= kept
+    for i in range(n):
+        for j in range(i, n):
+            P[i, j] *= factors[i] * factors[j]
+    for k in range(S.counts[b, BLOCKS]):
+        first = plan.leading + plan.size * k
+        if factors[first + 3] == kept:
+            for a in range(3, plan.size):
+                for c in range(a, plan.size):
+                    P[first + a, first + c] += (1.0 - kept * kept) * plan.prior[a - 3, c - 3]

@@ -27,7 +27,7 @@ from filters.engine.compiled.covariance import (
     shear,
 )
 from filters.engine.compiled.disk_cache import KEPT
-from filters.engine.compiled.drift import take_steps
+from filters.engine.compiled.drift import forget, take_steps
 from filters.engine.compiled.gating import largest_agreement, reweight, squared_distances
 from filters.engine.compiled.gauge_walk import walk_gauge
 from filters.engine.compiled.landmarks import clone_pose, close_gaps, enter, find, leave, start
@@ -499,6 +499,8 @@ def _predict(routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch, fra
         if plan.walks_by_numbers and not _ask(routines, TO_WALK, b, s, 0, 0):
             return
         call(routines[WALK], (routines, plan, S, b, s, s.before))
+    if plan.memory < np.inf:
+        forget(plan, S, b, s, frame.dt[b])
     keep_definite(P, before, s.half)
     before = pose_variances(P)
     if frame.measured[b] > 0 if plan.driven_by_numbers else frame.fused[b] and plan.odometry_rows > 0:

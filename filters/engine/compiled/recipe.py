@@ -30,6 +30,8 @@ class Plan(NamedTuple):
     """Rows of a block: error numbers of a landmark."""
     prior: FloatArray = np.zeros((0, 0))
     """Covariance of those behind the third, (size - 3, size - 3)."""
+    memory: float = np.inf
+    """Time constant with which those go back to zero, s."""
     anchors: int = 1
     """Blocks of an anchor: 0, 1 (a position) or 2 (a pose)."""
     shares_anchors: bool = False

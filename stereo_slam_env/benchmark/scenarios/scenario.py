@@ -310,7 +310,7 @@ class Scenario:
         else:
             given = StereoNoise.independent_pixels(self.noise["independent_pixels"])
         if isinstance(of_recording, ColouredNoise):
-            return dataclasses.replace(of_recording, R=given.R, white=None)
+            return dataclasses.replace(of_recording, R=given.R, white=None, lasting_time=None)
         return given
 
     @property

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -55,47 +55,11 @@ def biased_drive(seed: int, frames: int = 12, sigma: float = 2.0, **options: obj
     return made
 
 
-@dataclass
-class TextbookWithBiases(textbook.TextbookEKF):
-    """The textbook's filter with a seventh number of each landmark, a bias of the disparity with a prior."""
-
-    sigma: float = 2.0
-
-    def _size(self) -> int:
-        return 7
-
-    def _predict_measurement(self, x: np.ndarray, known: list[int], T: np.ndarray) -> np.ndarray:
-        told = []
-        for i in known:
-            y = x[self._rows(i)]
-            point = textbook.point_of_inverse_depth(y[:6])
-            told.append(textbook.project(self.camera, x[:7], point) + np.array([0.0, 0.0, 1.0]) * y[6])
-        return np.concatenate(told)
-
-    def _add(self, identity: int, z: np.ndarray) -> None:
-        """y = g(pose, z - bias), bias: the bias is one more number that is not known, beside z."""
-
-        def g(pose: np.ndarray, given: np.ndarray) -> np.ndarray:
-            unbiased = given[:3] - np.array([0.0, 0.0, 1.0]) * given[3]
-            return np.append(textbook.new_inverse_depth(self.camera, pose, unbiased), given[3])
-
-        pose, given = self.x[:7], np.append(z, 0.0)
-        J_x = np.zeros((7, len(self.x)))
-        J_x[:, :7] = textbook.complex_step_jacobian(lambda p: g(p, given), pose)
-        J = textbook.complex_step_jacobian(lambda y: g(pose, y), given)
-        noise = np.zeros((4, 4))
-        noise[:3, :3], noise[3, 3] = self.R, self.sigma**2
-        cross = J_x @ self.P
-        self.P = np.block([[self.P, cross.T], [cross, cross @ J_x.T + J @ noise @ J.T]])
-        self.x = np.concatenate([self.x, g(pose, given).real])
-        self.ids = [*self.ids, identity]
-
-
 @pytest.mark.parametrize("options", [BIASED, BY_NUMBERS], ids=["compiled", "by numbers"])
 def test_landmarks_with_a_bias_are_those_of_the_textbook(options: dict[str, object]) -> None:
     """In one frame, and after many in which landmarks come, go and are missed."""
     slam = start(StereoEKF(CAMERA, INDEPENDENT_PIXELS, gate=None, **options))
-    book = TextbookWithBiases(CAMERA, INDEPENDENT_PIXELS.R)
+    book = textbook.WithOwnErrors(CAMERA, INDEPENDENT_PIXELS.R, own=np.eye(3)[:, 2:], covariance=np.eye(1) * 2.0**2)
     book.reset(np.array([0.0, 0.0, SPEED]), START_COVARIANCE)
     for k, frame in enumerate(biased_drive(3)):
         if k:
