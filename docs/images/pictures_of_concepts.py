@@ -277,7 +277,7 @@ def runs(seeds: int = 12, frames: int = 240, landmarks: int = 30) -> tuple[Filte
 WORLDS_AND_BELIEFS = {
     ("white", "shared-anchor"): ("White errors", (-92, 2)),
     ("lasting", "shared-anchor"): ("Errors that last", (-92, 2)),
-    ("lasting", "coloured-noise"): ("The same, stated as walks", (-92, 192)),
+    ("lasting", "coloured-noise"): ("The same, told what lasts", (-92, 2)),
 }
 """Panels of `claimed_and_true`: world and belief, a title, and the limits of the true change."""
 USUAL_DRIVES = 500

@@ -1,4 +1,4 @@
-"""Kernels of what changes in landmarks by itself: the steps of `LandmarkDrift`, and numbers that are forgotten."""
+"""Kernels of what changes in landmarks by itself: the steps of `LandmarkDrift`, and numbers that fade."""
 
 from __future__ import annotations
 
@@ -58,8 +58,8 @@ def take_steps(plan: Plan, part: FloatArray, P: FloatArray, s: Scratch, select: 
 
 
 @njit(**KERNEL)
-def forget(plan: Plan, S: Storage, b: int, s: Scratch, dt: float) -> None:
-    """Numbers of landmarks behind the third go back to zero, and their covariance to `prior`, as time goes on."""
+def fade(plan: Plan, S: Storage, b: int, s: Scratch, dt: float) -> None:
+    """Numbers of landmarks behind the third go back to zero, their covariance to `prior`, in a step of dt."""
     P, blocks, kept = S.P[b], S.blocks[b], math.exp(-dt / plan.memory)
     n, factors = plan.leading + plan.size * S.counts[b, BLOCKS], s.G[0]
     for i in range(n):

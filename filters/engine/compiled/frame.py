@@ -27,7 +27,7 @@ from filters.engine.compiled.covariance import (
     shear,
 )
 from filters.engine.compiled.disk_cache import KEPT
-from filters.engine.compiled.drift import forget, take_steps
+from filters.engine.compiled.drift import fade, take_steps
 from filters.engine.compiled.gating import largest_agreement, reweight, squared_distances
 from filters.engine.compiled.gauge_walk import walk_gauge
 from filters.engine.compiled.landmarks import clone_pose, close_gaps, enter, find, leave, start
@@ -500,7 +500,7 @@ def _predict(routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch, fra
             return
         call(routines[WALK], (routines, plan, S, b, s, s.before))
     if plan.memory < np.inf:
-        forget(plan, S, b, s, frame.dt[b])
+        fade(plan, S, b, s, frame.dt[b])
     keep_definite(P, before, s.half)
     before = pose_variances(P)
     if frame.measured[b] > 0 if plan.driven_by_numbers else frame.fused[b] and plan.odometry_rows > 0:
