@@ -304,7 +304,7 @@ def claimed_and_true() -> Figure:
             height = [[y - float(row["true_low"])], [float(row["true_high"]) - y]]
             colour = ORANGE if row["policy"] == "oracle" else BLUE
             ax.errorbar(x, y, xerr=spread, yerr=height, fmt="o", markersize=4, color=colour, capsize=2)
-            crowded = case[1] == "shared-anchor" and x < -30
+            crowded = x < -30
             ax.annotate(
                 row["policy"] if int(row["drives"]) == USUAL_DRIVES else f"{row['policy']}, {row['drives']} drives",
                 (x, y),
