@@ -12,6 +12,8 @@ NEGLIGIBLE = 1e-12
 """Variance (SI units) of a quantity that is known: 1e-6 squared. What is less below zero is rounding, too."""
 LEAST_CORRELATION = 1e-14
 """Smallest eigenvalue of a correlation that is not rounding; those of the filters of this package are above 1e-2."""
+CLEARLY = 1e-6
+"""Determinant of a correlation far from any rounding."""
 _SMALLEST = 1e-300
 
 
@@ -42,8 +44,25 @@ def are_definite(covariances: FloatArray) -> BoolArray:
     """Which of (..., n, n) are finite, symmetric and positive definite, whatever the units of their rows; (...)."""
     usable = np.asarray(np.isfinite(covariances).all(axis=(-2, -1)))
     usable[usable] = _asymmetry(covariances[usable]) <= ROUNDING
-    usable[usable] = _least_correlation(covariances[usable]) > LEAST_CORRELATION
+    open_ones = usable & ~_are_clearly_definite(covariances)
+    usable[open_ones] = _least_correlation(covariances[open_ones]) > LEAST_CORRELATION
     return usable
+
+
+def _are_clearly_definite(covariances: FloatArray) -> BoolArray:
+    """Which of (..., 3, 3) are definite beyond doubt, by the determinant of their correlation, (...).
+
+    There are many of them, and eigenvalues take long. Those of a correlation add up to 3, so that the smallest is at
+    least det / 2.25. Of matrices of another size none is told.
+    """
+    if covariances.shape[-1] != 3:
+        return np.zeros(covariances.shape[:-2], dtype=np.bool_)
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        sigmas = np.sqrt(np.diagonal(covariances, axis1=-2, axis2=-1))
+        x, y, z = (covariances[..., i, j] / (sigmas[..., i] * sigmas[..., j]) for i, j in ((1, 0), (2, 0), (2, 1)))
+        determinant = 1.0 + 2.0 * x * y * z - x * x - y * y - z * z
+        found: BoolArray = (np.abs(x) < 1.0) & (determinant > CLEARLY)
+    return found
 
 
 def fault_of(covariance: FloatArray, *, definite: bool = True) -> str | None:

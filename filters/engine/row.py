@@ -193,8 +193,11 @@ class Row:
             There is none of a name.
         """
         layout, S, b, size = self.options.layout, self.engine.storage, self.number, self.options.landmark.size
-        of_clones = (layout.size + size * self._clone_blocks()[:, :, None] + np.arange(3)).reshape(-1, 6)
-        clones, found = dict(zip(self.clones, of_clones, strict=True)), []
+        clones: dict[str, IntArray] = {}
+        if self.clones:
+            of_clones = (layout.size + size * self._clone_blocks()[:, :, None] + np.arange(3)).reshape(-1, 6)
+            clones = dict(zip(self.clones, of_clones, strict=True))
+        found: list[IntArray] = []
         for name in names:
             if isinstance(name, tuple):
                 found.append(np.concatenate(self.rows_of(name)))

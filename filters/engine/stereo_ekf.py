@@ -269,6 +269,11 @@ class StereoEKF(StereoFilter):
         self._row.move_to(camera)
 
     @property
+    def camera_state(self) -> CameraState:
+        """Values of pose, velocity and variables, without their covariance."""
+        return self._row.camera
+
+    @property
     def engine(self) -> Engine:
         """The engine that the filter is a row of."""
         return self._row.engine
@@ -286,13 +291,13 @@ class StereoEKF(StereoFilter):
     @property
     def pose(self) -> PoseBelief:
         """Pose of the left camera."""
-        camera = self._row.camera
+        camera = self.camera_state
         return PoseBelief(camera.position, camera.orientation, self._row.joint(POSE))
 
     @property
     def velocity(self) -> VelocityBelief:
         """Velocity of the left camera."""
-        camera = self._row.camera
+        camera = self.camera_state
         return VelocityBelief(camera.linear_velocity, camera.angular_velocity, self._row.joint(VELOCITY))
 
     def belief(self, *names: str) -> VariableBelief:
@@ -305,7 +310,7 @@ class StereoEKF(StereoFilter):
         ValueError
             There is no variable of such a name.
         """
-        camera = self._row.camera
+        camera = self.camera_state
         there = {
             POSE: np.concatenate([camera.position, camera.orientation]),
             VELOCITY: np.concatenate([camera.linear_velocity, camera.angular_velocity]),
@@ -371,8 +376,8 @@ class StereoEKF(StereoFilter):
         """Error of the pose in this filter's error definition; see `StereoFilter.pose_error`."""
         true_position = finite_array("position", position, (3,))
         true_orientation = unit_quaternion("orientation", orientation)
-        camera = self._row.camera
-        return self.options.error.pose_error(camera, self.pose.covariance, true_position, true_orientation)
+        truth = true_position, true_orientation
+        return self.options.error.pose_error(self.camera_state, self._row.joint(POSE), *truth)
 
     def _wanted(self, ids: Sequence[int] | IntArray | None) -> tuple[IntArray, IntArray]:
         """The landmarks asked for (None: all, ascending), and where they are; refuses those that are not there."""

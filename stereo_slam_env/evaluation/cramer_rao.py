@@ -11,17 +11,18 @@ again loses nothing. What is bounded, and how far it is to be trusted, is in doc
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from filters.contract.noise import StereoNoise
 from filters.contract.observation import StereoObservation
-from filters.contract.odometry import BodyVelocity
 from filters.contract.start import Start
 from filters.contract.validation import unchecked
+from filters.engine.batch import FilterBatch
 from filters.engine.stereo_ekf import StereoEKF
 from filters.geometry import rotations
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
@@ -33,6 +34,9 @@ from filters.measurements.rectified_pair import Stacked
 from filters.motions.constant_velocity import ConstantVelocity
 from filters.motions.model import POSE_SIZE, CameraState, MotionModel
 from stereo_slam_env.recording.recording import Frame, LandmarkTruth, Recording
+
+_IDLE = 0.1
+"""s, of steps of a drive that has ended."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,34 +62,85 @@ def cramer_rao_bound(
     is the parametrisation to calculate in, None: XYZ; the result does not depend on it. `progress` is called with
     (frames done, frames).
     """
-    poses = [frame.truth for frame in recording.frames if frame.truth is not None]
-    start, truth = recording.start, recording.landmarks
-    if truth is None or not poses or len(poses) < len(recording):
-        return None
-    if not np.isin(np.concatenate([frame.observation.ids for frame in recording.frames]), truth.ids).all():
-        return None
-    best = ReferenceBelief(
-        recording.camera,
-        recording.noise,
-        motion,
-        start,
-        poses[0],
-        landmark=landmark,
-        right_row=right_row,
-        use_odometry=use_odometry,
-    )
-    last_seen = np.full(len(truth.ids), -1)
-    for k, frame in enumerate(recording.frames):
-        last_seen[np.searchsorted(truth.ids, frame.observation.ids)] = k
-    covariances = np.empty((len(recording), POSE_SIZE, POSE_SIZE))
-    with threadpool_limits(limits=1):
-        for k, frame in enumerate(recording.frames):
-            best.step(frame, truth)
-            best.keep(truth.ids[last_seen > k])
-            covariances[k] = best.pose_covariance
-            if progress is not None:
-                progress(k + 1, len(recording))
-    return Bound(covariances)
+    given: dict[str, Any] = {"use_odometry": use_odometry, "right_row": right_row, "landmark": landmark}
+    (bound,) = cramer_rao_bounds([recording], motion, progress=progress, **given)
+    return bound
+
+
+def cramer_rao_bounds(
+    recordings: Sequence[Recording],
+    motion: ConstantVelocity,
+    *,
+    use_odometry: bool = False,
+    progress: Callable[[int, int], None] | None = None,
+    **given: Any,
+) -> list[Bound | None]:
+    """Bounds of recordings of one camera in one engine: the bits of `cramer_rao_bound`, in less time.
+
+    Arguments are those of `cramer_rao_bound`. A `ValueError` says that the cameras differ.
+    """
+    given["use_odometry"] = use_odometry
+    drives = [_Drive(recording, motion, given) if _has_whole_truth(recording) else None for recording in recordings]
+    bounded = [drive for drive in drives if drive is not None]
+    if bounded:
+        with threadpool_limits(limits=1):
+            _run_together(bounded, progress)
+    return [None if drive is None else Bound(drive.covariances) for drive in drives]
+
+
+def _has_whole_truth(recording: Recording) -> bool:
+    frames, truth = recording.frames, recording.landmarks
+    if truth is None or not frames or any(frame.truth is None for frame in frames):
+        return False
+    return bool(np.isin(np.concatenate([frame.observation.ids for frame in frames]), truth.ids).all())
+
+
+def _run_together(drives: Sequence[_Drive], progress: Callable[[int, int], None] | None) -> None:
+    longest = max(len(drive.covariances) for drive in drives)
+    batch = ReferenceBelief.together([drive.belief for drive in drives])
+    for k in range(longest):
+        if k > 0:
+            batch.predict([drive.set_out(k) for drive in drives])
+        batch.update([drive.arrive(k) for drive in drives])
+        for drive, covariance in zip(drives, batch.pose_covariances, strict=True):
+            drive.note(k, covariance)
+        if progress is not None:
+            progress(k + 1, longest)
+
+
+class _Drive:
+    """A recording with its reference belief, which idles in the last frame while longer drives go on."""
+
+    def __init__(self, recording: Recording, motion: MotionModel, given: Mapping[str, Any]) -> None:
+        self._frames, truth = recording.frames, recording.landmarks
+        start = recording.frames[0].truth
+        assert truth is not None
+        assert start is not None
+        self.belief = ReferenceBelief(recording.camera, recording.noise, motion, recording.start, start, **given)
+        self.covariances = np.empty((len(recording), POSE_SIZE, POSE_SIZE))
+        self._landmarks = truth
+        self._last_seen = np.full(len(truth.ids), -1)
+        for k, frame in enumerate(self._frames):
+            self._last_seen[np.searchsorted(truth.ids, frame.observation.ids)] = k
+
+    def _frame(self, k: int) -> Frame:
+        return self._frames[min(k, len(self._frames) - 1)]
+
+    def set_out(self, k: int) -> float:
+        """The time step to frame k, before the prediction over it."""
+        dt = self._frame(k).timestamp - self._frame(k - 1).timestamp if k < len(self._frames) else _IDLE
+        self.belief.set_out(self._frame(k), dt)
+        return dt
+
+    def arrive(self, k: int) -> StereoObservation:
+        """What is seen in frame k, after the prediction."""
+        return self.belief.arrive(self._frame(k), self._landmarks)
+
+    def note(self, k: int, covariance: FloatArray) -> None:
+        """Note the covariance after frame k, and marginalise out what is never seen again."""
+        if k < len(self._frames):
+            self.covariances[k] = covariance
+            self.belief.forget(self._landmarks.ids[self._last_seen == k])
 
 
 class ReferenceBelief:
@@ -109,12 +164,21 @@ class ReferenceBelief:
     ) -> None:
         self._rig, self._noise, self._motion, self._right_row = camera, noise, motion, right_row
         self._use_odometry, self._time = use_odometry, math.nan
+        self._step: tuple[float, FloatArray, FloatArray] | None = None
         parametrisation = Euclidean() if landmark is None else landmark
         self._slam = StereoEKF(
             camera, noise, motion=motion, landmark=parametrisation, error="so3", gate=None, drop_unseen=False
         )
-        self._slam.reset(replace(start, position=truth.position, orientation=truth.orientation))
+        self._start = replace(start, position=truth.position, orientation=truth.orientation)
+        self._slam.reset(self._start)
         self._noises: dict[bool, FloatArray] = {}
+
+    @classmethod
+    def together(cls, beliefs: Sequence[ReferenceBelief]) -> FilterBatch:
+        """The filters of beliefs that have not begun, from now on in one engine; a `ValueError` where they differ."""
+        batch = FilterBatch(iter([belief._slam for belief in beliefs]).__next__, len(beliefs))
+        batch.reset([belief._start for belief in beliefs])
+        return batch
 
     @property
     def ids(self) -> IntArray:
@@ -135,41 +199,54 @@ class ReferenceBelief:
 
         Sightings of landmarks that are not in the true map are left out.
         """
-        assert frame.truth is not None
         if not math.isnan(self._time):
-            self.predict(frame.truth, frame.timestamp - self._time, frame.odometry if self._use_odometry else None)
-        self._time, seen = frame.timestamp, frame.observation
-        known = _are_in(seen.ids, landmarks.ids)
-        if not known.all():
-            seen = seen.select(known)
-        self.see(seen, landmarks.positions[np.searchsorted(landmarks.ids, seen.ids)])
+            self._slam.predict(self.set_out(frame, frame.timestamp - self._time))
+        self._slam.update(self.arrive(frame, landmarks))
+        self._time = frame.timestamp
 
-    def predict(self, truth: Pose, dt: float, odometry: BodyVelocity | None = None) -> None:
-        """Move to the true pose: Eq. 6 with the impulses that really were, so that it leads from pose to pose."""
-        before = self._slam.pose
+    def set_out(self, frame: Frame, dt: float) -> float:
+        """Before the prediction to the next frame, dt s later, which is returned.
+
+        Eq. 6 with the impulses that really were, so that it leads from true pose to true pose.
+        """
+        assert frame.truth is not None
+        before, truth = self._slam.camera_state, frame.truth
         linear = (truth.position - before.position) / dt
         angular = rotations.log(rotations.matrix(before.orientation).T @ rotations.matrix(truth.orientation)) / dt
         self._slam.move_to(CameraState(before.position, before.orientation, linear, angular))
-        self._slam.predict(dt)
-        camera = CameraState(truth.position, truth.orientation, linear, angular)
-        self._slam.move_to(camera)
-        if odometry is not None:
-            measured = self._motion.odometry_measurement(camera, dt, odometry)
-            if measured is not None:  # nothing is to be learnt from it here but how much there is to learn
-                H = {"pose": measured.H[:, :POSE_SIZE], "velocity": measured.H[:, POSE_SIZE:]}
-                self._slam.correct(0.0 * measured.innovation, H, measured.R)
+        self._step = dt, linear, angular
+        return dt
 
-    def see(self, observation: StereoObservation, points_w: FloatArray) -> None:
-        """Sightings of known landmarks and of new ones, which truly are at `points_w` (M, 3), m in W.
+    def arrive(self, frame: Frame, landmarks: LandmarkTruth) -> StereoObservation:
+        """After the prediction, if there is one: what the update to the frame is given.
 
         What was measured does not matter, only which landmarks, and how well.
         """
-        pose = self._slam.pose
+        if self._step is not None:
+            self._move_to(frame, *self._step)
+        seen = frame.observation
+        known = _are_in(seen.ids, landmarks.ids)
+        if not known.all():
+            seen = seen.select(known)
+        pose = self._slam.camera_state
+        points_w = landmarks.positions[np.searchsorted(landmarks.ids, seen.ids)]
         points_c = Pose(pose.position, pose.orientation).to_camera(points_w)
         # A point behind the camera is not what was measured: the id is wrong.
         sound = points_c[:, 2] > 0
-        uvd, R = self._rig.project(points_c[sound]), self._noise_of(observation)[sound]
-        self._slam.update(unchecked(StereoObservation, ids=observation.ids[sound], uvd=uvd, v_right=None, R=R))
+        uvd, R = self._rig.project(points_c[sound]), self._noise_of(seen)[sound]
+        return unchecked(StereoObservation, ids=seen.ids[sound], uvd=uvd, v_right=None, R=R)
+
+    def _move_to(self, frame: Frame, dt: float, linear: FloatArray, angular: FloatArray) -> None:
+        """Move to the true pose, and learn as much as the odometry of the step says."""
+        assert frame.truth is not None
+        camera = CameraState(frame.truth.position, frame.truth.orientation, linear, angular)
+        self._slam.move_to(camera)
+        if frame.odometry is None or not self._use_odometry:
+            return
+        measured = self._motion.odometry_measurement(camera, dt, frame.odometry)
+        if measured is not None:  # nothing is to be learnt from it here but how much there is to learn
+            H = {"pose": measured.H[:, :POSE_SIZE], "velocity": measured.H[:, POSE_SIZE:]}
+            self._slam.correct(0.0 * measured.innovation, H, measured.R)
 
     def _noise_of(self, observation: StereoObservation) -> FloatArray:
         """Covariance of the best (u, v, d) of each sighting, (M, 3, 3); calculated once where it is that of all."""
@@ -184,9 +261,12 @@ class ReferenceBelief:
     def keep(self, ids: IntArray) -> None:
         """Marginalise all other landmarks out; those never measured again take nothing with them."""
         there = self.ids
-        gone = there[~_are_in(there, np.sort(ids))]
-        if len(gone):
-            self._slam.forget(gone)
+        self.forget(there[~_are_in(there, np.sort(ids))])
+
+    def forget(self, ids: IntArray) -> None:
+        """Marginalise landmarks out; others are ignored."""
+        if len(ids):
+            self._slam.forget(ids)
 
 
 def _are_in(ids: IntArray, known: IntArray) -> BoolArray:

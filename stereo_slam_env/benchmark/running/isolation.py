@@ -75,8 +75,9 @@ def run_isolated(work: Callable[[Tell], Result], *, silence_limit: float, progre
     """Run `work` in a process of its own and return what it returns.
 
     `work` is called with a function (done, total) that it calls as it goes on: a sign of life, which `progress` is told
-    of and which must come within `silence_limit`, s. It is sent by cloudpickle, so functions and classes of a script or
-    notebook will do; what it returns or raises must be picklable, too. What it logs is logged here, and the same words
+    of and which must come within `silence_limit`, s. So is a function that Numba has compiled or loaded: that takes
+    long on a busy machine. `work` is sent by cloudpickle, so functions and classes of a script or notebook will do;
+    what it returns or raises must be picklable, too. What it logs is logged here, and the same words
     only once: hundreds of trials have the same to say. What it has started ends with it. Where the system cannot fork,
     it runs in this process, without protection.
 
@@ -235,7 +236,7 @@ def _listen(process: _Process, limit: float, progress: Tell | None) -> object:
         if kind == "logged":  # no sign of life: an endless loop may log
             _log_once(*content)
             continue
-        if progress is not None:
+        if kind == "alive" and progress is not None:
             progress(*content)
         began = time.monotonic()
 

@@ -182,6 +182,7 @@ def _work(connection: Connection, server: int) -> NoReturn:
             connection.send_bytes(packed)
 
     logging.getLogger().addHandler(_Logged(send))
+    _tell_what_is_compiled(send)
     try:
         kind, content = _answer(connection, send)
         sys.stdout.flush()
@@ -207,6 +208,20 @@ class _Logged(logging.Handler):
             self._send("logged", (record.name, record.levelno, self.format(record)))
         except Exception:  # wrong arguments of a record are no fault of the work
             self.handleError(record)
+
+
+def _tell_what_is_compiled(send: Send) -> None:
+    """Send a message whenever a function of Numba has its machine code, compiled or from the disk."""
+    from numba.core import event  # the server has it; its caller, which imports this module, may do without
+
+    class Compiled(event.Listener):  # type: ignore[misc]
+        def on_start(self, event: object) -> None:
+            """Nothing is known yet."""
+
+        def on_end(self, event: object) -> None:
+            send("compiled", None)
+
+    event.register("numba:compiler_lock", Compiled())
 
 
 def _answer(connection: Connection, send: Send) -> tuple[str, object]:

@@ -40,7 +40,7 @@ from stereo_slam_env.benchmark.scenarios.streams import (
 from stereo_slam_env.benchmark.storage.run_archive import packed_bound, packed_run
 from stereo_slam_env.evaluation.batch_run import run_batch
 from stereo_slam_env.evaluation.body_frames import read_body
-from stereo_slam_env.evaluation.cramer_rao import Bound, cramer_rao_bound
+from stereo_slam_env.evaluation.cramer_rao import Bound, cramer_rao_bound, cramer_rao_bounds
 from stereo_slam_env.evaluation.filter_run import failed_run, run_filter
 from stereo_slam_env.evaluation.outside_run import outside_run
 from stereo_slam_env.evaluation.results import FilterRun
@@ -153,7 +153,7 @@ def _make_all(tasks: Sequence[Task], tell: Tell) -> list[Done]:
 
 
 def _bound_all(tasks: Sequence[Task], tell: Tell) -> list[Done]:
-    return [_bound_of(task, _bounded(task, tell)) for task in tasks]
+    return [_bound_of(task, bound) for task, bound in zip(tasks, _bounded(tasks, tell), strict=True)]
 
 
 def _filter_all(tasks: Sequence[Task], tell: Tell) -> list[Done] | None:
@@ -313,7 +313,8 @@ def _given(task: Task) -> Recording:
 def _bound(task: Task) -> Bound | None:
     """The bound; None, and a warning, where it cannot be computed."""
     try:
-        return run_isolated(partial(_bounded, task), silence_limit=task.scenario.frame_time_limit)
+        (bound,) = run_isolated(partial(_bounded, [task]), silence_limit=task.scenario.frame_time_limit)
+        return bound
     except (WorkDied, WorkTooSlow, ArithmeticError, np.linalg.LinAlgError) as error:
         _log.warning("no bound for seed %s: %s", task.seed, error)
         return None
@@ -323,9 +324,10 @@ def _bound_of(task: Task, bound: Bound | None) -> Done:
     return Done(task.cell, task.seed, None, packed_bound(bound, task.provenance["code"]))
 
 
-def _bounded(task: Task, tell: Tell) -> Bound | None:
-    motion = ConstantVelocity(**task.scenario.motion)
-    return cramer_rao_bound(_given(task), motion, use_odometry=task.scenario.use_odometry, progress=tell)
+def _bounded(tasks: Sequence[Task], tell: Tell) -> list[Bound | None]:
+    scenario = tasks[0].scenario
+    motion, recordings = ConstantVelocity(**scenario.motion), [_given(task) for task in tasks]
+    return cramer_rao_bounds(recordings, motion, use_odometry=scenario.use_odometry, progress=tell)
 
 
 def rehearsals() -> Iterator[Callable[[], object]]:

@@ -53,6 +53,16 @@ def test_it_does_not_depend_on_units():
     np.testing.assert_allclose(nees(errors, P), nees(errors * scale, scaled), rtol=1e-6)
 
 
+def test_of_small_matrices_the_determinant_says_what_the_eigenvalues_say():
+    """From far apart to touching zero, and beyond it."""
+    P = random_covariances(2000, 3)
+    P[:, 0, 1] = P[:, 1, 0] = P[:, 0, 1] * np.linspace(0.9, 1.3, len(P))
+    P[::7] = np.ones((3, 3)) + 10.0 ** -np.arange(len(P[::7]), dtype=float)[:, None, None] * np.eye(3)
+    expected = [fault_of(one) is None for one in P]
+    assert 0.2 < np.mean(expected) < 0.9
+    np.testing.assert_array_equal(are_definite(P), expected)
+
+
 @pytest.mark.parametrize(
     ("P", "fault"),
     [

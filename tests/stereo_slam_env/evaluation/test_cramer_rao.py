@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from filters import ConstantVelocity, StereoNoise, StereoObservation, make_part
-from stereo_slam_env.evaluation.cramer_rao import cramer_rao_bound
+from stereo_slam_env.evaluation.cramer_rao import cramer_rao_bound, cramer_rao_bounds
 from stereo_slam_env.evaluation.filter_run import run_filter
 
 from ..benchmark.small_recordings import CAMERA, DT, small_recording
@@ -182,6 +182,24 @@ def test_without_complete_truth_there_is_none(missing):
             landmarks, ids=np.delete(landmarks.ids, seen), positions=np.delete(landmarks.positions, seen, 0)
         )
     assert cramer_rao_bound(replace(recording, frames=tuple(frames), landmarks=landmarks), MOTION) is None
+
+
+@pytest.mark.parametrize("use_odometry", [True, False])
+def test_together_recordings_have_the_bits_that_each_has_alone(use_odometry):
+    """Of any length and noise; one without truth has no bound, and takes none from the others."""
+    drives = [tiny_recording(), small_recording(1), small_recording(2, truth=False), small_recording(3, frames=4)]
+    together = cramer_rao_bounds(drives, MOTION, use_odometry=use_odometry)
+    alone = [cramer_rao_bound(drive, MOTION, use_odometry=use_odometry) for drive in drives]
+    assert together[2] is None
+    assert alone[2] is None
+    for k in (0, 1, 3):
+        np.testing.assert_array_equal(together[k].pose, alone[k].pose)
+
+
+def test_recordings_of_different_cameras_are_not_run_together():
+    other = replace(small_recording(), camera=replace(CAMERA, baseline=0.3))
+    with pytest.raises(ValueError, match="differs from the first"):
+        cramer_rao_bounds([small_recording(), other], MOTION)
 
 
 def test_progress_counts_the_frames_that_are_done():

@@ -14,14 +14,10 @@ def run(recording, keep_all=True):
     """The belief after the whole recording."""
     first = recording.frames[0]
     best = ReferenceBelief(recording.camera, recording.noise, MOTION, recording.start, first.truth)
-    before = None
     for frame in recording.frames:
-        if before is not None:
-            best.predict(frame.truth, frame.timestamp - before.timestamp, frame.odometry)
-        best.see(frame.observation, recording.landmarks.positions[frame.observation.ids])
+        best.step(frame, recording.landmarks)
         if not keep_all:
             best.keep(frame.observation.ids)
-        before = frame
     return best
 
 

@@ -13,6 +13,7 @@ import time
 from concurrent.futures import CancelledError
 from contextlib import suppress
 
+import numba
 import numpy as np
 import pytest
 
@@ -266,6 +267,25 @@ def test_silence_is_ended_but_not_slowness():
     assert "no sign of life" in str(error)
     assert time.monotonic() - began < 10
     assert is_gone(process)
+
+
+@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
+def test_what_is_compiled_is_a_sign_of_life_and_only_then():
+    def compiling(tell, functions):
+        for number in range(functions):
+            time.sleep(2.0)
+            numba.njit(lambda x, more=number: x + more)(1.0)
+        time.sleep(2.0)
+        return "compiled"
+
+    heard = []
+    assert (
+        run_isolated(lambda tell: compiling(tell, 2), silence_limit=4.0, progress=lambda *told: heard.append(told))
+        == "compiled"
+    )
+    assert heard == []  # no progress of the work is made up
+    with pytest.raises(WorkTooSlow, match="no sign of life"):
+        run_isolated(lambda tell: compiling(tell, 1) and time.sleep(60), silence_limit=4.0)
 
 
 def test_an_endless_loop_that_logs_is_ended():
