@@ -26,6 +26,8 @@ class CameraStep:
     """The motion."""
     variances: FloatArray
     """(6,): of its error, m^2 and rad^2."""
+    pairs: Pairs
+    """Tracks of both frames."""
 
 
 @lru_cache(maxsize=2)
@@ -39,7 +41,10 @@ def camera_steps(camera: StereoCamera, frames: tuple[Frame, ...]) -> tuple[Camer
         pairs = Pairs.between(before.observation, now.observation, FIRST_GUESS)
         last = steps[-1] if steps else None
         found = robust_step(camera, pairs, None if last is None else last.step)
-        steps.append(None if found is None else CameraStep(found.step, np.diag(found.estimate.covariance).copy()))
+        if found is None:
+            steps.append(None)
+        else:
+            steps.append(CameraStep(found.step, np.diag(found.estimate.covariance).copy(), pairs))
     return tuple(steps)
 
 

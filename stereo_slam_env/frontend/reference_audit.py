@@ -13,7 +13,7 @@ import numpy as np
 
 from filters import StereoCamera
 from stereo_slam_env.evaluation.reference_audit import ReferenceAudit
-from stereo_slam_env.frontend.camera_motion import FIRST_GUESS, camera_steps
+from stereo_slam_env.frontend.camera_motion import camera_steps
 from stereo_slam_env.frontend.ego_motion import Pairs, Step, transfer
 from stereo_slam_env.recording.recording import Recording
 
@@ -37,8 +37,7 @@ def audit_of(recording: Recording) -> ReferenceAudit | None:
     for k, ((before, now), found) in enumerate(zip(pairwise(recording.frames), steps, strict=True), start=1):
         if found is None or before.truth is None or now.truth is None:
             continue
-        pairs = Pairs.between(before.observation, now.observation, FIRST_GUESS)
-        step = before.truth.inverse() @ now.truth
-        by_reference = median_residual(recording.camera, pairs, Step(step.R_wc, step.position))
-        rows.append((k, by_reference, median_residual(recording.camera, pairs, found.step)))
+        true = before.truth.inverse() @ now.truth
+        of_both = (Step(true.R_wc, true.position), found.step)
+        rows.append((k, *(median_residual(recording.camera, found.pairs, step) for step in of_both)))
     return ReferenceAudit(*np.array(rows, dtype=np.float64).reshape(-1, 3).T)

@@ -136,6 +136,7 @@ class TrackStatistics:
         there &= np.all(np.abs(residuals) <= OUTLIER * self._absolute / max(self._frames, 1), axis=1)
         tracks.residuals[:, 0] = np.where(there[:, None], residuals, np.nan)
         products = tracks.residuals * tracks.residuals[:, :1]
+        products[:, 1] = _at_one_frame(tracks.residuals, expected.by_first)
         known = np.isfinite(products[:, :, 0])
         products[~known] = 0.0
         self._counts += known.sum(axis=0)
@@ -194,6 +195,21 @@ class _Tracks:
         return cls(np.full((count, _LAGS, 3), np.nan), np.zeros((count, _LAGS)))
 
 
+def _at_one_frame(residuals: FloatArray, by_first: FloatArray) -> FloatArray:
+    """Products (M, 3) of the two newest residuals, the mean of both taken to the image of one of the two frames.
+
+    A disparity that is off moves the pixel where the point is expected next. Taken to one image, white noise takes back
+    in a frame exactly what it gave in the one before, however the camera moves.
+    """
+    products = np.full((len(residuals), 3), np.nan)
+    both = np.isfinite(residuals[:, :2]).all(axis=(1, 2))
+    (now, before), A = residuals[both, :2].transpose(1, 0, 2), by_first[both]
+    taken_on = np.einsum("mij,mj->mi", A, before)
+    taken_back = np.linalg.solve(A, now[:, :, None])[:, :, 0]
+    products[both] = 0.5 * (now * taken_on + taken_back * before)
+    return products
+
+
 def _fitted(residuals: FloatArray, by_step: FloatArray) -> FloatArray:
     """Residuals (M, 3) of the step that fits the tracks near it best, by least squares with equal weights."""
     if len(residuals) == 0:
@@ -220,10 +236,11 @@ def with_measured_noise(recording: Recording) -> Recording:
     """The recording with what its tracks say of their noise: `ColouredNoise`, with the R that it had.
 
     Measurements that bring a covariance of their own keep it as the white part and drift by a share of it. The white
-    part of others goes from R, where errors are white or little is known, to what `TrackNoise` says, where they are
-    known to last. The rig of a simulation is as stated; that of anybody else has the errors of the constants above, and
-    its tracks have a part in common that no residual shows. A roll of the right camera is looked for only where
-    measurements bring a covariance: tracks that slide over the ground ahead look like one.
+    part of others goes from R, or what residuals show where that is more, where errors are white or little is known, to
+    what `TrackNoise` says, where they are known to last. The rig of a simulation is as stated; that of anybody else has
+    the errors of the constants above, and its tracks have a part in common that no residual shows. A roll of the right
+    camera is looked for only where measurements bring a covariance: tracks that slide over the ground ahead look like
+    one.
     """
     found = track_noise(recording)
     if found.is_rough:
@@ -248,15 +265,11 @@ def stated_noise(found: TrackNoise, R: StereoNoise, brings_R: bool, stranger: bo
     """What tracks say of their noise, where `R` was assumed for white noise; see `with_measured_noise`."""
     white, drift = None, LandmarkDrift(share=DRIFT_SHARE)
     if not brings_R:
-        share = found.known_to_last
-        measured = StereoNoise.independent_pixels(1.0).R * WHITE**2 * float(np.mean(found.step[:2] ** 2))
-        white = (1.0 - share) * R.R + share * measured
-        gate = GATE * np.sqrt(share) * found.step
-        drift = LandmarkDrift(
-            DRIFT_SHARE * found.ignorance,
-            tuple(np.maximum(found.lasting, gate).tolist()),
-            tuple(gate.tolist()),
-        )
+        share, size = found.known_to_last, float(np.mean(found.step[:2] ** 2))
+        raised = max(1.0, 0.5 * size / float(np.mean(np.diag(R.R)[:2])))  # a residual has the errors of two frames
+        white = (1.0 - share) * raised * R.R + share * StereoNoise.independent_pixels(1.0).R * WHITE**2 * size
+        gate = np.minimum(GATE * np.sqrt(share) * found.step, found.lasting)
+        drift = LandmarkDrift(DRIFT_SHARE * found.ignorance, tuple(found.lasting.tolist()), tuple(gate.tolist()))
     noise = ColouredNoise(R.R, white, drift)
     if not stranger:
         return noise

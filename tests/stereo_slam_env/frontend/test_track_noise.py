@@ -68,6 +68,35 @@ def test_white_errors_are_taken_back_in_the_next_frame() -> None:
     assert (found.lasting[:2] < 0.12).all()
 
 
+def with_white_pixels(recording: Recording, sigma: float, seed: int = 0) -> Recording:
+    """The drive with white noise in u of both images and in v, px."""
+    rng = np.random.default_rng(seed)
+    R = StereoNoise.independent_pixels(sigma).R
+    return recording.with_observations(
+        dataclasses.replace(seen, uvd=seen.uvd + rng.multivariate_normal(np.zeros(3), R, len(seen)))
+        for seen in (frame.observation for frame in recording.frames)
+    )
+
+
+@pytest.mark.parametrize("sigma", [0.5, 2.0])
+def test_white_errors_of_disparities_are_no_walk_of_the_pixels(sigma: float) -> None:
+    """Where a point is expected next hangs on its depth: a white error there must be taken back, too."""
+    found = [track_noise(with_white_pixels(drive(seed=seed), sigma, seed)) for seed in range(4)]
+    # The point is seen larger in each frame, so that the step in u is more than that of white noise in u.
+    assert np.mean([one.step[0] for one in found]) > 1.5 * sigma
+    assert abs(np.mean([one.lasting_share for one in found])) < 0.1
+
+
+def test_only_what_walks_is_stated_to_walk() -> None:
+    """Pixels walk, disparities have white errors: no walk of the disparity, which would leave depth open."""
+    noise = noise_of(with_white_pixels(drive(walk=0.5), 0.5))
+    assert noise.drift is not None
+    assert noise.drift.gate_pixels is not None
+    u, v, d = noise.drift.pixels
+    assert 0.3 < v < 0.8
+    assert max(d, noise.drift.gate_pixels[2]) < 0.3 * min(u, v)
+
+
 def test_a_random_walk_leaves_no_trace_in_later_frames() -> None:
     found = track_noise(drive(walk=0.3))
     np.testing.assert_allclose(found.step[:2], 0.3, rtol=0.05)
@@ -203,6 +232,13 @@ def test_white_errors_leave_the_stated_noise_white() -> None:
     assert noise.drift is not None
     np.testing.assert_allclose(noise.white, recording.noise.R, rtol=0.15)
     assert max(noise.drift.pixels[:2]) < 0.15
+
+
+def test_a_stated_noise_that_is_too_small_for_white_errors_is_raised() -> None:
+    noise = noise_of(with_white_pixels(drive(), 4.0))
+    assert noise.white is not None
+    assert 3.5 < np.sqrt(noise.white[1, 1]) < 5.0
+    np.testing.assert_array_equal(noise.R, StereoNoise.independent_pixels(2.0).R)
 
 
 @pytest.mark.parametrize("truth_from", [GIVEN_TRUTH, SIMULATION])
