@@ -22,8 +22,16 @@ from scipy.stats import bootstrap, trim_mean
 import stereo_slam_env  # noqa: F401 (registers the ids)
 from harness import arguments, mean_and_error, show
 from stereo_slam_env.policies import follow_route, normalised_score
+from stereo_slam_env.policies.rows import Oracle
 from stereo_slam_env.policies.scores import REFERENCE_RETURNS
-from stereo_slam_env.tasks import close_if_it_pays, drive_slowly, explore_by_sweeping
+from stereo_slam_env.tasks import (
+    close_if_it_pays,
+    drive_slowly,
+    explore_and_close,
+    explore_by_sweeping,
+    to_new_roads,
+)
+from stereo_slam_env.world.street_grid import RIGHT, STRAIGHT
 
 SEED = 20_000
 """The first one; rules were tuned on seeds below 100."""
@@ -44,6 +52,11 @@ def driver(**how: float) -> Choice:
 def at_random(_: Any, __: int, rng: np.random.Generator, entries: int) -> Any:
     """Uniform actions."""
     return rng.uniform(-1.0, 1.0, entries).astype(np.float32)
+
+
+def oracle(*_: Any) -> Any:
+    """Which `episodes` replaces by `policies.rows.Oracle`: two roads ahead, by the truth."""
+    raise NotImplementedError
 
 
 CARELESS = {
@@ -79,6 +92,16 @@ ROWS: dict[str, dict[str, Choice]] = {
     },
     "Revisit-easy-v0": {"close if it pays": lambda seen, *_: close_if_it_pays(seen)},
     "Revisit-hard-v0": {"close if it pays": lambda seen, *_: close_if_it_pays(seen)},
+    "Branches-v0": {
+        "straight on": lambda *_: STRAIGHT,
+        "round one block": lambda *_: RIGHT,
+        "random": lambda _, __, rng, ___: int(rng.integers(3)),
+        "to new roads": lambda seen, *_: to_new_roads(seen),
+        "explore and close": lambda seen, *_: explore_and_close(seen),
+        "oracle": oracle,
+    },
+    "Branches-easy-v0": {"explore and close": lambda seen, *_: explore_and_close(seen)},
+    "Branches-hard-v0": {"explore and close": lambda seen, *_: explore_and_close(seen)},
 }
 """Agents by id, and what it is given, see `GIVEN`."""
 GIVEN: dict[str, dict[str, Any]] = {"latency": {"latency": 5}, "dead-reckoning": {"filter": "dead-reckoning"}}
@@ -95,7 +118,9 @@ def episodes(name: str, choose: Choice, count: int, first: int = SEED, **options
     going, step = np.ones(count, dtype=np.bool_), 0
     actions = np.zeros(vector.action_space.shape, dtype=vector.action_space.dtype)
     while going.any():
-        for b in np.flatnonzero(going).tolist():
+        if choose is oracle:
+            actions = Oracle(vector.unwrapped.rows, depth=2).act(going)
+        for b in np.flatnonzero(going).tolist() if choose is not oracle else ():
             actions[b] = choose({key: values[b] for key, values in observation.items()}, step, rngs[b], entries)
         observation, rewards, terminated, truncated, info = vector.step(actions)
         returns += np.where(going, rewards, 0.0)

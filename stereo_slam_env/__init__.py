@@ -56,6 +56,7 @@ for _task, _made, _most in (
     ("Explore", "explore", 1200),
     ("Revisit", "revisit", 100),
     ("ClosedLoop", "closed_loop", 1200),
+    ("Branches", "branches", 1000),
 ):
     _register(f"StereoSlam/{_task}-v0", f"tasks.{_made}", _made, _most)
     for _level in ("easy", "hard"):

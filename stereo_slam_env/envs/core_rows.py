@@ -186,14 +186,8 @@ class CoreRows(Rows):
         options, route = self.options, self._route
         if options.route in RANDOM_ROUTES:
             route = RANDOM_ROUTES[options.route](rng.spawn(1)[0])
-        scene = build_scene(
-            options.surroundings,
-            route,
-            rng,
-            moving_cars=options.moving_cars,
-            pedestrians=options.pedestrians,
-            randomise=options.randomise,
-        )
+        traffic = {"moving_cars": options.moving_cars, "pedestrians": options.pedestrians}
+        scene = build_scene(options.surroundings, route, rng, randomise=options.randomise, **traffic)
         return scene_arrays(scene, route)
 
     def _image_sensor(self, b: int) -> ImageSensor:
@@ -265,6 +259,10 @@ class CoreRows(Rows):
     def route_of(self, b: int) -> Route:
         """See `World`."""
         return self.simulator.route(b)
+
+    def reroute(self, b: int, route: Route) -> None:
+        """See `World`."""
+        self.simulator.reroute(b, route)
 
     def body(self, b: int) -> Pose:
         """See `World`."""

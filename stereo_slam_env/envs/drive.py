@@ -140,8 +140,8 @@ class StereoDriveEnv(StereoEnv, gym.Env[Observation, NDArray[np.float32]]):
     | `render_mode` | `None` | `"rgb_array"`: both views with the observed landmarks; `"human"`: in a window |
 
     `route`: `"random-town"` is drawn anew for each episode (one to four turns, 60 to 370 m); where a script drives, the
-    default is `"town"` (350 m, two turns). Others are `"random-loop"`, `"loop"`, `"right-turn"` and
-    `"straight"`.
+    default is `"town"` (350 m, two turns). Others are `"random-loop"`, `"random-grid"`, `"loop"`,
+    `"right-turn"` and `"straight"`.
 
     `rig` is a name, a `StereoCamera` or some of its numbers (`fx`, `fy`, `cx`, `cy`, `baseline`, `width`, `height`):
     `{"baseline": 0.2}` differs from the default in one, `{"name": "qvga", "baseline": 0.2}` from the rig of that name.

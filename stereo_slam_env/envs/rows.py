@@ -80,6 +80,9 @@ class World(Protocol):
     def route_of(self, b: int) -> Route:
         """The nominal drive."""
 
+    def reroute(self, b: int, route: Route) -> None:
+        """Follow another nominal drive from now on, whose steps are the same up to this frame."""
+
     def body(self, b: int) -> Pose:
         """Pose of the left camera if the head looked straight ahead."""
 
@@ -266,6 +269,10 @@ class OneRow(Rows):
         """See `World`."""
         route: Route = self.inner("route")
         return route
+
+    def reroute(self, b: int, route: Route) -> None:
+        """See `World`."""
+        self.inner("reroute")(route)
 
     def body(self, b: int) -> Pose:
         """See `World`."""

@@ -78,6 +78,10 @@ class StereoEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle, Kept):
         """The nominal drive."""
         return self._rows.route
 
+    def reroute(self, route: Route) -> None:
+        """Let the script follow another route from now on, whose steps are the same up to this frame."""
+        self._rows.reroute(0, route)
+
     @property
     def frame(self) -> Frame:
         """The current frame in full precision: observation, odometry, truth."""

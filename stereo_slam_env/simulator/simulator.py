@@ -22,7 +22,7 @@ from stereo_slam_env.simulator.bullet import BulletAnswers
 from stereo_slam_env.simulator.frame import FIRST, JUDGE, MOVE, SENSE, STEP, WAIT, run_frame
 from stereo_slam_env.simulator.kept import Kept
 from stereo_slam_env.simulator.rays import traversal
-from stereo_slam_env.simulator.scenes import SceneArrays, put_scene, with_room
+from stereo_slam_env.simulator.scenes import SceneArrays, put_route, put_scene, with_room
 from stereo_slam_env.simulator.show import Shown, show
 from stereo_slam_env.simulator.state import NO_NOISE, NOISE_KINDS, RIDE_STEPS, Rules, empty_fleet, empty_sensed
 from stereo_slam_env.simulator.streams import Streams
@@ -119,6 +119,14 @@ class Simulator(Kept):
         if self.rules.noise == NO_NOISE:  # drawn frame by frame, so nothing of it may be drawn ahead
             self._noise_generators[b], noise = noise, np.random.default_rng(0)
         self._streams.begin(self.fleet, b, [motion, odometry, noise, choice])
+
+    def reroute(self, b: int, route: Route) -> None:
+        """Let a row follow another route from now on, whose steps are the same up to this frame; the scene stays."""
+        scene = self.scenes[b]
+        assert scene is not None
+        self.scenes[b] = scene = scene._replace(route=route)
+        self.fleet = with_room(self.fleet, scene)
+        self.fleet.sizes[b, 3] = put_route(self.fleet, b, route)
 
     def begin(self, chosen: BoolArray) -> None:
         """The first frame of an episode of the chosen rows (B,)."""

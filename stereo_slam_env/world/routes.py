@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, partial, wraps
 from importlib.metadata import entry_points
@@ -21,6 +21,7 @@ from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray
 from stereo_slam_env.files.readers import read_poses
 from stereo_slam_env.world.recorded_paths import require_one_drive, smoothed, steady, strides
+from stereo_slam_env.world.street_grid import StreetGrid, random_streets
 
 ENTRY_POINT_GROUP = "stereo_slam.scenes"
 """Functions of installed packages that register scenes and routes."""
@@ -42,6 +43,8 @@ class Route:
     """(K - 1,), about the camera's y axis (down), rad/s: positive turns right."""
     straight_below: float = 1e-3
     """Yaw rate up to which it counts as driving straight ahead, rad/s."""
+    streets: StreetGrid | None = None
+    """The streets that it leads through, where there are others beside those that it takes."""
 
     @property
     def frames(self) -> int:
@@ -202,6 +205,18 @@ def random_loop(rng: np.random.Generator) -> Route:
     return _turning("random-loop", legs, angles, rng.uniform(4.0, 5.5), np.full(4, rng.uniform(9.0, 14.0)))
 
 
+def random_grid(rng: np.random.Generator) -> Route:
+    """Through all 24 roads of a grid of streets with blocks of 38 to 54 m, at 5 m/s."""
+    streets = random_streets(rng)
+    return through_streets(streets, streets.tour)
+
+
+def through_streets(streets: StreetGrid, choices: Sequence[int]) -> Route:
+    """From the start of the streets by choices of a road at each junction to the middle of the last road."""
+    metres, turns = streets.steps(choices)
+    return Route("random-grid", metres / FRAME_PERIOD, turns / FRAME_PERIOD, streets=streets)
+
+
 def _turning(name: str, legs: FloatArray, angles: FloatArray, cruise: float, radii: FloatArray) -> Route:
     """Straight legs (T + 1,), m, and the turns (T,) between them, rad, with these mean radii, m, at 3 m/s."""
     fast, slow, ramp = cruise * FRAME_PERIOD, _TURN_SPEED * FRAME_PERIOD, round(_RAMP / FRAME_PERIOD)
@@ -232,7 +247,7 @@ _FARTHEST_ROUND = 2.0
 _BEYOND = 24.0
 """m: how far a random loop goes on beyond its start."""
 RANDOM_ROUTES: Mapping[str, Callable[[np.random.Generator], Route]] = MappingProxyType(
-    {"random-town": random_town, "random-loop": random_loop}
+    {"random-town": random_town, "random-loop": random_loop, "random-grid": random_grid}
 )
 """Routes that are drawn anew for each episode, by name."""
 

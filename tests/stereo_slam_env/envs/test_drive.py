@@ -162,7 +162,7 @@ def test_memory_is_flat_over_resets(make):
     [
         (
             {"route": "moon"},
-            r"route must be one of 'straight', 'right-turn', 'town', .*'random-loop' or a KITTI pose file, got 'moon'",
+            r"route must be one of 'straight', 'right-turn', 'town', .*'random-grid' or a KITTI pose file, got 'moon'",
         ),
         ({"rig": "imax"}, r"rig must be one of 'reference', 'vga', .*'oak-d' or a calibration file .*, got 'imax'"),
         ({"noise": "cauchy"}, r"noise must be one of 'pixels', 'uvd', 'heavy-tailed', 'quantised', got 'cauchy'"),

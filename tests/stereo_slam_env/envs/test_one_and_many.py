@@ -22,6 +22,7 @@ SMALL = {
     "DriveGaze": QUICK,
     "ActiveGaze": {"arguments": QUICK},
     "Revisit": {"begin": [0.0, 0.2]},
+    "Branches": {"roads": 2},
 }
 """Arguments for short episodes; tasks have their own."""
 OTHERS = {
@@ -90,7 +91,7 @@ def compare(name, seeds, steps, autoreset_mode=AutoresetMode.NEXT_STEP, **argume
 @pytest.mark.parametrize("name", IDS)
 def test_every_id_gives_the_same_bits_in_one_and_in_many(name):
     arguments = SMALL.get(kind_of(name), {})
-    compare(name, [5, 6, 7], 40 if kind_of(name) != "Revisit" else 8, **arguments)
+    compare(name, [5, 6, 7], {"Revisit": 8, "Branches": 4}.get(kind_of(name), 40), **arguments)
 
 
 @pytest.mark.parametrize("case", OTHERS)
@@ -109,7 +110,7 @@ def test_episodes_go_on_to_their_ends():
 
 def compare_whole(name, seeds):
     """Episodes with these seeds, to their ends and beyond, or, of long tasks, half a minute of the drive."""
-    steps = {"Revisit": 12, "Explore": 45, "ClosedLoop": 60, "ActiveGaze": 17}.get(kind_of(name), 85)
+    steps = {"Revisit": 12, "Branches": 4, "Explore": 45, "ClosedLoop": 60, "ActiveGaze": 17}.get(kind_of(name), 85)
     compare(name, seeds, steps, **SMALL.get(kind_of(name), {}))
 
 

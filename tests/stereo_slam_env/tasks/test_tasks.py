@@ -13,6 +13,7 @@ import stereo_slam_env  # noqa: F401 (registers the ids)
 QUICK = {
     "StereoSlam/Explore-v0": {"arguments": {"route": "right-turn"}},
     "StereoSlam/Revisit-v0": {"begin": (0.05, 0.1)},
+    "StereoSlam/Branches-v0": {"roads": 2},
     "StereoSlam/ClosedLoop-v0": {"arguments": {"route": "right-turn", "rig": "qvga"}},
 }
 LEVELS = [name.replace("-v0", f"-{level}-v0") for name in QUICK for level in ("easy", "hard")]

@@ -73,7 +73,7 @@ def test_a_name_or_a_file_makes_a_route_that_knows_what_it_was_made_from(tmp_pat
 
 
 def test_an_unknown_name_gets_the_nearest_one():
-    with pytest.raises(ValueError, match=r"'random-loop' or a KITTI pose file, got 'twon', did you mean 'town'\?"):
+    with pytest.raises(ValueError, match=r"'random-grid' or a KITTI pose file, got 'twon', did you mean 'town'\?"):
         named_route("twon")
 
 
