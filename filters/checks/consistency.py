@@ -1,8 +1,9 @@
-"""Normalised estimation error squared (NEES), and the test whether what is claimed is a covariance at all."""
+"""Normalised estimation error squared (NEES), its quantiles, and the test whether what is claimed is a covariance."""
 
 from __future__ import annotations
 
 import numpy as np
+from scipy.special import gammaincinv
 
 from filters.geometry.arrays import BoolArray, FloatArray
 
@@ -38,6 +39,14 @@ def nees(errors: FloatArray, covariances: FloatArray) -> FloatArray:
     solved = np.linalg.solve(covariances[usable], errors[usable][..., None])[..., 0]
     values[usable] = np.sum(errors[usable] * solved, axis=-1)
     return values
+
+
+def chi_square_quantile(probability: float, dof: int) -> float:
+    """Value that the NEES of a consistent filter stays below with `probability`.
+
+    That of `scipy.stats.chi2.ppf`, to the bit, without `scipy.stats`, whose import takes as long as all others.
+    """
+    return float(2.0 * gammaincinv(dof / 2, probability))
 
 
 def are_definite(covariances: FloatArray) -> BoolArray:

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
 
 from filters import (
     BodyVelocity,
@@ -18,6 +17,7 @@ from filters import (
     StereoObservation,
     UpdateReport,
 )
+from filters.checks.consistency import chi_square_quantile
 from filters.contract.validation import gate_probability, positive, unique_ids
 from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray, IntArray
@@ -177,7 +177,7 @@ class FrameToFrame(CameraFilter):
             estimate = most_likely_step(self.camera, pairs.select(inliers), step)
             if estimate is not None:
                 # PnP has judged by left pixels and noisy points; the refined step judges all pairs by all it knows.
-                limit = np.inf if self._gate is None else chi2.ppf(self._gate, 3)
+                limit = np.inf if self._gate is None else chi_square_quantile(self._gate, 3)
                 distances = squared_distances(self.camera, pairs, estimate.step)
                 inliers = np.flatnonzero((distances <= limit) & np.isfinite(distances))
                 if len(inliers) < self._min_points:

@@ -6,10 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import chi2, norm, qmc
+import scipy  # its `stats`, slow to import, is loaded where it is used
+from scipy.special import ndtr, ndtri
 
 from filters import nees
-from filters.checks.consistency import are_definite
+from filters.checks.consistency import are_definite, chi_square_quantile
 from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray
 from filters.motions.model import POSE_SIZE, POSITION, ROTATION
@@ -112,7 +113,7 @@ def claim_score(
     of_a_pair: bool,
 ) -> ClaimScore:
     """The score of NEES (K,) and half log volumes (K,) of usable frames; `claimed` is the NEES before an alignment."""
-    median, ideal = float(np.median(values)), float(chi2.ppf(0.5, dof))
+    median, ideal = float(np.median(values)), chi_square_quantile(0.5, dof)
     return ClaimScore(
         dof=dof,
         frames=len(values),
@@ -122,7 +123,7 @@ def claim_score(
         band=mean_band(dof, 1),
         scale_gap=median / ideal,
         claimed_scale_gap=float(np.median(claimed)) / ideal,
-        coverage={p: float(np.mean(values <= chi2.ppf(p, dof))) for p in COVERED},
+        coverage={p: float(np.mean(values <= chi_square_quantile(p, dof))) for p in COVERED},
         log_score=mean_interval(0.5 * values + sharpness),
         calibration=0.5 * float(values.mean()),
         sharpness=float(sharpness.mean()),
@@ -140,7 +141,8 @@ def crps(errors: FloatArray, covariances: FloatArray) -> FloatArray:
     """
     sigmas = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
     z = errors / sigmas
-    axes = sigmas * (z * (2.0 * norm.cdf(z) - 1.0) + 2.0 * norm.pdf(z) - 1.0 / np.sqrt(np.pi))
+    density = np.exp(-(z**2) / 2.0) / np.sqrt(2.0 * np.pi)
+    axes = sigmas * (z * (2.0 * ndtr(z) - 1.0) + 2.0 * density - 1.0 / np.sqrt(np.pi))
     return np.asarray(axes.mean(axis=1), dtype=np.float64)
 
 
@@ -150,7 +152,7 @@ def energy_scores(errors: FloatArray, covariances: FloatArray) -> FloatArray:
     Source: Gneiting and Raftery, 2007, section 4.2.
     """
     n = errors.shape[1]
-    points = norm.ppf(qmc.Sobol(n, scramble=True, rng=np.random.default_rng(0)).random(_DRAWS)).T
+    points = ndtri(scipy.stats.qmc.Sobol(n, scramble=True, rng=np.random.default_rng(0)).random(_DRAWS)).T
     scores = np.zeros(len(errors))
     for at in range(0, len(errors), _PIECE):
         rows = slice(at, at + _PIECE)

@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from scipy.stats import chi2, t
+from scipy.special import gammaincinv, stdtrit
 
 from filters.geometry.arrays import FloatArray, IntArray
 from stereo_slam_env.evaluation.landmark_statistics import LandmarkStatistics
@@ -55,7 +55,7 @@ def mean_band(dof: float, runs: int, probability: float = 0.95) -> tuple[float, 
 def mean_bands(dof: float, runs: IntArray | FloatArray, probability: float = 0.95) -> tuple[FloatArray, FloatArray]:
     """`mean_band` for many numbers of runs (K,) at once, unchecked: low and high (K,)."""
     tail = 0.5 * (1.0 - probability)
-    return chi2.ppf(tail, runs * dof) / runs, chi2.ppf(1.0 - tail, runs * dof) / runs
+    return 2.0 * gammaincinv(runs * dof / 2, tail) / runs, 2.0 * gammaincinv(runs * dof / 2, 1.0 - tail) / runs
 
 
 def share_inside(values: FloatArray, band: tuple[float, float]) -> float:
@@ -133,7 +133,7 @@ def _bands_by_scatter(values: FloatArray, count: IntArray) -> Bands:
     low, high = mean_bands(dof, count)
     several = count > 1
     scatter = np.nanstd(values[:, several], axis=0, ddof=1) / np.sqrt(count[several])
-    reach = t.ppf(0.5 + 0.5 * PROBABILITY, count[several] - 1) * scatter
+    reach = stdtrit(count[several] - 1, 0.5 + 0.5 * PROBABILITY) * scatter
     low[several] = np.maximum(low[several], dof - reach)
     high[several] = np.minimum(high[several], dof + reach)
     return low, high

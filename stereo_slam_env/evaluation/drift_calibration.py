@@ -16,9 +16,10 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from scipy.stats import chi2, t
+from scipy.special import stdtrit
 
 from filters import Pose, nees
+from filters.checks.consistency import chi_square_quantile
 from filters.contract.validation import positive
 from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray, IntArray
@@ -114,7 +115,7 @@ def calibrate(
     if len(drives) == 1:
         return DriftModel(variances, drives=names)
     scores = [_scores(_fitted([other for other in drives if other is not drive]), drive) for drive in drives]
-    quantile, ideal = _pooled_quantile(drives, scores), float(chi2.ppf(COVERED, POSE_SIZE))
+    quantile, ideal = _pooled_quantile(drives, scores), chi_square_quantile(COVERED, POSE_SIZE)
     covered = [
         float(drive.weights @ (score <= quantile) / drive.weights.sum())
         for drive, score in zip(drives, scores, strict=True)
@@ -231,12 +232,12 @@ def _drive_range(drives: Sequence[_Windows], scores: Sequence[FloatArray]) -> tu
         [drive.weights @ score / drive.weights.sum() / 6.0 for drive, score in zip(drives, scores, strict=True)]
     )
     count = len(logs)
-    half = t.ppf(0.5 + 0.5 * COVERED, count - 1) * logs.std(ddof=1) * np.sqrt(1.0 + 1.0 / count)
+    half = stdtrit(count - 1, 0.5 + 0.5 * COVERED) * logs.std(ddof=1) * np.sqrt(1.0 + 1.0 / count)
     return float(np.exp(logs.mean() - half)), float(np.exp(logs.mean() + half))
 
 
 def _checks(drives: Sequence[_Windows], scores: Sequence[FloatArray]) -> tuple[LengthCheck, ...]:
-    ideal = chi2.ppf(COVERED, POSE_SIZE)
+    ideal = chi_square_quantile(COVERED, POSE_SIZE)
     found = []
     for length in LENGTHS:
         each = [score[at] for drive, score in zip(drives, scores, strict=True) if (at := drive.lengths == length).any()]

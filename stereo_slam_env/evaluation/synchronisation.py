@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import minimize_scalar
+import scipy  # its `optimize`, slow to import, is loaded where it is used
 from scipy.spatial.transform import Rotation, Slerp
 
 from filters.geometry.arrays import FloatArray, IntArray
@@ -99,7 +99,7 @@ def find_time_offset(estimate: Trajectory, reference: Trajectory) -> float:
         raise ValueError("time_offset is not determined: the path fits at any offset, give it in seconds")
     ends = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
     with np.errstate(invalid="ignore"):  # an end of the search may have too few poses in common
-        found = minimize_scalar(misfit, bounds=ends, method="bounded", options={"xatol": 1e-5})
+        found = scipy.optimize.minimize_scalar(misfit, bounds=ends, method="bounded", options={"xatol": 1e-5})
     return float(found.x)
 
 

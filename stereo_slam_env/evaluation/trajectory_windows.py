@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
 
 from filters import nees
-from filters.checks.consistency import are_definite
+from filters.checks.consistency import are_definite, chi_square_quantile
 from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray, IntArray
 from filters.motions.model import POSE_SIZE, ROTATION
@@ -62,7 +61,10 @@ def score_windows(seconds: float, estimate: Trajectory, reference: Trajectory, t
         if claimed is not None and are_definite(claimed[np.unique(ends)[1:]]).all():
             values = nees(errors, covariances)
             if np.isfinite(values).all():
-                value, covered = float(values.mean()), float(np.mean(values <= chi2.ppf(_COVERED, POSE_SIZE)))
+                value, covered = (
+                    float(values.mean()),
+                    float(np.mean(values <= chi_square_quantile(_COVERED, POSE_SIZE))),
+                )
     return WindowScore(
         seconds=seconds,
         windows=len(ends),

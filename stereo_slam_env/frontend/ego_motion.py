@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
-from scipy.stats import chi2
 
 from filters import StereoCamera, StereoNoise, StereoObservation
+from filters.checks.consistency import chi_square_quantile
 from filters.engine.gating import gate_limit
 from filters.geometry import rotations
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
@@ -190,7 +190,7 @@ def perspective_n_point(
     points, pixels = camera.backproject(pairs.first), np.ascontiguousarray(pairs.second[:, :2])
     # The error of a pixel in this frame and, through the point, that of about the same size in the previous one.
     variance = 2.0 * np.median(pairs.R_second[:, [0, 1], [0, 1]].max(axis=1))
-    radius = float(np.sqrt(chi2.ppf(RANSAC_GATE, 2) * variance))
+    radius = float(np.sqrt(chi_square_quantile(RANSAC_GATE, 2) * variance))
     cv2.setRNGSeed(RANSAC_SEED)
     found, turn, shift, inliers = cv2.solvePnPRansac(
         points,

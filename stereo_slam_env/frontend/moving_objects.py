@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.stats import chi2
 
 from filters import StereoCamera
+from filters.checks.consistency import chi_square_quantile
 from filters.engine.gating import gate_limit
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from stereo_slam_env.frontend.ego_motion import Pairs, Step, chained, squared_distances
@@ -21,7 +21,7 @@ NEIGHBOURS = 2
 """Others on the same body that must move alike."""
 _BODY_SIZE = 3.0
 """Landmarks this near to each other, m, may be on one body."""
-_ALIKE = float(chi2.ppf(0.99, 3))
+_ALIKE = chi_square_quantile(0.99, 3)
 
 
 def moving_together(

@@ -15,9 +15,9 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from scipy.stats import chi2
 
 from filters import ColouredNoise, LandmarkDrift, StereoCamera, StereoNoise, StereoObservation
+from filters.checks.consistency import chi_square_quantile
 from filters.geometry.arrays import FloatArray, IntArray
 from stereo_slam_env.frontend.camera_motion import camera_steps
 from stereo_slam_env.frontend.ego_motion import MIN_POINTS, Pairs, Step, squared_distances, transfer
@@ -43,7 +43,7 @@ ROUGH = 2.0
 """Step of a residual in u or v, px, beyond which no covariance was right (KITTI 00 with noise and outliers added)."""
 TINY = 1e-12
 """Least variance, px^2."""
-MEDIAN = float(chi2.median(3))
+MEDIAN = chi_square_quantile(0.5, 3)
 """Of chi-square with 3 degrees of freedom."""
 MISALIGNMENT = 0.005
 """Of a camera in a vehicle and the axes of its reference, rad, where nobody has measured it."""

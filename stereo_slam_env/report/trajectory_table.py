@@ -9,8 +9,8 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
-from scipy.stats import chi2
 
+from filters.checks.consistency import chi_square_quantile
 from stereo_slam_env.evaluation.claims import COVERED, ClaimScore
 from stereo_slam_env.evaluation.consistency import mean_band
 from stereo_slam_env.evaluation.figures import FIGURES, UNKNOWN
@@ -138,7 +138,7 @@ def _claim_rows(name: str, dof: int) -> list[_Row]:
     low, high = (end / dof for end in mean_band(dof, 1))
     return [
         (f"{name} NEES / {dof} [95 %] (one run: {low:.2f} to {high:.2f})", of(_nees)),
-        (f"  scale gap k, median NEES / {chi2.ppf(0.5, dof):.2f}", of(_scale_gap)),
+        (f"  scale gap k, median NEES / {chi_square_quantile(0.5, dof):.2f}", of(_scale_gap)),
         (f"  inside the {asked} % ellipsoid, %", of(_coverage)),
         ("  log score = calibration + sharpness, nats", of(_log_score)),
         ("  CRPS, energy score, m", of(_distances)),

@@ -11,6 +11,8 @@ from __future__ import annotations
 
 import dataclasses
 import logging
+import math
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError
 from dataclasses import dataclass, field
@@ -90,6 +92,8 @@ AT_ONCE = 8
 """Tasks of a batch."""
 TIMED = 10
 """Recordings on which every filter is run by itself, and timed."""
+SECONDS_BETWEEN_SIGNS = 0.1
+"""Between signs of life of a trial."""
 
 
 def goes_in_a_batch(task: Task) -> bool:
@@ -139,12 +143,29 @@ def _together(
     done = None
     if len(tasks) > 1:
         try:
-            done = run_isolated(partial(work, tasks), silence_limit=limit, progress=progress)
+            done = _isolated(partial(work, tasks), silence_limit=limit, progress=progress)
         except (CancelledError, NoProcess):
             raise
         except Exception as error:  # of one of them: they are done once more, each by itself
             _log.info("%d tasks are done one by one: %s", len(tasks), first_line(error))
     return [alone(task, progress) for task in tasks] if done is None else done
+
+
+def _isolated(work: Callable[[Tell], Result], *, silence_limit: float, progress: Tell | None = None) -> Result:
+    """`run_isolated` for work that tells of every frame: a message costs as much as a part of one, so few are sent."""
+    return run_isolated(partial(_telling_less, work), silence_limit=silence_limit, progress=progress)
+
+
+def _telling_less(work: Callable[[Tell], Result], tell: Tell) -> Result:
+    told = -math.inf
+
+    def now_and_then(done: int, total: int) -> None:
+        nonlocal told
+        if time.monotonic() >= told + SECONDS_BETWEEN_SIGNS:
+            tell(done, total)
+            told = time.monotonic()
+
+    return work(now_and_then)
 
 
 def _make_all(tasks: Sequence[Task], tell: Tell) -> list[Done]:
@@ -193,7 +214,7 @@ def make(task: Task, progress: Tell | None = None, *, here: bool = False) -> Don
 def _recorded(task: Task, work: Callable[[Tell], Result], progress: Tell | None = None) -> Result:
     scenario = task.scenario
     try:
-        return run_isolated(work, silence_limit=scenario.recording_time_limit, progress=progress)
+        return _isolated(work, silence_limit=scenario.recording_time_limit, progress=progress)
     except (WorkDied, WorkTooSlow) as error:
         told = f"the recording of scenario {scenario.name!r}, seed {task.seed}, failed: {error}"
         raise ChildProcessError(told) from error
@@ -219,7 +240,7 @@ def run_trial(task: Task, progress: Tell | None = None) -> Done:
     searched = searches and not task.scenario.source.isolated
     work = partial(_filtered, task, task.choice, make_sequence(task.scenario, task.seed) if searched else None)
     try:
-        packed = run_isolated(work, silence_limit=limit, progress=progress)
+        packed = _isolated(work, silence_limit=limit, progress=progress)
     except (WorkDied, WorkTooSlow) as error:
         packed = _packed(task, _lost(_given(task), task, task.choice, error), task.provenance)
     return Done(task.cell, task.seed, task.choice, packed)
@@ -229,7 +250,7 @@ def _drive(task: Task, choice: FilterChoice, limit: float, progress: Tell | None
     """The trial of a policy: its episode, and the run of its filter over what was measured there."""
     made: Done | None = None
     try:
-        run, made = run_isolated(partial(_driven, task, choice), silence_limit=limit, progress=progress)
+        run, made = _isolated(partial(_driven, task, choice), silence_limit=limit, progress=progress)
         description = made.description
     except (WorkDied, WorkTooSlow) as error:
         look = partial(drive_straight_ahead, task.scenario, task.seed)  # what there was to see, for the figures
@@ -313,7 +334,7 @@ def _given(task: Task) -> Recording:
 def _bound(task: Task) -> Bound | None:
     """The bound; None, and a warning, where it cannot be computed."""
     try:
-        (bound,) = run_isolated(partial(_bounded, [task]), silence_limit=task.scenario.frame_time_limit)
+        (bound,) = _isolated(partial(_bounded, [task]), silence_limit=task.scenario.frame_time_limit)
         return bound
     except (WorkDied, WorkTooSlow, ArithmeticError, np.linalg.LinAlgError) as error:
         _log.warning("no bound for seed %s: %s", task.seed, error)

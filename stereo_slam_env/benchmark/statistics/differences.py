@@ -18,8 +18,8 @@ from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
+import scipy  # its `stats`, slow to import, is loaded where it is used
 from numpy.typing import ArrayLike
-from scipy.stats import binomtest, fisher_exact, mannwhitneyu, wilcoxon
 
 from filters.geometry.arrays import BoolArray, FloatArray
 from stereo_slam_env.evaluation.intervals import studentised_interval, welch_interval
@@ -225,7 +225,7 @@ def unpaired_difference(a: ArrayLike, b: ArrayLike, *, comparisons: int = 1) -> 
     estimate = float(first.mean() - second.mean()) if count else float("nan")
     if count >= group_needed(comparisons):
         interval = welch_interval(first, second, confidence)
-        p_value = float(mannwhitneyu(first, second).pvalue)
+        p_value = float(scipy.stats.mannwhitneyu(first, second).pvalue)
     return Difference(count, estimate, interval, min(1.0, comparisons * p_value), paired=False, comparisons=comparisons)
 
 
@@ -239,13 +239,13 @@ def signed_rank_p(gaps: FloatArray) -> FloatArray:
     sizes = np.sort(np.abs(gaps), axis=0)
     plain = (np.diff(sizes, axis=0, prepend=0.0) > 0.0).all(axis=0) & (0 < count <= _EXACT_PAIRS)
     if plain.any():
-        p_values[plain] = wilcoxon(gaps[:, plain], axis=0, method="exact").pvalue
+        p_values[plain] = scipy.stats.wilcoxon(gaps[:, plain], axis=0, method="exact").pvalue
     for column in np.flatnonzero(~plain):
         moved = gaps[gaps[:, column] != 0.0, column]
         if len(moved) == 0:
             continue
         exact = len(moved) <= _EXACT_PAIRS and len(np.unique(np.abs(moved))) == len(moved)
-        p_value = float(wilcoxon(moved, method="exact" if exact else "approx").pvalue)
+        p_value = float(scipy.stats.wilcoxon(moved, method="exact" if exact else "approx").pvalue)
         p_values[column] = max(p_value, 2.0 ** (1 - len(moved)))  # with ties, few pairs would promise the impossible
     return np.minimum(p_values, 1.0)
 
@@ -301,12 +301,12 @@ def share_difference(a: BoolArray, b: BoolArray, *, paired: bool = True, compari
         in_a, in_b, count = int(np.sum(a & ~b)), int(np.sum(b & ~a)), len(a)
         more = in_a - in_b
         if in_a + in_b:
-            p_value = float(binomtest(in_a, in_a + in_b).pvalue)
+            p_value = float(scipy.stats.binomtest(in_a, in_a + in_b).pvalue)
     else:
         in_a, in_b, count = int(a.sum()), int(b.sum()), min(len(a), len(b))
         more = in_a * len(b) - in_b * len(a)
         if count:
-            p_value = float(fisher_exact([[in_a, len(a) - in_a], [in_b, len(b) - in_b]]).pvalue)
+            p_value = float(scipy.stats.fisher_exact([[in_a, len(a) - in_a], [in_b, len(b) - in_b]]).pvalue)
     p_value *= comparisons
     finding = Finding.NOT_SHOWN
     if p_value <= 1.0 - CONFIDENCE and more:

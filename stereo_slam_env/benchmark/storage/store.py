@@ -64,6 +64,7 @@ class RunDirectory:
         self._recordings = self._root / "recordings"
         self._kept = frozenset(self.seeds[: cell.scenario.kept_seeds])
         self._found_code: dict[str | None, str | None] | None = None
+        self._streams: dict[str | None, str] = {}
 
     def trial_path(self, seed: int | None, choice: FilterChoice) -> Path:
         """File of the time series of one filter on one recording."""
@@ -75,7 +76,10 @@ class RunDirectory:
 
     def recording_path(self, seed: int | None, choice: FilterChoice | None = None) -> Path:
         """File of the recording; `choice` matters where a policy drives its own episode."""
-        return self._recordings / stream_key(self.scenario, choice) / f"{seed_name(seed)}.npz"
+        label = None if choice is None else choice.label
+        if label not in self._streams:  # a campaign asks for thousands of paths
+            self._streams[label] = stream_key(self.scenario, choice)
+        return self._recordings / self._streams[label] / f"{seed_name(seed)}.npz"
 
     def missing(self) -> list[tuple[int | None, FilterChoice | None]]:
         """Trials still to be run, by seed, then filter; None instead of a filter: the bound.

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.optimize import isotonic_regression
+import scipy  # its `optimize`, slow to import, is loaded where it is used
 
 from filters.geometry.arrays import FloatArray
 
@@ -101,7 +101,9 @@ def spread_out(wanted: Sequence[float], gap: float) -> FloatArray:
         return np.asarray(wanted, dtype=np.float64)
     offsets = gap * np.arange(len(wanted))
     # With places = offsets + t, "at least gap apart" reads "t does not decrease".
-    places: FloatArray = np.asarray(isotonic_regression(np.asarray(wanted) - offsets).x, dtype=np.float64)
+    places: FloatArray = np.asarray(
+        scipy.optimize.isotonic_regression(np.asarray(wanted) - offsets).x, dtype=np.float64
+    )
     return np.asarray(places + offsets)
 
 

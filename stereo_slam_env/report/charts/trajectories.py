@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtr
 
 from filters.geometry.arrays import FloatArray
 from stereo_slam_env.evaluation.consistency import mean_band
@@ -114,7 +114,7 @@ def plot_calibration(scores: Sequence[TrajectoryScore]) -> Chart:
     curves, steps = [], []
     for label, score in claimed.items():
         values = score.nees["pose"][np.isfinite(score.nees["pose"])]
-        own = np.sort(chi2.cdf(values, score.claims["pose"].dof))
+        own = np.sort(chdtr(score.claims["pose"].dof, values))
         share = np.searchsorted(own, ideal, side="right") / len(own)
         curves.append(Curve(label, 100 * ideal, 100 * share, colours[label]))
         density, edges = np.histogram(own, bins=20, range=(0.0, 1.0), density=True)
