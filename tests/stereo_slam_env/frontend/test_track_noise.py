@@ -32,8 +32,11 @@ FRAMES, TRACKS = 60, 80
 TIME_CONSTANT = 10.0
 
 
-def drive(white: float = 0.0, walk: float = 0.0, slide: float = 0.0, seed: int = 0) -> Recording:
-    """A drive past points, each seen while it is ahead; errors of u and v in px, of one frame or of a step."""
+def drive(white: float = 0.0, walk: float = 0.0, slide: float = 0.0, seed: int = 0, turn: float = 0.01) -> Recording:
+    """A drive past points, each seen while it is ahead; errors of u and v in px, of one frame or of a step.
+
+    It turns by up to `turn` rad a frame.
+    """
     rng = np.random.default_rng(seed)
     heading, position, frames = Rotation.identity(), np.zeros(3), []
     points = rng.uniform([-15.0, -3.0, 8.0], [15.0, 3.0, 60.0], (TRACKS, 3))
@@ -56,7 +59,7 @@ def drive(white: float = 0.0, walk: float = 0.0, slide: float = 0.0, seed: int =
         rate = keep * rate + np.sqrt(1.0 - keep**2) * rng.normal(size=rate.shape)
         error += walk * rng.normal(size=error.shape) + slide * rate
         position = position + heading.apply([0.0, 0.0, 0.8])
-        heading = heading * Rotation.from_rotvec([0.0, 0.01 * np.sin(0.2 * k), 0.0])
+        heading = heading * Rotation.from_rotvec([0.0, turn * np.sin(0.2 * k), 0.0])
     return Recording("drive", CAMERA, tuple(frames), StereoNoise.independent_pixels(2.0))
 
 
