@@ -114,7 +114,8 @@ class FilterBatch(Sequence[StereoEKF]):
                 raise ValueError(f"make must give filters that do the same, filter {index} differs from the first")
         first = self._filters[0]
         self._engine = Engine(recipes[0], count, threads, Parts(first.camera, first.options))
-        self._R = np.array([slam.noise.R for slam in self._filters])
+        self.R: FloatArray = np.array([slam.noise.R for slam in self._filters])
+        """(B, 3, 3): noise that each filter assumes, px^2."""
         for index, slam in enumerate(self._filters):
             slam.join(Row(self._engine, slam.options, index))
 
@@ -170,7 +171,7 @@ class FilterBatch(Sequence[StereoEKF]):
         """`StereoEKF.forecast` of all landmarks of every filter."""
         if self._engine.recipe.plan.by_numbers:
             return [slam.forecast() for slam in self._filters]
-        uvd, S, in_front = self._engine.forecast(slice(0, len(self)), self._R)
+        uvd, S, in_front = self._engine.forecast(slice(0, len(self)), self.R)
         ids, counts = self._engine.storage.ids, self._engine.storage.counts[:, 0].tolist()
         in_view = in_front & self._filters[0].camera.in_view(uvd)
         ends = np.cumsum(counts).tolist()
@@ -267,7 +268,7 @@ class FilterBatch(Sequence[StereoEKF]):
         again = (flat_ids[1:] == flat_ids[:-1]) & (rows[1:] == rows[:-1])
         if again.any():
             raise ValueError(f"ids must be unique for each filter, repeated: {flat_ids[1:][again][:5].tolist()}")
-        noise = self._R[rows] if R is None else np.asarray(R, dtype=np.float64)
+        noise = self.R[rows] if R is None else np.asarray(R, dtype=np.float64)
         if noise.ndim == 4:
             noise = noise[rows, columns]
         offsets = np.concatenate([[0], np.cumsum(counts)])
@@ -323,7 +324,7 @@ class FilterBatch(Sequence[StereoEKF]):
         owner = np.repeat(np.arange(len(self)), counts)
         ids = np.concatenate([o.ids for o in there]) if there else np.zeros(0, dtype=np.int64)
         uvd = np.concatenate([o.uvd for o in there]) if there else np.zeros((0, 3))
-        R, right = self._R[owner], np.zeros(len(ids))
+        R, right = self.R[owner], np.zeros(len(ids))
         with_right = np.array([o is not None and o.v_right is not None for o in observations])
         for index, observation in enumerate(observations):
             if observation is not None and observation.R is not None:

@@ -76,6 +76,15 @@ class ImagesOptions:
             show_default="the left camera",
         ),
     ] = None
+    image_topics: Annotated[
+        str | None,
+        typer.Option(
+            "--image-topics",
+            help="Images of a bag, where CameraInfo does not tell them.",
+            metavar="LEFT,RIGHT",
+            show_default="those of the only pair",
+        ),
+    ] = None
     imu_topic: Annotated[
         str | None,
         typer.Option(
@@ -99,6 +108,10 @@ class ImagesOptions:
             given["truth"] = self.truth
         if self.truth_body is not None:
             given["body"] = str(self.truth_body)
+        if self.image_topics is not None:
+            given["left"], comma, given["right"] = self.image_topics.partition(",")
+            if not comma:
+                raise ValueError(f"--image-topics needs two topics, LEFT,RIGHT, got {self.image_topics!r}")
         topics = {"imu": self.imu_topic, "odometry": self.odometry_topic}
         given |= {name: topic for name, topic in topics.items() if topic is not None}
         return given

@@ -1,8 +1,9 @@
 """Stereo images in a ROS bag: ROS 1 `.bag`, ROS 2 `.db3` or `.mcap` and their folder, through `rosbags` (extra `bags`).
 
-The pair of cameras is found by their CameraInfo: the right one has P = K [I | -b, 0, 0]. Images of a topic with "rect"
-in its name are taken as rectified; others are rectified by D, K, R and P of CameraInfo, where that is needed. Images
-belong together by the stamps of their headers. Inertial samples and odometry: see `bag_motion`.
+The pair of cameras is found by their CameraInfo: the right one has P = K [I | -b, 0, 0]; where there is none and the
+rig is given, by their names. Images of a topic with "rect" in its name are taken as rectified; others are rectified by
+D, K, R and P of CameraInfo, where that is needed. Images belong together by the stamps of their headers. Inertial
+samples and odometry: see `bag_motion`.
 """
 
 from __future__ import annotations
@@ -59,7 +60,8 @@ def open_sequence(
     choice : Choice
         Frames to use, see `open_image_sequence`, also for what is raised; frame k is pair k of the bag.
     left, right : str, optional
-        Topics of the images; None: those of the only pair of cameras that CameraInfo shows.
+        Topics of the images; None: those of the only pair of cameras that CameraInfo shows, or, with `rig`, of the
+        only two that are called so (`cam0`, `cam1`; `left`, `right`).
     rig : str, StereoCamera or mapping, optional
         In place of what CameraInfo says, see `sensing.rigs.camera_of`; needed where there is none.
     imu, odometry : str, optional
@@ -76,7 +78,7 @@ def open_sequence(
     with opened_bag(path) as reader:
         topics = {c.topic: c.msgtype for c in reader.connections}
         infos = _infos(reader)
-        eyes = _cameras(path, topics, infos, left, right)
+        eyes = _cameras(path, topics, infos, left, right, by_name=rig is not None)
         pairs = _chosen(_pairs(path, eyes, [_stamps(reader, topic) for topic in eyes]), path, choice)
         calibration = calibration_of(rig) if rig is not None else _calibration(path, eyes, infos)
         turn = calibration.R_left if isinstance(calibration, Rectification) and calibration.needed else np.eye(3)
@@ -243,12 +245,21 @@ def _info_of(infos: Mapping[str, _Info], topic: str) -> _Info | None:
 
 
 def _cameras(
-    path: Path, topics: Mapping[str, str], infos: Mapping[str, _Info], left: str | None, right: str | None
+    path: Path,
+    topics: Mapping[str, str],
+    infos: Mapping[str, _Info],
+    left: str | None,
+    right: str | None,
+    *,
+    by_name: bool,
 ) -> tuple[str, str]:
-    """Topics of the left and of the right images."""
+    """Topics of the left and of the right images: by CameraInfo, or else, if that will do, by their names."""
     images = sorted(topic for topic, kind in topics.items() if kind in IMAGES)
     if not images:
-        raise ValueError(f"{path} holds no images, on none of its {len(topics)} topics: give one with a stereo pair")
+        raise ValueError(
+            f"{path} holds no images, on none of its {len(topics)} topics: give one with a stereo pair (poses alone "
+            "are judged by `stereo-slam evaluate`)"
+        )
     listed = ", ".join(map(plain, images))
     for asked in (left, right):
         if asked is not None and asked not in images:
@@ -263,11 +274,21 @@ def _cameras(
     lefts = [left] if left is not None else of_eye[0]
     rights = [right] if right is not None else of_eye[1]
     best = [(a, b) for b in rights for a in lefts if _alike(a, b)]
+    if not best and by_name:
+        called = [(a, b) for a in images for b in images if _called_left_and_right(a, b)]
+        best = [(a, b) for a, b in called if left in (None, a) and right in (None, b)]
     best = [pair for pair in best if "rect" in pair[0]] or best
     best = [pair for pair in best if topics[pair[0]].endswith("/Image")] or best
     if len(best) != 1:
-        why = "no pair of cameras whose CameraInfo makes them one rig" if not best else f"{len(best)} pairs of cameras"
-        raise ValueError(f"{path} holds {why}: name the topics, left and right (topics with images: {listed})")
+        why = f"{len(best)} pairs of cameras: name the topics (--image-topics LEFT,RIGHT)"
+        if not best:
+            why = "no pair of cameras whose CameraInfo makes them one rig (P[3] of the right one is -f b): give a rig"
+        shifts = {topic: _info_of(infos, topic) for topic in images}
+        listed = ", ".join(
+            f"{plain(topic)} with {'no CameraInfo' if info is None else f'P[3] = {info.shift:g}'}"
+            for topic, info in shifts.items()
+        )
+        raise ValueError(f"{path} holds {why}; images: {listed}")
     return best[0]
 
 
@@ -275,6 +296,14 @@ def _alike(left: str, right: str) -> bool:
     """Whether two topics differ as left and right do: in one part of their names, or by a digit or word in it."""
     a, b = left.split("/"), right.split("/")
     return len(a) == len(b) and sum(one != other for one, other in zip(a, b, strict=True)) == 1
+
+
+def _called_left_and_right(a: str, b: str) -> bool:
+    """Whether two topics are `left` and `right`, or one digit apart as `cam0` and `cam1`, or `infra1` and `infra2`."""
+    if a.replace("left", "right") == b != a:
+        return True
+    other = [(x, y) for x, y in zip(a, b, strict=False) if x != y]
+    return len(a) == len(b) and other in ([("0", "1")], [("1", "2")])
 
 
 def _calibration(path: Path, eyes: tuple[str, str], infos: Mapping[str, _Info]) -> Calibration:

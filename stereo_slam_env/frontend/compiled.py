@@ -226,11 +226,7 @@ def note_refined(
 @njit(**INLINE)
 def _normalise(values: FloatArray) -> float:
     """Bring a patch to zero mean and unit length, and return the length it had."""
-    mean = 0.0
-    for n in range(_PIXELS):
-        mean += values[n]
-    mean /= _PIXELS
-    square = 0.0
+    mean, square = _mean(values), 0.0
     for n in range(_PIXELS):
         values[n] -= mean
         square += values[n] * values[n]
@@ -243,17 +239,22 @@ def _normalise(values: FloatArray) -> float:
 @njit(**INLINE)
 def _derive(g: FloatArray, t: FloatArray, length: float) -> None:
     """Turn the derivative of a patch into that of the normalised patch `t`."""
-    mean = 0.0
     for n in range(_PIXELS):
         g[n] /= length
-        mean += g[n]
-    mean /= _PIXELS
-    along = 0.0
+    mean, along = _mean(g), 0.0
     for n in range(_PIXELS):
         g[n] -= mean
         along += g[n] * t[n]
     for n in range(_PIXELS):
         g[n] -= along * t[n]
+
+
+@njit(**INLINE)
+def _mean(values: FloatArray) -> float:
+    total = 0.0
+    for n in range(_PIXELS):
+        total += values[n]
+    return total / _PIXELS
 
 
 @njit(**INLINE)

@@ -53,6 +53,11 @@ def record_tracks(
     -------
     Recording
         With the truth and odometry of the sequence, and with what the tracks say of their noise.
+
+    Raises
+    ------
+    ValueError
+        No landmark was found in any pair.
     """
     settings = settings_for(sequence) if settings is None else settings
     tracker = make_front_end(sequence.camera, settings)
@@ -70,6 +75,11 @@ def record_tracks(
         taken.append(Frame(pair.timestamp, tracked.observation, pair.odometry, pair.truth, inertial=pair.inertial))
         if progress is not None:
             progress(number + 1, wanted)
+    if not any(len(frame.observation) for frame in taken):
+        raise ValueError(
+            f"{sequence.name} shows no landmark in any of its {len(taken)} pairs: are the images dark, blurred or "
+            "wrongly rectified?"
+        )
     recording = Recording(
         sequence.name,
         sequence.camera,

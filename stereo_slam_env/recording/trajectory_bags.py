@@ -113,7 +113,9 @@ def opened_bag(path: Path) -> Iterator[Any]:
     except ValueError:
         raise
     except Exception as error:  # of any library that it unpacks with
-        raise ValueError(f"{path} is damaged, or no bag ({first_line(error)}): copy it again") from error
+        raise ValueError(
+            f"{path} is damaged, or no bag ({first_line(error)}): copy it again, or repair it with the tools of ROS"
+        ) from error
 
 
 def _rows(reader: Any, topic: str) -> tuple[list[list[float]], list[Any]]:

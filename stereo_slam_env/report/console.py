@@ -11,12 +11,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from rich.box import SIMPLE_HEAD
+from rich.cells import cell_len
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-from filters.contract.noise import ColouredNoise
+from filters import StereoCamera
+from filters.contract.noise import ColouredNoise, StereoNoise
 from stereo_slam_env.benchmark.scenarios.measurement_errors import (
     LAGS,
     OUTLIER,
@@ -42,6 +44,8 @@ if TYPE_CHECKING:  # runs the front end
     from stereo_slam_env.benchmark.campaign import Progress as ProgressCallback
 
 MOST_COLUMNS = 5
+_NAMES_WRAP_AT = 24
+"""Names of rows are wrapped, in a narrow console, but to no less."""
 _CLAIMS_MATTER_MOST = (
     *("final_position_sigma_m", "final_pose_logdet", "end_error_m", "position_rmse_m", "pose_anees", "diverged"),
 )
@@ -115,10 +119,11 @@ def show_recording(console: Console, recording: Recording) -> None:
     lines = {
         "recording": f"{recording.name}: {len(frames)} frames, {frames[-1].timestamp - frames[0].timestamp:.1f} s, "
         f"{observed / len(frames):.0f} landmarks a frame, {referenced} with a reference pose",
+        "rig": _rig(recording.camera),
         "reference": str(recording.reference),
         **_audit(recording),
         "its noise": noise,
-        **({"that lasts": _lasting(recording.noise)} if isinstance(recording.noise, ColouredNoise) else {}),
+        **_lasting(recording.noise, referenced > 0),
         **_rig_found(recording),
         "read as": _listed(source),
     }
@@ -129,7 +134,18 @@ def show_recording(console: Console, recording: Recording) -> None:
     _show_lines(console, lines)
 
 
-def _lasting(noise: ColouredNoise) -> str:
+def _rig(camera: StereoCamera) -> str:
+    focal = f"{camera.fx:.6g}" if camera.fx == camera.fy else f"{camera.fx:.6g} and {camera.fy:.6g}"
+    return (
+        f"{camera.width}x{camera.height} px, focal length {focal} px, principal point ({camera.cx:.6g}, "
+        f"{camera.cy:.6g}) px, baseline {camera.baseline:.4g} m"
+    )
+
+
+def _lasting(noise: StereoNoise, referenced: bool) -> dict[str, str]:
+    """How errors last, as `coloured-noise` is told."""
+    if not isinstance(noise, ColouredNoise):
+        return {}
     said = []
     if noise.drift is not None and any(noise.drift.pixels):
         steps = " / ".join(f"{step:.2f}" for step in noise.drift.pixels)
@@ -140,7 +156,7 @@ def _lasting(noise: ColouredNoise) -> str:
         said.append(f"its errors are forgotten with a time constant of {noise.lasting_time:.1f} s")
     if noise.gauge_walk:
         said.append(f"all together by {1e3 * noise.gauge_walk:.1f} mrad per root of a radian of image motion")
-    if noise.misalignment:
+    if noise.misalignment and referenced:
         said.append(f"camera and reference are aligned to {1e3 * noise.misalignment:.0f} mrad")
     if noise.disparity_offset:
         said.append(f"disparities have an offset of about {noise.disparity_offset:.2f} px")
@@ -149,7 +165,7 @@ def _lasting(noise: ColouredNoise) -> str:
         said.append(f"the right camera is rectified to {turns}")
     if noise.scale:
         said.append(f"the scale is known to {100 * noise.scale:.1f} %")
-    return "; ".join(said) or "nothing"
+    return {"that lasts": "; ".join(said) or "nothing"}
 
 
 def _audit(recording: Recording) -> dict[str, str]:
@@ -236,21 +252,13 @@ def show_results(console: Console, summaries: Sequence[FilterSummary], *, claims
     A column a filter; of many filters, a row each, with the figures that matter most. `claims`: with what is claimed of
     the final pose.
     """
-    table = Table(box=None, pad_edge=False, header_style="bold")
-    table.add_column("", no_wrap=True)
     brief = len(summaries) > MOST_COLUMNS
-    figures = _cells(summaries, claims=claims, brief=brief)
-    if not brief:
-        for summary in summaries:
-            table.add_column(escape(summary.filter_name), justify="right")
-        for name, cells in figures.items():
-            table.add_row(name, *cells)
+    labels, figures = [summary.filter_name for summary in summaries], _cells(summaries, claims=claims, brief=brief)
+    if brief:
+        _print_columns(console, labels, figures)
     else:
-        for name, cells in figures.items():
-            table.add_column(name, justify="right", min_width=max(map(len, cells)))
-        for summary, *row in zip(summaries, *figures.values(), strict=True):
-            table.add_row(escape(summary.filter_name), *row)
-    console.print(table, highlight=False)
+        columns = [[cells[k] for cells in figures.values()] for k in range(len(labels))]
+        _print_columns(console, list(figures), dict(zip(labels, columns, strict=True)))
     for summary in summaries:
         for remark in summary.remarks:
             console.print(f"[yellow]note[/yellow]: {escape(remark)}", highlight=False, soft_wrap=True)
@@ -258,6 +266,30 @@ def show_results(console: Console, summaries: Sequence[FilterSummary], *, claims
             console.print(
                 f"[red]{escape(summary.filter_name)} failed[/red]: {escape(failure)}", highlight=False, soft_wrap=True
             )
+
+
+def _print_columns(console: Console, names: Sequence[str], columns: Mapping[str, Sequence[str]]) -> None:
+    """Print columns by their headings beside the names of the rows: as many in one table as the console is wide."""
+    left = list(columns.items())
+    longest_word = max(cell_len(word) for name in names for word in name.split())
+    beside = max(longest_word, min(_NAMES_WRAP_AT, max(map(cell_len, names))))
+    while left:
+        table = Table(box=None, pad_edge=False, header_style="bold")
+        table.add_column("", min_width=beside)
+        free = console.width - beside
+        shown: list[Sequence[str]] = []
+        while left:
+            width = max(map(cell_len, [*left[0][0].split(), *left[0][1]]))
+            free -= width + 2
+            if free < 0 and shown:
+                break
+            table.add_column(escape(left[0][0]), justify="right", min_width=width)
+            shown.append(left.pop(0)[1])
+        for name, *row in zip(names, *shown, strict=True):
+            table.add_row(escape(name), *row)
+        console.print(table, highlight=False)
+        if left:
+            console.print()
 
 
 def show_cells(console: Console, results: Sequence[CellResult]) -> None:

@@ -119,6 +119,12 @@ class Rectification:
         return turned[0], turned[1]
 
 
+def require_rotation(R: FloatArray, where: str, what: str) -> None:
+    """A `ValueError` that names the calibration where a matrix (3, 3) is no rotation, to 1e-3."""
+    if not (np.abs(R @ R.T - np.eye(3)) <= 1e-3).all() or np.linalg.det(R) < 0:
+        raise ValueError(f"{where}: {what} holds no rotation: take the calibration again")
+
+
 @lru_cache(maxsize=8)
 def rectification(left: Lens, right: Lens, T_rl: tuple[float, ...], where: str) -> Rectification:
     """The rectification of two lenses by OpenCV; only pixels that both images have are kept (alpha 0).
@@ -145,8 +151,7 @@ def rectification(left: Lens, right: Lens, T_rl: tuple[float, ...], where: str) 
         raise ValueError(f"{where}: one lens is {left.model}, the other {right.model}: OpenCV rectifies neither")
     T = np.reshape(T_rl, (4, 4))
     R = T[:3, :3]
-    if not np.isfinite(T).all() or np.abs(R @ R.T - np.eye(3)).max() > 1e-3 or np.linalg.det(R) < 0:
-        raise ValueError(f"{where}: the pose between the cameras holds no rotation: take the calibration again")
+    require_rotation(R, where, "the pose between the cameras")
     turn, shift = np.ascontiguousarray(R), np.ascontiguousarray(T[:3, 3:])
     of_both = left.K, left.coefficients, right.K, right.coefficients, left.size, turn, shift
     made: Any
@@ -168,4 +173,6 @@ def stated_rectification(
     lenses: tuple[Lens, Lens], turns: tuple[FloatArray, FloatArray], P: tuple[FloatArray, FloatArray], where: str
 ) -> Rectification:
     """The rectification that a calibration states by its R (3, 3) and P (3, 4) of both cameras."""
+    for R in turns:
+        require_rotation(R, where, "the rectification matrix")
     return Rectification(lenses, turns, P, rectified_rig(where, *P, lenses[0].size))

@@ -11,6 +11,8 @@ from filters import StereoCamera
 from filters.geometry.arrays import FloatArray
 from stereo_slam_env.files.readers import read_text
 
+LONGEST_BASELINE = 10.0
+"""Beyond this, m, a baseline is a mistake of units."""
 _SAME_K = 1e-6
 """Relative difference of the K of both cameras that is taken for rounding."""
 
@@ -59,8 +61,10 @@ def rectified_rig(path: Path | str, P_left: FloatArray, P_right: FloatArray, siz
     if not (np.abs(P_right[:, :3] - K) <= _SAME_K * scale).all():
         raise ValueError(f"{path}: both cameras must have the same focal lengths and principal point: not rectified")
     baseline = float(camera_position(P_right)[0] - camera_position(P_left)[0])
-    if baseline <= 0:
+    if not baseline > 0:
         raise ValueError(f"{path}: the baseline is {baseline:.6g} m, it must be > 0: are left and right swapped?")
+    if baseline > LONGEST_BASELINE:
+        raise ValueError(f"{path}: the baseline is {baseline:.6g} m: metres are expected, is it in mm?")
     fx, fy, cx, cy = (float(K[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2)))
     return StereoCamera(fx, fy, cx, cy, baseline, *size)
 

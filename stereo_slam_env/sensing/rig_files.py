@@ -20,7 +20,14 @@ from filters.geometry.arrays import FloatArray
 from stereo_slam_env.files.opening import open_regular
 from stereo_slam_env.files.paths import is_there
 from stereo_slam_env.files.readers import read_json, read_text
-from stereo_slam_env.sensing.lenses import Lens, LensModel, Rectification, rectification, stated_rectification
+from stereo_slam_env.sensing.lenses import (
+    Lens,
+    LensModel,
+    Rectification,
+    rectification,
+    require_rotation,
+    stated_rectification,
+)
 from stereo_slam_env.sensing.projections import entry, projections, read_entries, rectified_rig
 
 Calibration = StereoCamera | Rectification
@@ -173,9 +180,11 @@ def _numbers(path: Path, table: Mapping[str, Any], names: str | Sequence[str], *
         numbers = np.array(list(_flat(value)), dtype=np.float64)
     except (TypeError, ValueError, OverflowError, RecursionError) as error:
         raise ValueError(f"{path}: '{names[0]}' holds no numbers ({first_line(error)}): correct it") from error
-    if (counts and numbers.size not in counts) or not np.isfinite(numbers).all():
+    if counts and numbers.size not in counts:
         wanted = " or ".join(map(str, counts))
-        raise ValueError(f"{path}: '{names[0]}' has {numbers.size} numbers where {wanted} finite ones were expected")
+        raise ValueError(f"{path}: '{names[0]}' has {numbers.size} numbers where {wanted} were expected")
+    if not np.isfinite(numbers).all():
+        raise ValueError(f"{path}: '{names[0]}' has NaN or infinity: take the calibration again")
     return numbers
 
 
@@ -370,7 +379,5 @@ def _orb_slam(path: Path, table: dict[str, Any], size: Size) -> StereoCamera:
 
 def _transform(path: Path, table: Mapping[str, Any], name: str) -> FloatArray:
     T = _numbers(path, table, name, 16).reshape(4, 4)
-    R = T[:3, :3]
-    if np.abs(R @ R.T - np.eye(3)).max() > 1e-3 or np.linalg.det(R) < 0:
-        raise ValueError(f"{path}: {name} holds no rotation: take the calibration of this recording")
+    require_rotation(T[:3, :3], str(path), name)
     return T

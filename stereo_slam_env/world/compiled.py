@@ -17,9 +17,9 @@ from filters.engine.compiled.disk_cache import KEPT, LINKED
 from filters.geometry.arrays import FloatArray, IntArray
 from stereo_slam_env.world.scene import BOX, CYLINDER
 
-_ENTRY: dict[str, Any] = {**KEPT, "error_model": "numpy"}
-_INLINE: dict[str, Any] = {**LINKED, "error_model": "numpy"}
-"""For functions that only others here call."""
+ENTRY: dict[str, Any] = {**KEPT, "error_model": "numpy"}
+INLINE: dict[str, Any] = {**LINKED, "error_model": "numpy"}
+"""For functions that only compiled ones call."""
 
 X, Y, COS, SIN, LENGTH, WIDTH, RADIUS = range(7)
 """Columns of a table of rectangles on the ground: centre, direction, size, radius of the circle around it."""
@@ -41,7 +41,7 @@ def _fma(typing_context: Any, a: Any, b: Any, c: Any) -> Any:
     return types.float64(types.float64, types.float64, types.float64), generate
 
 
-@njit(**_ENTRY)
+@njit(**ENTRY)
 def circles_around(items: FloatArray) -> FloatArray:
     """Centre and radius of a circle around each run of 16 points along roads, or of 16 such circles.
 
@@ -58,7 +58,7 @@ def circles_around(items: FloatArray) -> FloatArray:
     return circles
 
 
-@njit(**_ENTRY)
+@njit(**ENTRY)
 def nearest(points: FloatArray, circles: FloatArray, xy: FloatArray) -> IntArray:
     """Index of the point of a road, with circles around these, that is nearest to each of `xy` (N, 2)."""
     found, outer, at = np.empty(len(xy), dtype=np.int64), circles_around(circles), 0
@@ -67,7 +67,7 @@ def nearest(points: FloatArray, circles: FloatArray, xy: FloatArray) -> IntArray
     return found
 
 
-@njit(**_INLINE)
+@njit(**INLINE)
 def _nearest(points: FloatArray, circles: FloatArray, outer: FloatArray, x: float, y: float, at: int) -> int:
     """Index of the nearest point; the last answer `at` is a good guess, as points come thing by thing."""
     guess = at // _RUN
@@ -80,7 +80,7 @@ def _nearest(points: FloatArray, circles: FloatArray, outer: FloatArray, x: floa
     return at
 
 
-@njit(**_INLINE)
+@njit(**INLINE)
 def _nearest_of_run(points: FloatArray, run: int, x: float, y: float, at: int, least: float) -> tuple[int, float]:
     """Index and distance of the nearest point of a run, unless the one `at` a distance of `least` is nearer."""
     square = least**2
@@ -91,13 +91,13 @@ def _nearest_of_run(points: FloatArray, run: int, x: float, y: float, at: int, l
     return at, math.sqrt(square)
 
 
-@njit(**_INLINE)
+@njit(**INLINE)
 def _square(points: FloatArray, i: int, x: float, y: float) -> float:
     """Square of the distance to a point."""
     return (points[i, X] - x) ** 2 + (points[i, Y] - y) ** 2
 
 
-@njit(**_ENTRY)
+@njit(**ENTRY)
 def claim(
     points: FloatArray,
     circles: FloatArray,
@@ -133,7 +133,7 @@ def claim(
     return True
 
 
-@njit(**_INLINE)
+@njit(**INLINE)
 def _off_roads(
     points: FloatArray, circles: FloatArray, wanted: FloatArray, cover: FloatArray, clearance: float
 ) -> bool:
@@ -149,7 +149,7 @@ def _off_roads(
     return True
 
 
-@njit(**_INLINE)
+@njit(**INLINE)
 def _contains(rectangle: FloatArray, x: float, y: float, room: float) -> bool:
     """Whether the rectangle grown by `room` contains the point."""
     x, y = x - rectangle[X], y - rectangle[Y]
@@ -158,7 +158,7 @@ def _contains(rectangle: FloatArray, x: float, y: float, room: float) -> bool:
     return abs(along) < 0.5 * rectangle[LENGTH] + room and abs(across) < 0.5 * rectangle[WIDTH] + room
 
 
-@njit(**_INLINE)
+@njit(**INLINE)
 def _cover(rectangle: FloatArray) -> FloatArray:
     """Points about 1.5 m apart that cover the rectangle; (N, 2)."""
     length, width = rectangle[LENGTH], rectangle[WIDTH]
@@ -173,13 +173,13 @@ def _cover(rectangle: FloatArray) -> FloatArray:
     return cover
 
 
-@njit(**_INLINE)
+@njit(**INLINE)
 def _share(i: int, count: int) -> float:
     """Number i of `count` from -0.5 to 0.5."""
     return 0.5 if i == count - 1 else i * (1.0 / (count - 1)) - 0.5
 
 
-@njit(**_ENTRY)
+@njit(**ENTRY)
 def sampling_weights(shapes: FloatArray) -> FloatArray:
     """Share of the points for each shape, relative to others: the root of its side area, so that poles count too."""
     weights = np.empty(len(shapes))
@@ -193,7 +193,7 @@ def sampling_weights(shapes: FloatArray) -> FloatArray:
     return weights
 
 
-@njit(**_ENTRY)
+@njit(**ENTRY)
 def sample(shapes: FloatArray, counts: IntArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
     """Points uniform on the side (of balls: the whole) surfaces of the shapes and unit outward normals; (N, 3) each.
 
@@ -208,7 +208,7 @@ def sample(shapes: FloatArray, counts: IntArray, rng: np.random.Generator) -> tu
     return points, normals
 
 
-@njit(**_ENTRY)
+@njit(**ENTRY)
 def sample_facing(
     shapes: FloatArray,
     counts: IntArray,
@@ -250,7 +250,7 @@ def sample_facing(
     return turned[:number].copy()
 
 
-@njit(**_INLINE)
+@njit(**INLINE)
 def _sample(shape: FloatArray, rng: np.random.Generator, points: FloatArray, normals: FloatArray) -> None:
     if shape[0] == BOX:
         _sample_box(shape, rng, points, normals)
@@ -260,7 +260,7 @@ def _sample(shape: FloatArray, rng: np.random.Generator, points: FloatArray, nor
         _sample_ball(shape, rng, points, normals)
 
 
-@njit(**_INLINE)
+@njit(**INLINE)
 def _convex_limits(points: FloatArray) -> FloatArray:
     """Of each point: up to which distance from it the squares of distances are convex along its neighbours, m.
 
@@ -278,7 +278,7 @@ def _convex_limits(points: FloatArray) -> FloatArray:
     return limits
 
 
-@njit(**_INLINE)
+@njit(**INLINE)
 def _nearest_of_few(points: FloatArray, first: int, last: int, x: float, y: float) -> int:
     """Index of the nearest of the points from `first` until `last`."""
     at, least = first, np.inf
@@ -288,7 +288,7 @@ def _nearest_of_few(points: FloatArray, first: int, last: int, x: float, y: floa
     return at
 
 
-@njit(**_INLINE)
+@njit(**INLINE)
 def _look_around(
     points: FloatArray,
     circles: FloatArray,
@@ -319,7 +319,7 @@ def _look_around(
                 cell[2] = _SCANNED
 
 
-@njit(**_INLINE)
+@njit(**INLINE)
 def _descended(points: FloatArray, first: int, last: int, start: int, x: float, y: float) -> int:
     """Index of the nearest of the points from `first` until `last`, along which squares of distances are convex."""
     at = start
@@ -345,7 +345,7 @@ def _descended(points: FloatArray, first: int, last: int, start: int, x: float, 
     return at
 
 
-@njit(**_INLINE)
+@njit(**INLINE)
 def _sample_box(shape: FloatArray, rng: np.random.Generator, points: FloatArray, normals: FloatArray) -> None:
     length, width, height = shape[4:7]
     cos, sin = math.cos(shape[7]), math.sin(shape[7])
@@ -367,7 +367,7 @@ def _sample_box(shape: FloatArray, rng: np.random.Generator, points: FloatArray,
         points[i, 2] = z + shape[3]
 
 
-@njit(**_INLINE)
+@njit(**INLINE)
 def _sample_cylinder(shape: FloatArray, rng: np.random.Generator, points: FloatArray, normals: FloatArray) -> None:
     start, axis, radius = shape[1:4], shape[4:7] - shape[1:4], shape[7]
     x, y, z = axis / _norm(axis)
@@ -384,7 +384,7 @@ def _sample_cylinder(shape: FloatArray, rng: np.random.Generator, points: FloatA
             points[i, j] = start[j] + along * axis[j] + radius * normals[i, j]
 
 
-@njit(**_INLINE)
+@njit(**INLINE)
 def _sample_ball(shape: FloatArray, rng: np.random.Generator, points: FloatArray, normals: FloatArray) -> None:
     for i in range(len(points)):
         x, y, z = rng.standard_normal(), rng.standard_normal(), rng.standard_normal()
@@ -394,7 +394,7 @@ def _sample_ball(shape: FloatArray, rng: np.random.Generator, points: FloatArray
             points[i, j] = shape[4] * normals[i, j] + shape[1 + j]
 
 
-@njit(**_INLINE)
+@njit(**INLINE)
 def _norm(vector: FloatArray) -> float:
     x, y, z = vector
     return math.sqrt(_fma(z, z, _fma(y, y, x * x)))

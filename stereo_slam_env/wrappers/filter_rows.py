@@ -190,7 +190,8 @@ class _Lockstep(FilterRows):
         if moved.any() and not fused.any():
             self._batch[0].options.motion.check_odometry(None)
         dt = np.where(moved, seen.times - self._times, 0.0)
-        R = self._batch[0].noise.R if seen.R is None else seen.R  # `coloured-noise` takes the white part of its noise
+        # Of its noise `coloured-noise` takes the white part.
+        R = np.repeat(self._batch.R, np.diff(seen.offsets), axis=0) if seen.R is None else seen.R
         right = which & seen.with_right
         observations = Observations(which, seen.offsets, seen.ids, seen.uvd, R, right, seen.v_right)
         outcome = self._batch.engine.step(dt, observations, Odometry(fused, values, covariances))

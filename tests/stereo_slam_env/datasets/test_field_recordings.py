@@ -194,6 +194,86 @@ def test_topics_can_be_named_and_what_is_no_stereo_bag_is_refused_in_one_line(tm
         assert said.count("\n") == 1
 
 
+def bag_of(path, topics, change=None):
+    """The drive as a ROS 2 bag of raw images; `change` alters the fields of CameraInfo, None leaves that out."""
+    from rosbags.rosbag2 import Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    kinds = store.types
+    roi = kinds["sensor_msgs/msg/RegionOfInterest"](0, 0, 0, 0, False)
+    with Writer(path, version=9) as writer:
+        made = {}
+
+        def put(topic, kind, stamp, message):
+            if topic not in made:
+                made[topic] = writer.add_connection(topic, kind, typestore=store)
+            writer.write(made[topic], stamp, store.serialize_cdr(message, kind))
+
+        for k, pair in enumerate(drive().pairs()):
+            stamp = round(1e9 * EPOCH) + round(1e9 * DT) * k
+            time = kinds["builtin_interfaces/msg/Time"](sec=stamp // 10**9, nanosec=stamp % 10**9)
+            header = kinds["std_msgs/msg/Header"](stamp=time, frame_id="c")
+            for eye, (topic, grey) in enumerate(zip(topics, (pair.left, pair.right), strict=True)):
+                image = kinds["sensor_msgs/msg/Image"](header, *grey.shape, "mono8", 0, grey.shape[1], grey.ravel())
+                put(topic, "sensor_msgs/msg/Image", stamp, image)
+                if change is not None:
+                    P = projection(-eye * CAMERA.baseline)
+                    given = {"K": P[:, :3].ravel(), "R": np.eye(3).ravel(), "P": P.ravel(), "D": np.zeros(5)}
+                    given = change({**given, "size": grey.shape})
+                    info = kinds["sensor_msgs/msg/CameraInfo"](
+                        *(header, *given["size"], "plumb_bob"), *(given[name] for name in "DKRP"), 0, 0, roi
+                    )
+                    put(topic.rpartition("/")[0] + "/camera_info", "sensor_msgs/msg/CameraInfo", stamp, info)
+    return path
+
+
+def test_cameras_without_camera_info_are_known_by_their_names_once_the_rig_is_given(tmp_path, capsys):
+    """As in the bags of EuRoC."""
+    bag = bag_of(tmp_path / "bag", ("/cam0/image_raw", "/cam1/image_raw"))
+    calibration(tmp_path)
+    rig = ["--rig", str(tmp_path / "calib.txt")]
+    assert cli.main(["convert", str(bag), str(tmp_path / "found"), *rig]) == 0
+    assert_the_drive(open_image_sequence(tmp_path / "found"), truth=False)
+    topics = ["--image-topics", "/cam0/image_raw,/cam1/image_raw"]
+    assert cli.main(["convert", str(bag), str(tmp_path / "named"), *rig, *topics]) == 0
+    assert_the_drive(open_image_sequence(tmp_path / "named"), truth=False)
+    capsys.readouterr()
+    for more, complaint in (
+        ([], "give a rig; images: /cam0/image_raw with no CameraInfo, /cam1/image_raw with no CameraInfo"),
+        (["--image-topics", "/cam0/image_raw"], "--image-topics needs two topics, LEFT,RIGHT"),
+    ):
+        assert cli.main(["convert", str(bag), str(tmp_path / "none"), *more]) == 2
+        assert complaint in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        (lambda info: {**info, "P": np.abs(info["P"])}, r"no pair of cameras .* P\[3\] = 0.*P\[3\] = \d"),
+        (lambda info: {**info, "P": info["P"] * [1, 1, 1, 1000, *[1] * 8]}, r"the baseline is \d+ m: .* is it in mm"),
+        (lambda info: {**info, "K": np.full(9, np.nan)}, "'camera_matrix' has NaN or infinity"),
+        (lambda info: {**info, "K": np.zeros(9)}, "focal lengths of a lens must be positive"),
+        (lambda info: {**info, "R": np.zeros(9)}, "the rectification matrix holds no rotation"),
+        (lambda info: {**info, "size": (0, 0)}, "resolution 0x0 is none of an image"),
+        (lambda info: {**info, "size": (720, 1280)}, "160x120 where CameraInfo says 1280x720"),
+    ],
+)
+def test_a_camera_info_that_cannot_be_is_refused_with_what_is_wrong(tmp_path, change, complaint):
+    bag = bag_of(tmp_path / "bag", ("/left/image_raw", "/right/image_raw"), change)
+    with pytest.raises(ValueError, match=complaint) as error:
+        list(open_image_sequence(bag).pairs())
+    assert "\n" not in str(error.value)
+
+
+def test_images_that_show_nothing_are_refused(tmp_path, capsys):
+    folder = plain_folder(tmp_path)
+    for image in folder.glob("*/*.png"):
+        write_png(image, np.zeros((CAMERA.height, CAMERA.width), np.uint8))
+    assert cli.main(["replay", str(folder), "--out", str(tmp_path / "run")]) == 2
+    assert f"shows no landmark in any of its {FRAMES} pairs: are the images dark" in capsys.readouterr().err
+
+
 def test_a_bag_without_images_is_told_so_and_not_to_name_topics():
     bag = real_data("field/bags") / "nav2_turtlebot.mcap"
     with pytest.raises(ValueError, match=r"nav2_turtlebot\.mcap holds no images, on none of its \d+ topics"):

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import stereo_slam_env  # noqa: F401 (registers the ids)
-from filters import available_filters, make_filter
+from filters import StereoNoise, available_filters, make_filter
 from filters.catalogue import presets
 from stereo_slam_env.training.task import GAZE_FILTER, GazeTask
 from stereo_slam_env.wrappers import (
@@ -18,6 +18,7 @@ from stereo_slam_env.wrappers import (
     RecordConsistency,
     SelectedKeys,
     SequenceObservation,
+    belief_observation,
 )
 
 GAZE = "StereoSlam/Gaze-v0"
@@ -40,6 +41,26 @@ def assert_rows(together, alone, b):
                 assert np.asarray(batch[key][b]).tobytes() == np.asarray(value).tobytes(), key
                 assert np.asarray(batch[key]).dtype == np.asarray(value).dtype, key
         assert [value[b] for value in all_of_them[1:-1]] == list(one[1:-1])
+
+
+def test_every_row_assumes_the_noise_of_its_own_filter(monkeypatch):
+    actions = np.zeros((STEPS, 2, 2), np.float32)
+
+    def final_positions(*sigmas):
+        made = iter([sigmas[0], *sigmas])  # one more is made, to see whether they go in a batch
+
+        def make(name, *, noise, **rest):
+            return make_filter(name, noise=StereoNoise.independent_pixels(next(made)), **rest)
+
+        monkeypatch.setattr(belief_observation, "make_filter", make)
+        vector = gym.make_vec(GAZE, num_envs=2, belief={}, **WORLD)
+        said = drive(vector, actions, seed=SEEDS[:2])
+        vector.close()
+        return said[-1][0]["belief_position"]
+
+    mixed, low, high = final_positions(0.5, 2.0), final_positions(0.5, 0.5), final_positions(2.0, 2.0)
+    np.testing.assert_array_equal(mixed, [low[0], high[1]])
+    assert (low != high).any(axis=1).all()
 
 
 @pytest.mark.parametrize(
