@@ -377,7 +377,7 @@ class StereoEKF(StereoFilter):
         true_position = finite_array("position", position, (3,))
         true_orientation = unit_quaternion("orientation", orientation)
         truth = true_position, true_orientation
-        return self.options.error.pose_error(self.camera_state, self._row.joint(POSE), *truth)
+        return self.options.error.pose_error(self.camera_state, self.pose.covariance, *truth)
 
     def _wanted(self, ids: Sequence[int] | IntArray | None) -> tuple[IntArray, IntArray]:
         """The landmarks asked for (None: all, ascending), and where they are; refuses those that are not there."""

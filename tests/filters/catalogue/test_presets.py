@@ -91,3 +91,7 @@ def test_what_no_image_shows_of_the_rig_is_added_to_the_covariance_of_the_way(dr
     np.testing.assert_array_equal(joint[:6, :6], doubting.covariance)
     np.testing.assert_array_equal(pairs[:, :6, :6], [doubting.covariance] * len(pairs))
     np.testing.assert_allclose(joint[:6, 6:9], pairs[0, :6, 6:], rtol=1e-9)
+    # NEES is by the same covariance, in the coordinates of the filter's error.
+    pose, error = slam.pose, slam.options.error
+    judged = error.pose_error(slam.camera_state, pose.covariance, pose.position, pose.orientation)
+    np.testing.assert_array_equal(slam.pose_error(pose.position, pose.orientation)[1], judged[1])
