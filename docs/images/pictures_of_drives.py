@@ -16,8 +16,7 @@ import numpy as np
 
 import stereo_slam_env as sse
 from stereo_slam_env.benchmark.scenarios.streams import without_measurements
-from stereo_slam_env.envs.recorder import RenderedDrive
-from stereo_slam_env.frontend.recorder import ActiveSearch
+from stereo_slam_env.frontend import ActiveSearch
 from stereo_slam_env.rendering.drawing import label
 from stereo_slam_env.rendering.images import Image
 from stereo_slam_env.viewer import Drive, save_still, search_picture
@@ -81,7 +80,7 @@ def gaze(path: Path) -> None:
 def search(path: Path) -> None:
     """The active search of a filter between vans and lorries."""
     traffic = {"route": "right-turn", "renderer": "gl", "moving_cars": 12, "pedestrians": 6}
-    drive, frame = RenderedDrive(traffic, seed=3, frames=38), 37
+    drive, frame = sse.RenderedDrive(traffic, seed=3, frames=38), 37
     pictures: list[Image] = []
 
     def watch(pair: Any, tracked: Any) -> None:

@@ -24,7 +24,6 @@ from PIL.PngImagePlugin import PngInfo
 
 import stereo_slam_env as sse
 from stereo_slam_env.benchmark import preset_study, run_benchmark
-from stereo_slam_env.report.benchmark_report import write_report_of
 from stereo_slam_env.studies.paper import convergence, figures
 from stereo_slam_env.viewer import Drive, RerunView
 
@@ -43,7 +42,7 @@ def report(path: Path, work: Path, *, small: bool) -> None:
     study = preset_study("quick")
     if small:
         study = study.with_scenarios(lambda one: dataclasses.replace(one, seeds=(0, 1), frames=20))
-    result = run_benchmark(study, work / "quick", jobs=1, write_report=write_report_of)
+    result = run_benchmark(study, work / "quick", jobs=1, write_report=sse.write_report_of)
     assert result.report is not None
     with page_in_browser(result.report.as_uri(), REPORT_SIZE) as page:
         page.wait_for_timeout(3_000)  # ms: charts are drawn when they come into view

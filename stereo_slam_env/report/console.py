@@ -270,26 +270,35 @@ def show_results(console: Console, summaries: Sequence[FilterSummary], *, claims
 
 def _print_columns(console: Console, names: Sequence[str], columns: Mapping[str, Sequence[str]]) -> None:
     """Print columns by their headings beside the names of the rows: as many in one table as the console is wide."""
-    left = list(columns.items())
     longest_word = max(cell_len(word) for name in names for word in name.split())
-    beside = max(longest_word, min(_NAMES_WRAP_AT, max(map(cell_len, names))))
-    while left:
+    most = [max(map(cell_len, names))]
+    least = [max(longest_word, min(_NAMES_WRAP_AT, most[0]))]
+    for heading, cells in columns.items():
+        of_cells = max(map(cell_len, cells))
+        least.append(max(of_cells, *map(cell_len, heading.split())))
+        most.append(max(of_cells, cell_len(heading)))
+    columns_left = list(range(1, len(least)))
+    headings, values = list(columns), list(columns.values())
+    while columns_left:
+        shown = [0]
+        while columns_left and (len(shown) == 1 or _width([*shown, columns_left[0]], least) <= console.width):
+            shown.append(columns_left.pop(0))
+        spare = console.width - _width(shown, least)
         table = Table(box=None, pad_edge=False, header_style="bold")
-        table.add_column("", min_width=beside)
-        free = console.width - beside
-        shown: list[Sequence[str]] = []
-        while left:
-            width = max(map(cell_len, [*left[0][0].split(), *left[0][1]]))
-            free -= width + 2
-            if free < 0 and shown:
-                break
-            table.add_column(escape(left[0][0]), justify="right", min_width=width)
-            shown.append(left.pop(0)[1])
-        for name, *row in zip(names, *shown, strict=True):
-            table.add_row(escape(name), *row)
+        for k in shown:
+            width = least[k] + min(max(spare, 0), most[k] - least[k])
+            spare -= width - least[k]
+            table.add_column(escape(headings[k - 1]) if k else "", justify="right" if k else "left", width=width)
+        for row, name in enumerate(names):
+            table.add_row(escape(name), *(values[k - 1][row] for k in shown[1:]))
         console.print(table, highlight=False)
-        if left:
+        if columns_left:
             console.print()
+
+
+def _width(columns: Sequence[int], widths: Sequence[int]) -> int:
+    """Of some columns and what is between them."""
+    return sum(widths[k] + 2 for k in columns) - 2
 
 
 def show_cells(console: Console, results: Sequence[CellResult]) -> None:

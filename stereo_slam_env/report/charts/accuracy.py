@@ -101,9 +101,10 @@ def _error_over_distance(runs: Sequence[FilterRun], width: float, height: float)
         for median in [series.column_median(errors[name])]
     ]
     # Nine runs out of ten fit: a single bad run is told in the table, not by flattening the rest.
+    peaks = {name: np.array([series.peak(row) for row in table]) for name, table in errors.items()}
     most = {
-        name: float(np.nanquantile([series.peak(row) for row in table], 0.9, method="lower"))
-        for name, table in errors.items()
+        name: float(np.nanquantile(found, 0.9, method="lower")) if np.isfinite(found).any() else np.nan
+        for name, found in peaks.items()
     }
     limit = shared_limit({c.key: float(np.fmax(most[c.key], series.peak(c.y))) for c in medians}, spread=30.0)
     farthest = max((series.peak(curve.x) for curve in medians), default=1.0)

@@ -33,4 +33,6 @@ def test_no_label_and_no_figure_is_cut(width, filters):
     for label in labels:
         assert label in said.split()
     for summary in summaries:
-        assert FIGURES["position_rmse_m"].text(summary.position_rmse_m) in said.split()
+        for name in ("position_rmse_m", "pose_anees"):
+            assert FIGURES[name].text(getattr(summary, name)) in said.split()
+    assert said.count(" of 2") >= filters  # runs that diverged: the last column
