@@ -27,8 +27,6 @@ EXISTS, DRIVEN, TO_NEW, TO_START, SIGMA = range(5)
 _MOST = np.array([1.0, 1.0, 24.0, 24.0, 100.0], dtype=np.float32)
 """Of each column."""
 _MOST_ROADS = 1000.0
-_LOST = 1.2
-"""Claimed standard deviation of the position at which `explore_and_close` turns back, m."""
 _WORLD: Mapping[str, Any] = {
     **{"route": "random-grid", "policy": "route", "surroundings": "groves", "visibility": 30.0, "rig": "vga"},
     **{"max_landmarks": 16, "revisit": True},
@@ -201,7 +199,7 @@ class BranchChoice(RowWrapper):
         roads: int = 12,
         accuracy: float = 1.0,
         weight: float = 100.0,
-        goal: float = 0.3,
+        goal: float = 0.2,
     ) -> None:
         super().__init__(env)
 
@@ -225,7 +223,7 @@ def branches(
     roads: int = 12,
     accuracy: float = 1.0,
     weight: float = 100.0,
-    goal: float = 0.3,
+    goal: float = 0.2,
     many: Mapping[str, Any] | None = None,
 ) -> Any:
     """`StereoSlam/Branches-v0`: drive through a grid of streets so that much of it is on the map, and true.
@@ -265,18 +263,20 @@ branches_vector = vector_of(branches)
 
 
 def explore_and_close(observation: Mapping[str, Any]) -> int:
-    """A rule: to the nearest new road while the position is known to 1.2 m, else towards the start, to close a loop.
+    """A rule: to the nearest new road; of those that are as near, to that from which the start is nearer.
 
-    Of ways that are as good, that which is better by the other measure.
+    So new roads lead round blocks, and loops are closed.
     """
-    known = np.asarray(observation["branches"], dtype=np.float64)
-    sigma = float(np.linalg.norm(np.asarray(observation["belief_sigmas"][:3], dtype=np.float64)))
-    order = (TO_NEW, TO_START) if sigma < _LOST else (TO_START, TO_NEW)
-    there = [choice for choice in (STRAIGHT, RIGHT, LEFT) if known[choice, EXISTS]]
-    return min(there, key=lambda choice: tuple(known[choice, list(order)]))
+    return _nearest(observation, [TO_NEW, TO_START])
 
 
 def to_new_roads(observation: Mapping[str, Any]) -> int:
-    """A rule: always to the nearest road that has not been driven, straight on where there are two."""
-    known = np.asarray(observation["branches"], dtype=np.float64)
-    return min((c for c in (STRAIGHT, RIGHT, LEFT) if known[c, EXISTS]), key=lambda choice: known[choice, TO_NEW])
+    """A rule that closes no loop on purpose: to the nearest new road, straight on where that is as near."""
+    return _nearest(observation, [TO_NEW])
+
+
+def _nearest(observation: Mapping[str, Any], by: list[int]) -> int:
+    """The road that is the nearest by columns of `branches`; of equal ones straight on, then right."""
+    known = np.asarray(observation["branches"])
+    there = [choice for choice in (STRAIGHT, RIGHT, LEFT) if known[choice, EXISTS]]
+    return min(there, key=lambda choice: tuple(known[choice, by]))
