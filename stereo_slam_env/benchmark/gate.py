@@ -88,6 +88,10 @@ class Gate:
             name = row.filter_name.replace("|", r"\|")
             mark = "**worse**: " if row.failed else ""
             lines.append(f"| {name} | {row.measure} | {before} | {after} | {change} | {mark}{row.words} |")
+        lines += [
+            "",
+            "Figures are medians over recordings, their change is the geometric mean of it over recordings.",
+        ]
         return "\n".join(lines) + "\n"
 
     def as_dict(self) -> dict[str, Any]:
