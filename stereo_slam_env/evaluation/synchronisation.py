@@ -180,7 +180,7 @@ def _apart(common: int, a: FloatArray, b: FloatArray, max_gap: float) -> str:
     ours, theirs = float(np.ptp(a)), float(np.ptp(b))
     for unit, name in ((1e9, "nanoseconds"), (1e6, "microseconds"), (1e3, "milliseconds")):
         for longer, shorter, whose in ((ours, theirs, "estimate"), (theirs, ours, "reference")):
-            if shorter > 0 and 0.1 < longer / shorter / unit < 10.0:
+            if common < 2 and shorter > 0 and 0.1 < longer / shorter / unit < 10.0:
                 return said + f"the times of the {whose} seem to be {name}, write them in seconds"
     if a[0] > b[-1] or b[0] > a[-1]:
         return said + (

@@ -29,6 +29,8 @@ that of T T^^-1. Source of the latter two: Sola, Deray and Atchuthan, 2018.
 Gauge = Literal["fixed", "se3", "gravity_yaw", "sim3"]
 """What an estimate leaves open: nothing, because its start pose was given; the pose of its world; position and heading,
 as a system that measures gravity does; the pose and the scale of its world."""
+_FARTHEST = 1e12
+"""Beyond this, m, a position is a mistake."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +78,10 @@ class Trajectory:
         orientations = finite_array("orientations", self.orientations, (count, 4))
         if not count:
             raise ValueError("positions must hold at least one pose, got none")
+        if (far := np.flatnonzero(np.abs(positions).max(axis=1) > _FARTHEST)).size:
+            raise ValueError(
+                f"positions must be in m, row {far[0]} is {np.abs(positions[far[0]]).max():.3g} away: correct it"
+            )
         with np.errstate(over="ignore"):  # no unit length either
             lengths = np.linalg.norm(orientations, axis=1)
         if (bad := np.flatnonzero(np.abs(lengths - 1.0) > 0.01)).size:

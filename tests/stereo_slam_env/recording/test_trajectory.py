@@ -229,3 +229,9 @@ def test_an_impossible_trajectory_is_refused(change, complaint):
     usual = {"positions": np.zeros((2, 3)), "orientations": np.tile([0.0, 0.0, 0.0, 1.0], (2, 1))}
     with pytest.raises(ValueError, match=complaint):
         Trajectory(**usual | change)
+
+
+def test_a_position_that_no_vehicle_has_is_refused():
+    """Squares of errors would overflow."""
+    with pytest.raises(ValueError, match=r"positions must be in m, below 1e\+12: row 1 has"):
+        Trajectory(np.array([[0.0] * 3, [1e300] * 3]), np.tile([0.0, 0.0, 0.0, 1.0], (2, 1)), np.arange(2.0))
