@@ -25,6 +25,7 @@ REFERENCE_RETURNS: Mapping[str, tuple[float, float]] = MappingProxyType(
         "StereoSlam/Explore-v0": (0.08, 8.34),
         "StereoSlam/Revisit-v0": (-0.77, 8.28),
         "StereoSlam/ClosedLoop-v0": (-10.1, 23.0),
+        "StereoSlam/Branches-v0": (12.5, 19.6),
     }
 )
 """Mean returns of actions at random and of the best policy known, by id, with default arguments; measured by
