@@ -44,7 +44,8 @@ def test_there_are_about_twelve_landmarks_to_fifteen_metres(route, scenes):
     road = road_along(route)
     length = 0.5 * sum(piece.stop - piece.start for piece in road.stretches()) - 100.0  # the road goes on 130 m
     counts = [len(scene.landmark_ids) for scene in scenes]
-    assert np.mean(counts) == pytest.approx(12 * length / 15.0, rel=0.12)
+    slack = 0.12 if route.streets is None else 0.2  # where streets cross, there is less room
+    assert np.mean(counts) == pytest.approx(12 * length / 15.0, rel=slack)
     assert all(0.8 < count / np.mean(counts) < 1.2 for count in counts)
 
 
