@@ -6,6 +6,7 @@
     python benchmarks/changed_recordings.py DATA --causal                         # no future: measured on the way
     python benchmarks/changed_recordings.py DATA --options '{"iterations": 3}'    # of the filter
     python benchmarks/changed_recordings.py DATA --severe                         # what no filter survives
+    python benchmarks/changed_recordings.py DATA --grades                         # noise and outliers in between
     python benchmarks/changed_recordings.py --rendered 6 --renderer gl            # right turns, all changes
     python benchmarks/changed_recordings.py --wrong-rigs 5 --rigs 4               # rendered drives, wrong rigs of each
 
@@ -177,6 +178,11 @@ SEVERE: Mapping[str, Change] = {
     "right camera turned 1 deg": turned(1.0),
 }
 """Changes that no filter is expected to survive: does it say so?"""
+GRADES: Mapping[str, Change] = {
+    **{f"+ {pixels:g} px white noise": white_noise(pixels) for pixels in (1.0, 2.0)},
+    **{f"{100 * share:g} % outliers": outliers(share) for share in (0.1, 0.2)},
+}
+"""Noise and wrong matches in between."""
 OF_THE_RIG = (*tuple(CHANGES)[-3:], *tuple(SEVERE)[-2:])
 """Changes after which the rig is not as it is stated."""
 
@@ -265,8 +271,8 @@ def scored(recording: Recording, slam: str | type = "coloured-noise", **options:
 
 
 def changed(drive: Recording, name: str, look: int | None = None) -> Recording:
-    """The drive with a change of `CHANGES` or `SEVERE`, always the same."""
-    every_change = {**CHANGES, **SEVERE}
+    """The drive with a change of `CHANGES`, `SEVERE` or `GRADES`, always the same."""
+    every_change = {**CHANGES, **SEVERE, **GRADES}
     change = every_change[name](drive, np.random.default_rng(list(every_change).index(name)))
     if name in OF_THE_RIG and drive.truth_from.kind == "simulation":
         change = replace(change, truth_from=GIVEN_TRUTH)  # its rig is not as stated any more
@@ -343,6 +349,7 @@ def main() -> None:
         recordings=list(RECORDINGS),
         changes=list(CHANGES),
         severe=False,
+        grades=False,
         look=int,
         causal=False,
         options={},
@@ -355,7 +362,7 @@ def main() -> None:
         route="right-turn",
     )
     look = 0 if given.causal else given.look
-    changes = list(SEVERE) if given.severe else given.changes
+    changes = list(SEVERE) if given.severe else list(GRADES) if given.grades else given.changes
     if given.data is not None:
         for name in given.recordings:
             if (given.data / name).is_dir():
