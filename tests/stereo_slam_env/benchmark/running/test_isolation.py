@@ -271,21 +271,19 @@ def test_silence_is_ended_but_not_slowness():
 
 @pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
 def test_what_is_compiled_is_a_sign_of_life_and_only_then():
-    def compiling(tell, functions):
-        for number in range(functions):
-            time.sleep(2.0)
+    def compiling(tell, pause):
+        for number in range(2):
+            time.sleep(pause)
             numba.njit(lambda x, more=number: x + more)(1.0)
-        time.sleep(2.0)
+        time.sleep(pause)
         return "compiled"
 
     heard = []
-    assert (
-        run_isolated(lambda tell: compiling(tell, 2), silence_limit=4.0, progress=lambda *told: heard.append(told))
-        == "compiled"
-    )
+    told = {"silence_limit": 8.0, "progress": lambda *told: heard.append(told)}
+    assert run_isolated(lambda tell: compiling(tell, 3.5), **told) == "compiled"
     assert heard == []  # no progress of the work is made up
     with pytest.raises(WorkTooSlow, match="no sign of life"):
-        run_isolated(lambda tell: compiling(tell, 1) and time.sleep(60), silence_limit=4.0)
+        run_isolated(lambda tell: compiling(tell, 0.0) and time.sleep(60), silence_limit=2.0)
 
 
 def test_an_endless_loop_that_logs_is_ended():
