@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -22,7 +22,6 @@ from filters.contract.noise import StereoNoise
 from filters.contract.observation import StereoObservation
 from filters.contract.start import Start
 from filters.contract.validation import unchecked
-from filters.engine.batch import FilterBatch
 from filters.engine.stereo_ekf import StereoEKF
 from filters.geometry import rotations
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
@@ -34,6 +33,9 @@ from filters.measurements.rectified_pair import Stacked
 from filters.motions.constant_velocity import ConstantVelocity
 from filters.motions.model import POSE_SIZE, CameraState, MotionModel
 from stereo_slam_env.recording.recording import Frame, LandmarkTruth, Recording
+
+if TYPE_CHECKING:
+    from filters.engine.batch import FilterBatch
 
 _IDLE = 0.1
 """s, of steps of a drive that has ended."""
@@ -176,6 +178,8 @@ class ReferenceBelief:
     @classmethod
     def together(cls, beliefs: Sequence[ReferenceBelief]) -> FilterBatch:
         """The filters of beliefs that have not begun, from now on in one engine; a `ValueError` where they differ."""
+        from filters.engine.batch import FilterBatch  # trajectories are judged where Numba is absent
+
         batch = FilterBatch(iter([belief._slam for belief in beliefs]).__next__, len(beliefs))
         batch.reset([belief._start for belief in beliefs])
         return batch

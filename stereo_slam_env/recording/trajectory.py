@@ -79,9 +79,8 @@ class Trajectory:
         if not count:
             raise ValueError("positions must hold at least one pose, got none")
         if (far := np.flatnonzero(np.abs(positions).max(axis=1) > _FARTHEST)).size:
-            raise ValueError(
-                f"positions must be in m, row {far[0]} is {np.abs(positions[far[0]]).max():.3g} away: correct it"
-            )
+            worst = np.abs(positions[far[0]]).max()
+            raise ValueError(f"positions must be in m, below {_FARTHEST:g}: row {far[0]} has {worst:.3g}")
         with np.errstate(over="ignore"):  # no unit length either
             lengths = np.linalg.norm(orientations, axis=1)
         if (bad := np.flatnonzero(np.abs(lengths - 1.0) > 0.01)).size:
