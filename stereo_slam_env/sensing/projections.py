@@ -11,6 +11,8 @@ from filters import StereoCamera
 from filters.geometry.arrays import FloatArray
 from stereo_slam_env.files.readers import read_text
 
+LONGEST_FOCAL_LENGTH = 1e5
+"""Beyond this, px, a lens is a mistake."""
 LONGEST_BASELINE = 10.0
 """Beyond this, m, a baseline is a mistake of units."""
 _SAME_K = 1e-6
@@ -66,6 +68,8 @@ def rectified_rig(path: Path | str, P_left: FloatArray, P_right: FloatArray, siz
     if baseline > LONGEST_BASELINE:
         raise ValueError(f"{path}: the baseline is {baseline:.6g} m: metres are expected, is it in mm?")
     fx, fy, cx, cy = (float(K[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2)))
+    if max(fx, fy) > LONGEST_FOCAL_LENGTH:
+        raise ValueError(f"{path}: a focal length of {max(fx, fy):.6g} px is that of no camera: is its lens right?")
     return StereoCamera(fx, fy, cx, cy, baseline, *size)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from filters import StereoCamera
 from filters.contract.known_names import require_known
 from filters.contract.validation import finite_number
-from stereo_slam_env.sensing.projections import LONGEST_BASELINE
+from stereo_slam_env.sensing.projections import LONGEST_BASELINE, LONGEST_FOCAL_LENGTH
 from stereo_slam_env.sensing.rig_files import ENDINGS, Calibration, is_calibration, read_calibration
 
 Rig = str | StereoCamera | Mapping[str, Any]
@@ -37,7 +37,11 @@ CAMERA_HEIGHT = 1.65
 """Of both cameras above the ground, m."""
 LONGEST_SIDE = 8192
 """Of an image, px: memory is allocated for what a scenario file asks for."""
-_BOUNDS = {"fx": (1.0, 1e5, "px"), "fy": (1.0, 1e5, "px"), "baseline": (0.001, LONGEST_BASELINE, "m")}
+_BOUNDS = {
+    "fx": (1.0, LONGEST_FOCAL_LENGTH, "px"),
+    "fy": (1.0, LONGEST_FOCAL_LENGTH, "px"),
+    "baseline": (0.001, LONGEST_BASELINE, "m"),
+}
 """Beyond these a number is a mistake of units."""
 _NUMBERS = tuple(field.name for field in fields(StereoCamera))
 _PLACES = ("name", "left", "right")

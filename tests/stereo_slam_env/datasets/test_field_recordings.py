@@ -252,6 +252,10 @@ def test_cameras_without_camera_info_are_known_by_their_names_once_the_rig_is_gi
     [
         (lambda info: {**info, "P": np.abs(info["P"])}, r"no pair of cameras .* P\[3\] = 0.*P\[3\] = \d"),
         (lambda info: {**info, "P": info["P"] * [1, 1, 1, 1000, *[1] * 8]}, r"the baseline is \d+ m: .* is it in mm"),
+        (
+            lambda info: {**info, "P": info["P"] * [1e3, 1, 1, 1e3, 1, 1e3, *[1] * 6]},
+            r"focal length of \d+ px .* no camera",
+        ),
         (lambda info: {**info, "K": np.full(9, np.nan)}, "'camera_matrix' has NaN or infinity"),
         (lambda info: {**info, "K": np.zeros(9)}, "focal lengths of a lens must be positive"),
         (lambda info: {**info, "R": np.zeros(9)}, "the rectification matrix holds no rotation"),
