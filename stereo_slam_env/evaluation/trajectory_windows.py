@@ -61,10 +61,8 @@ def score_windows(seconds: float, estimate: Trajectory, reference: Trajectory, t
         if claimed is not None and are_definite(claimed[np.unique(ends)[1:]]).all():
             values = nees(errors, covariances)
             if np.isfinite(values).all():
-                value, covered = (
-                    float(values.mean()),
-                    float(np.mean(values <= chi_square_quantile(_COVERED, POSE_SIZE))),
-                )
+                limit = chi_square_quantile(_COVERED, POSE_SIZE)
+                value, covered = float(values.mean()), float(np.mean(values <= limit))
     return WindowScore(
         seconds=seconds,
         windows=len(ends),
