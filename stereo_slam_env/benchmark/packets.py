@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -30,7 +30,7 @@ from stereo_slam_env.evaluation.trajectory_score import evaluate_trajectory
 from stereo_slam_env.files.json_files import write_json
 from stereo_slam_env.files.readers import read_json
 
-FORMAT = "stereo-slam packet 1"
+FORMAT = "stereo-slam packet 2"
 DATA = "{data}"
 """What stands for the folder of real recordings, which is another one elsewhere."""
 KEPT = (
@@ -105,7 +105,7 @@ def _claim(run: FilterRun | None) -> dict[str, Any]:
 
 def _short(value: Any) -> Any:
     """A number with as many digits as are compared, and some."""
-    return float(f"{value:.9g}") if isinstance(value, float) else value
+    return float(f"{value:.6g}") if isinstance(value, float) else value
 
 
 def _missing(result: CellResult) -> Iterator[str]:
@@ -145,8 +145,8 @@ def _moved(scenario: Scenario, to: Path | None) -> Scenario:
 
 
 def write_packet(path: Path, packet: Mapping[str, Any]) -> None:
-    """Write a packet, as JSON."""
-    write_json(path, packet)
+    """Write a packet, as compact JSON: trials by columns, so that a figure is named once, not in every trial."""
+    write_json(path, {**packet, "cells": _with_trials(packet["cells"], _columns)}, indent=None)
 
 
 def read_packet(path: Path) -> dict[str, Any]:
@@ -165,6 +165,7 @@ def read_packet(path: Path) -> dict[str, Any]:
         raise ValueError(f"{path} is no packet of results ({FORMAT}): write one with `stereo-slam submit RUN`")
     try:
         require_known(f"{path} has no key", content, ("format", "study", "versions", "cells", "missing"))
+        content = {**content, "cells": _with_trials(content["cells"], _rows)}
         names = [cell.name for cell in Study.from_dict(content["study"]).cells]
         if names != [cell["name"] for cell in content["cells"]]:
             raise ValueError("its cells are not those of its study")
@@ -180,6 +181,24 @@ def read_packet(path: Path) -> dict[str, Any]:
     except ValueError as error:
         raise ValueError(f"{path} is a damaged packet: {error}") from error
     return content
+
+
+def _with_trials(cells: Sequence[Mapping[str, Any]], form: Callable[[Any], Any]) -> list[dict[str, Any]]:
+    """The cells with the trials of every filter in another form."""
+    return [{**cell, "trials": {label: form(trials) for label, trials in cell["trials"].items()}} for cell in cells]
+
+
+def _columns(rows: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:
+    """Trials by columns; one in which nothing is known is left out."""
+    names = dict.fromkeys(name for row in rows for name, value in row.items() if value is not None)
+    return {name: [row.get(name) for row in rows] for name in names}
+
+
+def _rows(columns: Mapping[str, Sequence[Any]]) -> list[dict[str, Any]]:
+    """Trials as `_cell` makes them, of columns; raises ValueError where those differ in length."""
+    known = (dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True))
+    rows = [{"recording": None, "seed": None, **dict.fromkeys(KEPT), **row} for row in known]
+    return [{name: value for name, value in row.items() if name != "claim" or value is not None} for row in rows]
 
 
 @dataclass(frozen=True)

@@ -11,14 +11,15 @@ import msgspec
 from stereo_slam_env.files.folders import write_atomically
 
 
-def json_text(data: Mapping[str, Any]) -> str:
-    """JSON of plain data, indented, with a line break at the end."""
-    return msgspec.json.format(msgspec.json.encode(data, enc_hook=_plain), indent=2).decode() + "\n"
+def json_text(data: Mapping[str, Any], *, indent: int | None = 2) -> str:
+    """JSON of plain data, with a line break at the end; `indent` None: no other, and no spaces."""
+    compact = msgspec.json.encode(data, enc_hook=_plain)
+    return (compact if indent is None else msgspec.json.format(compact, indent=indent)).decode() + "\n"
 
 
-def write_json(path: Path, data: Mapping[str, Any]) -> None:
-    """Write JSON, whole or not at all."""
-    write_atomically(path, lambda stream: stream.write(json_text(data).encode()))
+def write_json(path: Path, data: Mapping[str, Any], *, indent: int | None = 2) -> None:
+    """Write JSON, whole or not at all; `indent` as of `json_text`."""
+    write_atomically(path, lambda stream: stream.write(json_text(data, indent=indent).encode()))
 
 
 def _plain(value: Any) -> Any:

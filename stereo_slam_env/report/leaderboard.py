@@ -25,24 +25,31 @@ _UNKNOWN = "–"
 
 
 def leaderboard(packets: Mapping[str, Mapping[str, Any]]) -> str:
-    """The page, in Markdown: a table a scenario; the keys are names of the files."""
-    parts = [_HEAD]
-    for name, packet in packets.items():
-        for cell in packet["cells"]:
-            rows = sorted(
-                (_row(label, trials) for label, trials in cell["trials"].items()), key=lambda row: (row[0], row[1])
-            )
-            parts.append(f"## {cell['name']}\n\n{_about(name, packet, cell)}\n")
-            lines = ["| " + " | ".join(_HEADS) + " |", "|---|" + "--:|" * (len(_HEADS) - 1)]
-            parts.append("\n".join([*lines, *("| " + " | ".join(cells) + " |" for _, _, cells in rows)]) + "\n")
-    return "\n".join(parts)
+    """The page, in Markdown: a table for each packet, the cells of a grid in their order; keys are names of files."""
+    return "\n".join([_HEAD, *(_section(name, packet) for name, packet in packets.items())])
 
 
-def _about(name: str, packet: Mapping[str, Any], cell: Mapping[str, Any]) -> str:
+def _section(name: str, packet: Mapping[str, Any]) -> str:
+    """Heading, where it comes from, what is missing, and the table."""
+    cells = packet["cells"]
+    heads, numbers = _HEADS, len(_HEADS) - 1
+    rows = []
+    for cell in cells:
+        found = sorted((_row(label, trials) for label, trials in cell["trials"].items()), key=lambda row: row[:2])
+        rows += [columns if len(cells) == 1 else [cell["name"], *columns] for _, _, columns in found]
+    if len(cells) > 1:
+        heads = ("cell", *heads)
+    marks = "|---" * (len(heads) - numbers) + "|" + "--:|" * numbers
+    table = "\n".join(["| " + " | ".join(heads) + " |", marks, *("| " + " | ".join(row) + " |" for row in rows)])
+    return f"## {packet['study']['name']}\n\n{_about(name, packet)}\n\n{table}\n"
+
+
+def _about(name: str, packet: Mapping[str, Any]) -> str:
     """Where it comes from, and what is missing, in lines of Markdown."""
-    kinds = sorted({str(one["reference"]) for one in cell["recordings"]})
-    missing = [sentence.partition(": ")[2] for sentence in packet["missing"] if sentence.startswith(f"{cell['name']}:")]
+    cells = packet["cells"]
+    kinds = sorted({str(one["reference"]) for cell in cells for one in cell["recordings"]})
     lines = [f"`stereo-slam verify results/{name}` runs a part of it again. Truth: {', '.join(kinds)}."]
+    missing = [each if len(cells) > 1 else each.partition(": ")[2] for each in packet["missing"]]
     if missing:
         lines.append("\n".join(textwrap.wrap(f"Missing: {'; '.join(missing)}.", 100, break_on_hyphens=False)))
     return "\n\n".join(lines)

@@ -38,9 +38,20 @@ def test_a_packet_has_the_study_the_digests_of_the_recordings_and_the_figures(ru
     rows = cell["trials"]["shared-anchor"]
     assert [row["seed"] for row in rows] == [0, 1, 2, 3]
     found = summary["filters"]["shared-anchor"]["position_rmse_by_run"]
-    assert [row["position_rmse_m"] for row in rows] == pytest.approx(found)
+    assert [row["position_rmse_m"] for row in rows] == pytest.approx(found, rel=1e-5)
     assert all(0.0 < row["claim"]["coverage_90"] <= 1.0 and row["claim"]["scale_gap"] > 0 for row in rows)
-    assert len(json.dumps(packet)) < 10_000
+
+
+def test_a_packet_on_disk_names_each_figure_once_and_is_the_same_when_read(packet, tmp_path):
+    path = tmp_path / "packet.json"
+    rows = [{**row, "seed": seed} for seed in range(100) for row in packet["cells"][0]["trials"]["shared-anchor"][:1]]
+    many = {**packet, "cells": [{**packet["cells"][0], "trials": {"shared-anchor": rows}}]}
+    write_packet(path, many)
+    assert path.read_text().count("position_rmse_m") == 1
+    assert read_packet(path) == many
+    write_packet(path, packet)
+    assert path.stat().st_size < 4_000
+    assert read_packet(path) == packet
 
 
 def test_what_is_repeated_agrees_and_what_was_changed_does_not(packet, tmp_path):
@@ -67,18 +78,20 @@ def test_which_recordings_are_repeated_hangs_on_the_results(packet, tmp_path):
 
 def test_a_packet_that_is_none_is_refused_in_one_line(packet, tmp_path):
     path = tmp_path / "packet.json"
-    damaged = copy.deepcopy(packet)
-    del damaged["cells"][0]["trials"]["shared-anchor"][0]["path_m"]
-    other_cells = {**packet, "cells": []}
-    for content in ({}, [], {"format": "x"}, damaged, other_cells, {**packet, "more": 1}, {**packet, "study": {}}):
-        write_packet(path, content) if isinstance(content, dict) else path.write_text(json.dumps(content))
+    write_packet(path, packet)
+    good = json.loads(path.read_text())
+    (cell,) = good["cells"]
+    columns = cell["trials"]["shared-anchor"]
+    short, rows = {**columns, "path_m": [1.0]}, [{"seed": 0}]
+    damaged = [{**good, "cells": [{**cell, "trials": {"shared-anchor": each}}]} for each in (short, rows, 3)]
+    studies = ({**good, "cells": []}, {**good, "cells": 1}, {**good, "more": 1}, {**good, "study": {}})
+    for content in ({}, [], {"format": "x"}, *damaged, *studies):
+        path.write_text(json.dumps(content))
         with pytest.raises(ValueError, match=r"packet\.json") as refused:
             read_packet(path)
         assert "\n" not in str(refused.value)
     with pytest.raises(ValueError, match="does not exist"):
         read_packet(tmp_path / "nothing.json")
-    write_packet(path, packet)
-    assert read_packet(path) == json.loads(json.dumps(packet))
 
 
 def test_the_gate_passes_what_is_the_same_and_stops_what_is_worse(packet):

@@ -44,10 +44,31 @@ def test_the_nearest_claim_comes_first_whichever_way_it_is_wrong_and_none_last()
         "tight": [trial(0, 3.0)],
     }
     cell = {"name": "one", "recordings": [{"reference": "simulation"}], "trials": trials}
-    page = leaderboard({"mine.json": {"cells": [cell], "missing": ["one: 3 frames of loose have no NEES"]}})
+    missing = ["one: 3 frames of loose have no NEES"]
+    page = leaderboard({"mine.json": {"study": {"name": "mine"}, "cells": [cell], "missing": missing}})
     rows = [line.split(" | ") for line in page.splitlines() if line.startswith("| ")][1:]
     assert [row[0].lstrip("| ") for row in rows] == ["right", "loose", "tight", "nothing"]
     # The root mean square of 3 and 4, the geometric mean of 1 and 1.1, and one run of two that diverged.
     assert rows[0][1:] == ["2", "3.54", "1.00", "1.05", "80", "-3.00", "1 |"]
     assert rows[3][4] == "–"
     assert "Missing: 3 frames of loose have no NEES." in page
+
+
+def test_a_grid_is_one_table_with_its_cells_in_their_order():
+    cells = [
+        {
+            "name": name,
+            "recordings": [{"reference": "simulation"}],
+            "trials": {"a": [trial(0, 2.0)], "b": [trial(0, 1.0)]},
+        }
+        for name in ("sigma-1", "sigma-0.5")
+    ]
+    missing = ["sigma-0.5: a failed in 1 of 2 runs (hung)"]
+    page = leaderboard({"mine.json": {"study": {"name": "mine"}, "cells": cells, "missing": missing}})
+    rows = [line.strip("| ").split(" | ") for line in page.splitlines() if line.startswith("| ")]
+    assert [row[:2] for row in rows] == [
+        ["cell", "system"],
+        *(["sigma-1", "b"], ["sigma-1", "a"], ["sigma-0.5", "b"], ["sigma-0.5", "a"]),
+    ]
+    assert page.count("\n## ") == 1
+    assert "Missing: sigma-0.5: a failed in 1 of 2 runs (hung)." in page
