@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import stat
+import sys
 from pathlib import Path
 from typing import BinaryIO
 
@@ -79,6 +80,11 @@ def open_regular(path: str | Path, *, most_bytes: int = MOST_FILE, inside: Path 
     except BaseException:
         os.close(descriptor)
         raise
+
+
+def require_regular(path: Path, *, inside: Path | None = None) -> None:
+    """Refuse what `open_regular` refuses, of any size, before a library opens the file itself."""
+    open_regular(path, most_bytes=sys.maxsize, inside=inside).close()
 
 
 def read_bytes(path: str | Path, *, most_bytes: int = MOST_FILE, inside: Path | None = None) -> bytes:

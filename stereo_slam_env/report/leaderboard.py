@@ -32,7 +32,8 @@ def leaderboard(packets: Mapping[str, Mapping[str, Any]]) -> str:
 def _section(name: str, packet: Mapping[str, Any]) -> str:
     """Heading, where it comes from, what is missing, and the table."""
     cells = packet["cells"]
-    heads, numbers = _HEADS, len(_HEADS) - 1
+    heads: tuple[str, ...] = _HEADS
+    numbers = len(heads) - 1
     rows = []
     for cell in cells:
         found = sorted((_row(label, trials) for label, trials in cell["trials"].items()), key=lambda row: row[:2])

@@ -19,6 +19,8 @@ COEFFICIENTS = {"radial-tangential": (0, 4, 5, 8, 12, 14), "equidistant": (0, 4)
 """Numbers of coefficients that a model may have; none: an ideal pinhole."""
 Rectify = Callable[[GreyImage, GreyImage], tuple[GreyImage, GreyImage]]
 _ROUNDING = 1e-9
+_NO_BASELINE = 1e-9
+"""m: what is left of a baseline where the poses of both cameras are the same."""
 
 
 @dataclass(frozen=True)
@@ -153,6 +155,8 @@ def rectification(left: Lens, right: Lens, T_rl: tuple[float, ...], where: str) 
     R = T[:3, :3]
     require_rotation(R, where, "the pose between the cameras")
     turn, shift = np.ascontiguousarray(R), np.ascontiguousarray(T[:3, 3:])
+    if np.linalg.norm(shift) < _NO_BASELINE:
+        raise ValueError(f"{where}: both cameras are in one place, T is zero: a rig has a baseline, in metres")
     of_both = left.K, left.coefficients, right.K, right.coefficients, left.size, turn, shift
     made: Any
     try:

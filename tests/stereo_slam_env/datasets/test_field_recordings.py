@@ -1,5 +1,6 @@
 """What people bring: ROS bags, TartanAir, VSLAM-LAB, a plain folder, a truth or a layout of their own (20 s)."""
 
+import os
 import sys
 from itertools import pairwise
 
@@ -16,7 +17,7 @@ from stereo_slam_env.datasets.ros_bag import grey_of
 from stereo_slam_env.datasets.tartanair import R_BODY_CAMERA
 from stereo_slam_env.frontend.camera_motion import needed_motion
 from stereo_slam_env.recording.trajectory import Trajectory
-from stereo_slam_env.recording.trajectory_files import save_trajectory
+from stereo_slam_env.recording.trajectory_files import load_trajectory, save_trajectory
 
 from ..real_data import real_data
 from .small_image_folders import CAMERA, DT, FRAMES, drive, kitti_odometry, projection, true_poses, write_png
@@ -111,6 +112,21 @@ def test_a_recording_goes_to_mcap_and_back_with_its_bits(tmp_path, capsys):
     assert_the_drive(open_image_sequence(tmp_path / "out.mcap"), truth=False)
     assert cli.main(["convert", str(tmp_path / "out.mcap"), str(tmp_path / "out.mcap")]) == 2
     assert "is there already" in capsys.readouterr().err
+
+
+@pytest.mark.timeout(60)
+@pytest.mark.parametrize("name", ["metadata.yaml", "bag.db3", "more"])
+def test_a_pipe_in_the_folder_of_a_bag_is_not_waited_for(name, tmp_path):
+    """`rosbags` and SQLite open files themselves, and would wait."""
+    folder = tmp_path / "bag"
+    folder.mkdir()
+    for each in {"metadata.yaml", "bag.db3"} - {name}:
+        (folder / each).touch()
+    os.mkfifo(folder / name)
+    with pytest.raises(ValueError, match=f"{name} is no regular file but a pipe"):
+        open_image_sequence(folder)
+    with pytest.raises(ValueError, match=f"{name} is no regular file but a pipe|bag:/odometry does not exist"):
+        load_trajectory(f"{folder}:/odometry")
 
 
 def test_a_bag_becomes_a_kitti_sequence_and_an_archive_of_tracks(tmp_path, capsys):

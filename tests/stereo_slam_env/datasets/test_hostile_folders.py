@@ -59,6 +59,25 @@ def test_no_file_of_a_recording_may_be_a_link_out_of_it(layout, name, tmp_path, 
         read(folder / place)
 
 
+@pytest.mark.timeout(20)
+@pytest.mark.parametrize(
+    ("layout", "name"), [(layout, name) for layout, (files, _, _) in LAYOUTS.items() for name in sorted(files)]
+)
+def test_no_file_of_a_recording_is_waited_for(layout, name, tmp_path):
+    """A pipe that nobody writes to: whoever opens it as a file waits for ever."""
+    files, place, read = LAYOUTS[layout]
+    folder = lay_out(tmp_path / "given", files)
+    (folder / name).unlink()
+    os.mkfifo(folder / name)
+    try:
+        found = read(folder / place)
+        list(found.pairs() if hasattr(found, "pairs") else found.frames)
+    except ValueError as refused:
+        assert "\n" not in str(refused)  # noqa: PT017
+    else:
+        assert name.endswith("image_01/timestamps.txt"), "only the times of the left camera are read"
+
+
 def test_nor_a_folder_in_it(tmp_path, outside):
     folder = lay_out(tmp_path / "given", seeds.kitti06())
     replace_by_link(folder / "image_l", outside)

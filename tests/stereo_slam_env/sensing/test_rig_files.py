@@ -125,6 +125,15 @@ def test_every_format_rectifies_images_alike(tmp_path, name):
         assert (np.abs(mine.astype(int) - theirs) <= 1).mean() > 0.999  # 15 digits in a file
 
 
+@pytest.mark.parametrize("name", sorted({*FORMATS} - {"camera_info"}))
+def test_cameras_in_one_place_are_no_rig(tmp_path, name, monkeypatch):
+    for what, value in (("T_RL", np.eye(4)), ("T_BR", T_BL)):
+        monkeypatch.setitem(globals(), what, value)
+    rig = FORMATS[name](tmp_path)
+    with pytest.raises(ValueError, match=r"both cameras are in one place, T is zero: [^\n]+\Z"):
+        camera_of(rig if isinstance(rig, dict) else str(rig))
+
+
 def test_the_maps_are_made_once(tmp_path):
     path = kalibr(tmp_path)
     assert read_calibration(path) is read_calibration(path)
