@@ -12,6 +12,9 @@ from filters.geometry.arrays import FloatArray
 
 _CELL = "text-align:left;padding:1px 10px 1px 0;vertical-align:top"
 
+_COLOURS = ("#1f77b4", "#d62728", "#2ca02c", "#9467bd", "#8c564b", "#b8860b")
+_DASHES = ("none", "6 3", "1.5 2.5")
+
 
 def heading(text: str) -> str:
     """A heading."""
@@ -37,11 +40,10 @@ def facts(rows: Mapping[str, str]) -> str:
 
 
 def lines_chart(series: Mapping[str, tuple[FloatArray, FloatArray]], x: str, y: str, *, equal: bool = False) -> str:
-    """Lines of (x, y) with their names, as SVG; a point shows its values where the pointer rests.
+    """Lines of (x, y) with their names beside them, as SVG; a point shows its values where the pointer rests.
 
-    With `equal`, both axes have one scale, as a path seen from above needs.
+    With `equal`, both axes have one scale, as a path seen from above needs. More lines than colours are dashed.
     """
-    colours = ("#1f77b4", "#d62728", "#2ca02c", "#9467bd")
     width, height, edge = 420.0, 260.0, 36.0
     known = [np.column_stack(pair)[np.isfinite(np.column_stack(pair)).all(axis=1)] for pair in series.values()]
     points = np.concatenate([*known, np.zeros((0, 2))])
@@ -53,21 +55,26 @@ def lines_chart(series: Mapping[str, tuple[FloatArray, FloatArray]], x: str, y: 
     scale = np.full(2, scale.min()) if equal else scale
     drawn = []
     for at, (name, line) in enumerate(zip(series, known, strict=True)):
-        colour = colours[at % len(colours)]
+        colour, dashes = _COLOURS[at % len(_COLOURS)], _DASHES[at // len(_COLOURS) % len(_DASHES)]
         pixels = np.column_stack(
             [edge + scale[0] * (line[:, 0] - low[0]), height - edge - scale[1] * (line[:, 1] - low[1])]
         )
         path = " ".join(f"{u:.1f},{v:.1f}" for u, v in pixels)
-        drawn.append(f'<polyline points="{path}" fill="none" stroke="{colour}" stroke-width="1.5"/>')
+        stroke = f'stroke="{colour}" stroke-width="1.5" stroke-dasharray="{dashes}"'
+        drawn.append(f'<polyline points="{path}" fill="none" {stroke}/>')
         every = max(1, len(line) // 60)
         for (u, v), (a, b) in zip(pixels[::every].tolist(), line[::every].tolist(), strict=True):
             about = f"<title>{_plain(name)}: {a:.4g}, {b:.4g}</title>"
             drawn.append(
                 f'<circle cx="{u:.1f}" cy="{v:.1f}" r="3" fill="{colour}" fill-opacity="0.35">{about}</circle>'
             )
-        drawn.append(f'<text x="{edge + 90 * at:.0f}" y="14" font-size="11" fill="{colour}">{_plain(name)}</text>')
+        down = 14 + 15 * at
+        drawn.append(f'<line x1="{width:.0f}" x2="{width + 22:.0f}" y1="{down - 4}" y2="{down - 4}" {stroke}/>')
+        drawn.append(f'<text x="{width + 27:.0f}" y="{down}" font-size="11" fill="{colour}">{_plain(name)}</text>')
     ends = _ends(low, high, height, edge, x, y)
-    return f'<svg width="{width:.0f}" height="{height:.0f}" style="background:#fff">{"".join(drawn)}{ends}</svg>'
+    room = 40.0 + 6.5 * max(len(name) for name in series)
+    size = f'width="{width + room:.0f}" height="{max(height, 20.0 + 15.0 * len(series)):.0f}"'
+    return f'<svg {size} style="background:#fff">{"".join(drawn)}{ends}</svg>'
 
 
 def dots(points: FloatArray, size: tuple[int, int], about: Sequence[str]) -> str:

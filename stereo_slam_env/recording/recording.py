@@ -220,7 +220,8 @@ class Recording:
         }
         poses = [frame.truth.position for frame in self.frames if frame.truth is not None]
         path = np.array(poses).reshape(-1, 3)
-        above = html.lines_chart({"true path, from above": (path[:, 0], path[:, 2])}, "x, m", "z, m", equal=True)
+        name = "true path" if self.reference.is_independent else "path of the reference"
+        above = html.lines_chart({f"{name}, from above": (path[:, 0], path[:, 2])}, "x, m", "z, m", equal=True)
         seen = html.lines_chart({"landmarks seen": (times, counts)}, "s", "landmarks")
         last = self.frames[-1].observation
         about = [f"{i}: u {u:.1f}, v {v:.1f}, d {d:.2f}" for i, (u, v, d) in zip(last.ids, last.uvd, strict=True)]

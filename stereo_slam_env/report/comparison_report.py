@@ -125,9 +125,8 @@ def attribution_section(attribution: Attribution, folder: Path) -> Markup:
         "Main effects: how many times the average over all combinations a response is with that choice, with intervals"
         " corrected for their number. Blue: an effect is shown."
     )
-    crossed = (
-        f"{attribution.combinations} combinations of options, {attribution.seeds} seeds, each on the same measurements."
-    )
+    seeds = "1 seed" if attribution.seeds == 1 else f"{attribution.seeds} seeds"
+    crossed = f"{attribution.combinations} combinations of options, {seeds}, each on the same measurements."
     parts = [
         figure_block(plot_effects(attribution), "effects", caption, folder),
         part("titled", "Instead of the first choice", _contrasts(attribution.responses)),

@@ -8,10 +8,10 @@ drawn belongs to a series (its key), which the page can switch off, or to none.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import vl_convert
@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike
 from filters.geometry.arrays import FloatArray, IntArray
 from stereo_slam_env.report.charts.axes import Axis, short, spread_out
 from stereo_slam_env.report.charts.series import last_known, peak, thinned
-from stereo_slam_env.report.charts.style import INK, MUTED, PAPER, Limit, shared_limit
+from stereo_slam_env.report.charts.style import INK, MUTED, PAPER, Limit, dash_of, shape_of, shared_limit
 from stereo_slam_env.report.charts.vega import (
     AS_GIVEN,
     COLOURED,
@@ -34,6 +34,7 @@ from stereo_slam_env.report.charts.vega import (
     written,
 )
 
+_Kind = TypeVar("_Kind")
 PNG_SCALE = 1.6
 ROW = 30.0
 """Height of a row that belongs to one filter, px."""
@@ -102,7 +103,11 @@ class Panel:
     _texts: list[Spec] = field(default_factory=list)
 
     def lines(self, curves: Iterable[Curve], dash: Sequence[float] = ()) -> None:
-        """Draw each curve as a line."""
+        """Draw each curve as a line, dashed as its colour is unless `dash` is given."""
+        for dashes, group in _by(curves, lambda curve: tuple(dash) or dash_of(curve.colour)):
+            self._lines(group, dashes)
+
+    def _lines(self, curves: Sequence[Curve], dash: Sequence[float]) -> None:
         rows = [_row(number, curve, self._kept(curve)) for number, curve in enumerate(curves)]
         mark = {
             "type": "line",
@@ -119,10 +124,11 @@ class Panel:
 
     def dots(self, curves: Iterable[Curve], size: float = 30.0, *, hollow: bool = False) -> None:
         """Draw a dot, an area of `size` px², at each point."""
-        rows = [_row(number, curve, _known(curve)) for number, curve in enumerate(curves)]
-        mark = {"type": "point", "size": size, "filled": not hollow}
-        mark |= {"strokeWidth": 2.0} | ({"fill": PAPER} if hollow else {})
-        self._layer(rows, mark, **COLOURED, tooltip=self._tooltip())
+        for shape, group in _by(curves, lambda curve: shape_of(curve.colour)):
+            rows = [_row(number, curve, _known(curve)) for number, curve in enumerate(group)]
+            mark = {"type": "point", "shape": shape, "size": size, "filled": not hollow}
+            mark |= {"strokeWidth": 2.0} | ({"fill": PAPER} if hollow else {})
+            self._layer(rows, mark, **COLOURED, tooltip=self._tooltip())
 
     def intervals(self, curves: Iterable[Curve], *, across: bool = False) -> None:
         """Draw a stroke from `low` to `high` of each point: upright, or `across` (then they are values of x)."""
@@ -357,6 +363,14 @@ def figure(
 
 
 # ---- rows of data ---------------------------------------------------------------------------------------------------
+
+
+def _by(curves: Iterable[Curve], kind: Callable[[Curve], _Kind]) -> list[tuple[_Kind, list[Curve]]]:
+    """The curves of each kind, for layers of their own."""
+    groups: dict[_Kind, list[Curve]] = {}
+    for curve in curves:
+        groups.setdefault(kind(curve), []).append(curve)
+    return list(groups.items())
 
 
 def _known(curve: Curve) -> IntArray:

@@ -23,7 +23,13 @@ BAND = "#dde3ea"
 """Expected range (chi-square bands)."""
 
 # Okabe and Ito's colour-blind-safe set, darkened where a thin line on white needs it.
-PALETTE = ("#0072b2", "#d55e00", "#009e73", "#a3458f", "#a67c00", "#4597c9", "#7a5c48", "#5b6bb5")
+_HUES = ("#0072b2", "#d55e00", "#009e73", "#a3458f", "#a67c00", "#4597c9", "#7a5c48", "#5b6bb5")
+_DARKER = ("#004973", "#893d00", "#006649", "#692c5c", "#6a4f00", "#2c6181", "#4e3b2e", "#3a4574")
+_LIGHTER = ("#4d9dc9", "#e28e4d", "#4dbb9d", "#be7cb0", "#c0a34d", "#7cb6d9", "#a28d7f", "#8c97cb")
+PALETTE = (*_HUES, *_DARKER, *_LIGHTER)
+"""Hues, then two shades of each that have dashes and a shape of their own: hue tells no more than eight apart."""
+_DASHES = ((), (6.0, 3.0), (1.5, 2.5))
+_SHAPES = ("circle", "square", "triangle-up")
 _RESERVED = {"inverse-depth": 0, "dual-bearing": 1, "euclidean": 2}
 
 CSS_VARIABLES = {PAPER: "--page", INK: "--ink", MUTED: "--muted", GRID: "--grid", BAND: "--band"} | {
@@ -43,11 +49,26 @@ def filter_colours(names: Iterable[str]) -> dict[str, str]:
     """Give each filter one colour, whatever the order of `names`; the standard three keep theirs, unless not there."""
     names = list(names)
     distinct = sorted(set(names))
-    free = [i for i in range(len(PALETTE)) if i not in _RESERVED.values()]
+    free = [i for i in range(len(_HUES)) if i not in _RESERVED.values()]
     free += [slot for name, slot in _RESERVED.items() if name not in distinct]  # last, so that few change nothing
+    free += range(len(_HUES), len(PALETTE))
     others = [name for name in distinct if name not in _RESERVED]
     slots = _RESERVED | {name: free[i % len(free)] for i, name in enumerate(others)}
     return {name: PALETTE[slots[name]] for name in dict.fromkeys(names)}
+
+
+def dash_of(colour: str) -> tuple[float, ...]:
+    """Dashes of lines in a colour, px; none where the hue is enough."""
+    return _DASHES[_shade(colour)]
+
+
+def shape_of(colour: str) -> str:
+    """Shape of dots in a colour, as Vega names it."""
+    return _SHAPES[_shade(colour)]
+
+
+def _shade(colour: str) -> int:
+    return PALETTE.index(colour) // len(_HUES) if colour in PALETTE else 0
 
 
 def nested_widths(count: int) -> list[float]:

@@ -1,11 +1,14 @@
 """Colours, limits, axes and what a panel makes of its data (2 s)."""
 
+import re
+from importlib.resources import files
+
 import numpy as np
 import pytest
 
 from stereo_slam_env.report.charts.axes import Axis, log_ticks, spread_out
 from stereo_slam_env.report.charts.drawing import Chart, Curve, Panel, figure
-from stereo_slam_env.report.charts.style import PALETTE, filter_colours, shared_limit, short_number
+from stereo_slam_env.report.charts.style import CSS_VARIABLES, PALETTE, filter_colours, shared_limit, short_number
 from stereo_slam_env.report.page import inline_svg
 
 from .reading import panels, values
@@ -28,6 +31,20 @@ def test_a_filter_keeps_its_colour_in_any_company_and_order():
 def test_as_many_filters_as_colours_are_told_apart():
     names = ["inverse-depth", "dual-bearing", "euclidean", *(f"plugin-{i}" for i in range(len(PALETTE) - 3))]
     assert len(set(filter_colours(names).values())) == len(PALETTE)
+
+
+def test_of_one_hue_lines_differ_in_their_dashes_and_dots_in_their_shape():
+    colours = filter_colours(f"plugin-{i}" for i in range(12)).values()
+    panel = Panel(Axis(0, 1), Axis(0, 1), 200, 100)
+    panel.lines(Curve(colour, [0, 1], [0, 1], colour) for colour in colours)
+    panel.dots(Curve(colour, [0, 1], [0, 1], colour) for colour in colours)
+    (read,) = panels(figure([panel]))
+    lines = {tuple(layer["mark"]["strokeDash"]) for layer in read.layers("lines")}
+    assert len(lines) == len(read.layers("lines")) == 2
+    assert {layer["mark"]["shape"] for layer in read.layers("dots")} == {"circle", "square"}
+    assert len(read.rows("lines")) == len(read.rows("dots")) == 12
+    css = files("stereo_slam_env.report").joinpath("page.css").read_text(encoding="utf-8")
+    assert set(CSS_VARIABLES.values()) <= set(re.findall("(--[a-z]+(?:-[0-9]+)?):", css))
 
 
 def test_a_diverged_filter_does_not_set_the_limit():
