@@ -4,6 +4,7 @@ import json
 import os
 import re
 import sys
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import pytest
 
 import stereo_slam_env as sse
 from filters import check_filter
+from stereo_slam_env.files.notebook_html import lines_chart
 
 ROOT = Path(__file__).resolve().parent.parent
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
@@ -101,6 +103,24 @@ def test_results_show_themselves():
     text, seen = shown(sse.make_recording("reference-turn", 0))
     assert "1344x391 px" in text
     assert seen.count("svg") == 3
+
+
+def test_a_reference_from_the_same_images_is_not_called_the_truth():
+    recording = sse.make_recording("reference-turn", 0)
+    assert "true path" in shown(recording)[0]
+    text, _ = shown(replace(recording, truth_from=sse.Reference("odometry", "Poses of the same images.")))
+    assert "path of the reference" in text
+    assert "true" not in text
+
+
+def test_many_lines_of_a_chart_are_told_apart_and_their_names_do_not_meet():
+    lines = {f"filter {k}": (np.arange(3.0), np.full(3, float(k))) for k in range(12)}
+    drawn = lines_chart(lines, "s", "m")
+    strokes = re.findall(r'<polyline [^>]*(stroke="[^"]*")[^>]*(stroke-dasharray="[^"]*")', drawn)
+    assert len(set(strokes)) == 12
+    heights = [float(y) for y in re.findall(r'<text [^>]*y="([0-9.]+)"[^>]*>filter', drawn)]
+    assert np.diff(heights).min() >= 11.0
+    assert max(heights) < float(re.search(r'<svg [^>]*height="([0-9]+)"', drawn)[1])
 
 
 def test_names_of_strangers_are_text_and_no_markup():
