@@ -172,6 +172,7 @@ def read_packet(path: Path) -> dict[str, Any]:
         for cell in content["cells"]:
             if not cell["recordings"] or not all(isinstance(one["stream_sha256"], str) for one in cell["recordings"]):
                 raise ValueError(f"cell {cell['name']} has no recordings")
+            _ = cell["code_of_others"].items()
             for rows in cell["trials"].values():
                 for row in rows:
                     _ = row["recording"], row["seed"], [float(row[name] or 0.0) for name in KEPT if name != "failure"]
@@ -214,7 +215,9 @@ class Verified:
     same_streams: bool
     """Whether the measurements are the same to the last bit."""
     same_code: bool
-    """Whether the code is that of the packet."""
+    """Whether the code is that of the packet, plug-ins aside."""
+    other_plugins: tuple[str, ...]
+    """Filters of others whose code is not that of the packet."""
     largest: float
     """Largest relative difference of a figure; infinity where one is known on one side only."""
     differences: tuple[str, ...]
@@ -230,6 +233,8 @@ class Verified:
         """The result in sentences."""
         streams = "the same measurements to the last bit" if self.same_streams else "other measurements"
         code = "the same code" if self.same_code else "other code"
+        if self.other_plugins:
+            code += f" and other code of {', '.join(self.other_plugins)}"
         text = f"{self.trials} of {self.of} trials were run again, by {code}, on {streams}: "
         if self.agrees:
             return text + (
@@ -293,12 +298,15 @@ def verify(
     run_checked(prepared_study(out, part), Backend("processes", jobs, None), progress)
     found = packet_of(out)
     differences, largest, trials, same_streams = [], 0.0, 0, True
+    other_plugins: dict[str, None] = {}
     told = {cell["name"]: cell for cell in packet["cells"]}
     for again in found["cells"]:
         before = told[again["name"] if again["name"] in told else picked[0].name]
         streams = {(one["name"], one["seed"]): one["stream_sha256"] for one in before["recordings"]}
         same_streams &= all(streams.get((o["name"], o["seed"])) == o["stream_sha256"] for o in again["recordings"])
         for label, rows in again["trials"].items():
+            if before["code_of_others"].get(label) != again["code_of_others"].get(label):
+                other_plugins[label] = None
             known = {(row["recording"], row["seed"]): row for row in before["trials"].get(label, ())}
             for row in rows:
                 trials += 1
@@ -314,6 +322,7 @@ def verify(
         of=total,
         same_streams=same_streams,
         same_code=packet["versions"].get("code") == code_digest(),
+        other_plugins=tuple(other_plugins),
         largest=largest,
         differences=tuple(differences),
     )

@@ -59,10 +59,15 @@ def test_what_is_repeated_agrees_and_what_was_changed_does_not(packet, tmp_path)
     assert found.agrees
     assert found.same_streams
     assert found.same_code
+    assert not found.other_plugins
     assert (found.trials, found.of, found.largest) == (2, 4, 0.0)
-    lied = verify(changed(packet, 0.9), tmp_path / "lied", seeds=1, jobs=1)
-    assert not lied.agrees
-    assert "position_rmse_m of shared-anchor" in lied.words
+    lied = changed(packet, 0.9)
+    lied["cells"][0]["code_of_others"] = {"shared-anchor": "0123456789abcdef"}  # a filter of that name, once
+    found = verify(lied, tmp_path / "lied", seeds=1, jobs=1)
+    assert not found.agrees
+    assert "position_rmse_m of shared-anchor" in found.words
+    assert found.other_plugins == ("shared-anchor",)
+    assert "by the same code and other code of shared-anchor, on" in found.words
 
 
 def test_which_recordings_are_repeated_hangs_on_the_results(packet, tmp_path):
