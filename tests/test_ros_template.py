@@ -143,6 +143,7 @@ def test_the_node_publishes_what_the_odometry_estimates(odometry, node):
     position = message.pose.pose.position
     np.testing.assert_allclose([position.x, position.y, position.z], expected.position, atol=1e-6)
     np.testing.assert_allclose(np.reshape(message.pose.covariance, (6, 6)), expected.covariance, rtol=1e-4, atol=1e-12)
+    assert np.diag(np.reshape(message.twist.covariance, (6, 6))).min() >= 1e6  # no twist, and nobody takes it for one
     assert (message.header.frame_id, message.child_frame_id) == ("odom", "left_optical")
     assert transform.transform.translation.x == position.x
     assert transform.child_frame_id == "left_optical"

@@ -1,6 +1,7 @@
 """The node: stereo images in, `nav_msgs/Odometry` and a transform out."""
 
 import message_filters
+import numpy as np
 import rclpy
 from geometry_msgs.msg import TransformStamped
 from nav_msgs.msg import Odometry
@@ -12,6 +13,9 @@ from tf2_ros import TransformBroadcaster
 from stereo_slam_env.datasets import grey_of
 from stereo_slam_env.sensing import calibration_of_infos
 from stereo_slam_node.odometry import StereoOdometry
+
+_UNKNOWN_TWIST = (1e6 * np.eye(6)).ravel().tolist()
+"""Zeros would say that the camera stands still, for certain."""
 
 
 class StereoSlamNode(Node):
@@ -68,6 +72,7 @@ class StereoSlamNode(Node):
         turn = pose.orientation
         turn.x, turn.y, turn.z, turn.w = map(float, estimate.orientation)
         message.pose.covariance = estimate.covariance.ravel().tolist()
+        message.twist.covariance = _UNKNOWN_TWIST
         self._publisher.publish(message)
         transform = TransformStamped()
         transform.header, transform.child_frame_id = message.header, header.frame_id
