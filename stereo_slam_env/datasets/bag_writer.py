@@ -21,7 +21,7 @@ WORLD, LEFT, RIGHT = "world", "left_camera", "right_camera"
 
 
 def write_mcap(sequence: ImageSequence, out: str | Path, *, on_pair: Callable[[int, int], None] | None = None) -> Path:
-    """Write rectified pairs, their CameraInfo and, where they are known, true poses (PoseStamped and /tf).
+    """Write rectified pairs, their CameraInfo, the rig (/tf) and, where known, true poses (PoseStamped and /tf).
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ def write_mcap(sequence: ImageSequence, out: str | Path, *, on_pair: Callable[[i
                     put(f"{topic}/image_rect", "sensor_msgs/msg/Image", stamp, messages.image(stamp, frame, image))
                 if pair.truth is not None:
                     put(TRUTH, "geometry_msgs/msg/PoseStamped", stamp, messages.pose(stamp, pair.truth))
-                    put("/tf", "tf2_msgs/msg/TFMessage", stamp, messages.transform(stamp, pair.truth))
+                put("/tf", "tf2_msgs/msg/TFMessage", stamp, messages.transforms(stamp, pair.truth))
                 written += 1
                 if on_pair is not None:
                     on_pair(written, len(sequence))
@@ -129,12 +129,17 @@ class _Messages:
         of = kinds["geometry_msgs/msg/Pose"](position=position, orientation=turn)
         return kinds["geometry_msgs/msg/PoseStamped"](header=self._header(stamp, WORLD), pose=of)
 
-    def transform(self, stamp: int, pose: Pose) -> Any:
+    def transforms(self, stamp: int, truth: Pose | None) -> Any:
+        beside = Pose(np.array([self._camera.baseline, 0.0, 0.0]), np.array([0.0, 0.0, 0.0, 1.0]))
+        found = [self._transform(stamp, LEFT, RIGHT, beside)]
+        if truth is not None:
+            found.append(self._transform(stamp, WORLD, LEFT, truth))
+        return self.types.types["tf2_msgs/msg/TFMessage"](transforms=found)
+
+    def _transform(self, stamp: int, parent: str, child: str, pose: Pose) -> Any:
         kinds = self.types.types
         shift = kinds["geometry_msgs/msg/Vector3"](*map(float, pose.position))
         turn = kinds["geometry_msgs/msg/Quaternion"](*map(float, pose.orientation))
         of = kinds["geometry_msgs/msg/Transform"](translation=shift, rotation=turn)
-        one = kinds["geometry_msgs/msg/TransformStamped"](
-            header=self._header(stamp, WORLD), child_frame_id=LEFT, transform=of
-        )
-        return kinds["tf2_msgs/msg/TFMessage"](transforms=[one])
+        header = self._header(stamp, parent)
+        return kinds["geometry_msgs/msg/TransformStamped"](header=header, child_frame_id=child, transform=of)

@@ -114,6 +114,14 @@ def test_a_recording_goes_to_mcap_and_back_with_its_bits(tmp_path, capsys):
     assert "is there already" in capsys.readouterr().err
 
 
+def test_the_transforms_of_an_mcap_place_both_cameras(tmp_path):
+    bag = mcap(tmp_path)
+    right = load_trajectory(f"{bag}:/tf:left_camera.right_camera")
+    np.testing.assert_allclose(right.positions, [[CAMERA.baseline, 0.0, 0.0]] * FRAMES, atol=1e-12)
+    left = load_trajectory(f"{bag}:/tf:world.left_camera")
+    np.testing.assert_allclose(left.positions, load_trajectory(f"{bag}:/truth").positions, atol=1e-12)
+
+
 @pytest.mark.timeout(60)
 @pytest.mark.parametrize("name", ["metadata.yaml", "bag.db3", "more"])
 def test_a_pipe_in_the_folder_of_a_bag_is_not_waited_for(name, tmp_path):
