@@ -214,9 +214,9 @@ def show_noise(console: Console, name: str, found: MeasurementErrors) -> None:
     console.print(table, highlight=False)
     console.print("correlation of two errors of a landmark (u, v, d)", highlight=False)
     for lag in LAGS:
-        of_u, of_v, of_d = error_correlation(found, lag)
+        known = ["–" if math.isnan(value) else f"{value:+.2f}" for value in error_correlation(found, lag)]
         frames = "1 frame" if lag == 1 else f"{lag} frames"
-        console.print(f"  {frames} apart: {of_u:+.2f}, {of_v:+.2f}, {of_d:+.2f}", highlight=False)
+        console.print(f"  {frames} apart: {', '.join(known)}", highlight=False)
 
 
 @contextmanager
