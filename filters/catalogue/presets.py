@@ -129,13 +129,13 @@ class ColouredNoiseEKF(StereoEKF):
                 "yaw_sigma": noise.right_yaw,
                 "roll_sigma": noise.right_roll,
             }
-            chosen = any(priors.values()) or not options.keys().isdisjoint(("landmark", "measurement", "drift"))
-            if noise.white is not None and noise.lasting_time is not None and not chosen:
+            priors = {name: sigma for name, sigma in priors.items() if sigma}
+            if priors:
+                stated["measurement"] = {"name": "calibrated", **priors}
+            lasts = noise.white is not None and noise.lasting_time is not None
+            if lasts and options.keys().isdisjoint(("landmark", "measurement", "drift")):
                 errors = LastingErrors(noise.R - noise.white, noise.lasting_time)
-                stated |= {"drift": None, "landmark": errors, "measurement": PairWithLastingErrors()}
-            if any(priors.values()):
-                given = {name: sigma for name, sigma in priors.items() if sigma}
-                stated["measurement"] = {"name": "calibrated", **given}
+                stated |= {"drift": None, "landmark": errors, "measurement": PairWithLastingErrors(**priors)}
             scale, misalignment = noise.scale, noise.misalignment
             noise = StereoNoise(noise.R if noise.white is None else noise.white)
         usual = {"landmark": "shared-anchor", "error": "right-invariant", "consensus": gate is not None}

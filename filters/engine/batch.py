@@ -69,16 +69,9 @@ class RelativeLandmarks:
     """(M,): whether the landmark is in front of its anchor, at a finite distance."""
 
 
-_METHODS = ("reset", "predict", "update", "forecast", "pose", "velocity", "pose_error", "state_size", "state")
-
-
 def goes_in_a_batch(slam: object) -> TypeGuard[StereoEKF]:
-    """Whether a filter does what the engine does, and nothing else; one with methods of its own may say so itself."""
-    if not isinstance(slam, StereoEKF) or slam.engine.recipe.landmark is None:
-        return False
-    if getattr(slam, "does_as_the_engine", False):
-        return True
-    return all(getattr(type(slam), name) is getattr(StereoEKF, name) and name not in vars(slam) for name in _METHODS)
+    """Whether a filter may run in a batch."""
+    return isinstance(slam, StereoEKF) and slam.engine.recipe.landmark is not None and slam.does_as_the_engine
 
 
 class FilterBatch(Sequence[StereoEKF]):

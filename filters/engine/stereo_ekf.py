@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from filters.engine.engine import Engine
     from filters.engine.row import Row
 
+_ENGINE_DOES = ("reset", "predict", "update", "forecast", "pose", "velocity", "pose_error", "state_size", "state")
 _STEP = "begin of the step"
 """Clone of the pose before a step of samples, while odometry of that step is fused."""
 
@@ -272,6 +273,15 @@ class StereoEKF(StereoFilter):
     def camera_state(self) -> CameraState:
         """Values of pose, velocity and variables, without their covariance."""
         return self._row.camera
+
+    @property
+    def does_as_the_engine(self) -> bool:
+        """Whether it does what the engine does, and nothing else, so that it may run in a `FilterBatch`.
+
+        A subclass with methods of its own may say so itself.
+        """
+        own = (getattr(type(self), name) is not getattr(StereoEKF, name) or name in vars(self) for name in _ENGINE_DOES)
+        return not any(own)
 
     @property
     def engine(self) -> Engine:

@@ -22,7 +22,8 @@ _PRIORS = (
     *("misalignment_sigma",) * 3,
     *("yaw_sigma", "roll_sigma"),
 )
-_ERRORS = len(_PRIORS)
+ERRORS = len(_PRIORS)
+"""How many errors there are."""
 
 
 @compiled
@@ -40,7 +41,8 @@ def _take_errors(numbers: FloatArray, values: FloatArray, errors: FloatArray) ->
         errors[int(numbers[j])] = values[j]
 
 
-def _predict(
+@compiled
+def predict_with(
     settings: FloatArray,
     camera: FloatArray,
     points: FloatArray,
@@ -49,8 +51,10 @@ def _predict(
     J: FloatArray,
     J_values: FloatArray,
     in_front: BoolArray,
+    errors: FloatArray,
+    by_error: FloatArray,
 ) -> None:
-    errors, by_error = np.zeros(_ERRORS), np.zeros((3, _ERRORS))
+    """Kernel `predict`; it needs zeros (8,) and (3, 8)."""
     _take_errors(settings, values, errors)
     o, focal, baseline, x0, x1, x2 = errors[0], 1.0 + errors[1], 1.0 + errors[2], errors[3], errors[4], errors[5]
     yaw, roll = errors[6], errors[7]
@@ -85,7 +89,8 @@ def _predict(
         _put_errors(settings, J_values[i], by_error)
 
 
-def _backproject(
+@compiled
+def backproject_with(
     settings: FloatArray,
     camera: FloatArray,
     uvd: FloatArray,
@@ -93,8 +98,10 @@ def _backproject(
     points: FloatArray,
     J: FloatArray,
     J_values: FloatArray,
+    errors: FloatArray,
+    by_error: FloatArray,
 ) -> None:
-    errors, by_error = np.zeros(_ERRORS), np.zeros((4, _ERRORS))
+    """Kernel `backproject`; it needs zeros (8,) and (4, 8)."""
     _take_errors(settings, values, errors)
     o, focal, baseline, x0, x1, x2 = errors[0], 1.0 + errors[1], 1.0 + errors[2], errors[3], errors[4], errors[5]
     yaw, roll = errors[6], errors[7]
@@ -125,6 +132,33 @@ def _backproject(
                 back, y * a2 - a1, a0 - x * a2, x * a1 - y * a0
             )
         _put_errors(settings, J_values[i], by_error)
+
+
+def _predict(
+    settings: FloatArray,
+    camera: FloatArray,
+    points: FloatArray,
+    values: FloatArray,
+    numbers: FloatArray,
+    J: FloatArray,
+    J_values: FloatArray,
+    in_front: BoolArray,
+) -> None:
+    errors, by_error = np.zeros(ERRORS), np.zeros((3, ERRORS))
+    predict_with(settings, camera, points, values, numbers, J, J_values, in_front, errors, by_error)
+
+
+def _backproject(
+    settings: FloatArray,
+    camera: FloatArray,
+    uvd: FloatArray,
+    values: FloatArray,
+    points: FloatArray,
+    J: FloatArray,
+    J_values: FloatArray,
+) -> None:
+    errors, by_error = np.zeros(ERRORS), np.zeros((4, ERRORS))
+    backproject_with(settings, camera, uvd, values, points, J, J_values, errors, by_error)
 
 
 @dataclass(frozen=True)
@@ -190,13 +224,14 @@ class CalibratedPair(MeasurementModel):
         x, y, w = h[:, 0] / h[:, 2], h[:, 1] / h[:, 2], points_c[:, 3] / h[:, 2]
         straight = x - b * w - e[7] * y
         stretch = (1.0 + e[6] ** 2) / (1.0 + e[6] * straight) ** 2
-        by_xyw, J, by_error = (np.zeros((len(h), 3, k)) for k in (3, 4, _ERRORS))
+        by_xyw, J, by_error = (np.zeros((len(h), 3, k)) for k in (3, 4, ERRORS))
         by_xyw[:, 0, 0], by_xyw[:, 1, 1] = f, (1.0 + e[1]) * camera.fy
         by_xyw[:, 2] = f * np.column_stack([1.0 - stretch, stretch * e[7], stretch * b])
         J[:, :, [0, 1, 3]] = by_xyw / h[:, 2, None, None]
         J[:, :, 2] = -np.einsum("mij,mj->mi", by_xyw, np.column_stack([x, y, w])) / h[:, 2, None]
         by_error[:, 2, 0] = 1.0
-        by_error[:, :, 1] = (self.predict(camera, points_c, values) - [camera.cx, camera.cy, e[0]]) / (1.0 + e[1])
+        seen = (straight - e[6]) / (1.0 + e[6] * straight)
+        by_error[:, :, 1] = np.column_stack([camera.fx * x, camera.fy * y, camera.fx * (x - seen)])
         by_error[:, 2, 2] = f * stretch * camera.baseline * w
         by_error[:, :, 3:6] = -J[:, :, :3] @ rotations.skew(h) @ rotations.right_jacobian(-e[3:6])
         by_error[:, 2, 6] = f * (1.0 + straight**2) / (1.0 + e[6] * straight) ** 2
@@ -210,7 +245,7 @@ class CalibratedPair(MeasurementModel):
         f = (1.0 + e[1]) * np.array([camera.fx, camera.fy])
         b, tilt = (1.0 + e[2]) * camera.baseline, 1.0 / (1.0 - e[6] * seen)
         stretch = (1.0 + e[6] ** 2) * tilt**2
-        J, by_error = np.zeros((len(uvd), 4, 3)), np.zeros((len(uvd), 4, _ERRORS))
+        J, by_error = np.zeros((len(uvd), 4, 3)), np.zeros((len(uvd), 4, ERRORS))
         J[:, :3, :2] = R.T[:, :2] / f
         J[:, 3, 0], J[:, 3, 1], J[:, 3, 2] = (1.0 - stretch) / (f[0] * b), -e[7] / (f[1] * b), stretch / (f[0] * b)
         by_error[:, 3, 0] = -stretch / (f[0] * b)
@@ -231,7 +266,7 @@ class CalibratedPair(MeasurementModel):
 
     def _errors(self, values: Values) -> FloatArray:
         """All of o, s_f, s_b, X (3), t and q; those that are not in the variable are zero."""
-        errors = np.zeros(_ERRORS)
+        errors = np.zeros(ERRORS)
         if self.variables:
             errors[[*self.numbers]] = values["calibration"]
         return errors

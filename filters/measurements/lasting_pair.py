@@ -1,4 +1,4 @@
-"""The rectified pair of landmarks whose measurements err by numbers of their own: (u, v, d) plus these."""
+"""The calibrated pair of landmarks whose measurements err by numbers of their own: (u, v, d) plus these."""
 
 from __future__ import annotations
 
@@ -9,11 +9,8 @@ import numpy as np
 
 from filters.geometry.arrays import BoolArray, FloatArray
 from filters.geometry.camera import StereoCamera
-from filters.geometry.machine_code import compiled
+from filters.measurements.calibrated_pair import ERRORS, CalibratedPair, backproject_with, predict_with
 from filters.measurements.model import MeasurementKernels, SensorJacobians, Values
-from filters.measurements.rectified_pair import KERNELS, RectifiedPair
-
-_exact, _exact_back = compiled(KERNELS.predict), compiled(KERNELS.backproject)
 
 
 def _predict(
@@ -26,7 +23,8 @@ def _predict(
     J_values: FloatArray,
     in_front: BoolArray,
 ) -> None:
-    _exact(settings, camera, points[:, :4], values, numbers, J[:, :, :4], J_values, in_front)
+    errors, by_error = np.zeros(ERRORS), np.zeros((3, ERRORS))
+    predict_with(settings, camera, points[:, :4], values, numbers, J[:, :, :4], J_values, in_front, errors, by_error)
     for i in range(len(points)):
         for a in range(3):
             numbers[i, a] += points[i, 4 + a]
@@ -42,15 +40,19 @@ def _backproject(
     J: FloatArray,
     J_values: FloatArray,
 ) -> None:
-    _exact_back(settings, camera, uvd, values, points[:, :4], J[:, :4], J_values)
+    errors, by_error = np.zeros(ERRORS), np.zeros((4, ERRORS))
+    backproject_with(settings, camera, uvd, values, points[:, :4], J[:, :4], J_values[:, :4], errors, by_error)
 
 
 @dataclass(frozen=True)
-class PairWithLastingErrors(RectifiedPair):
-    """One joint update with (u, v, d) of Eq. 10, plus the errors of the landmark that last (`LastingErrors`), px."""
+class PairWithLastingErrors(CalibratedPair):
+    """One joint update with (u, v, d) of a `CalibratedPair`, plus the errors of the landmark that last, px.
+
+    Landmarks are `LastingErrors`; parameters are those of `CalibratedPair`, and without them the rig is exact (Eq. 10).
+    """
 
     seen_size: ClassVar[int] = 7
-    kernels: ClassVar[MeasurementKernels | None] = MeasurementKernels(_predict, _backproject)
+    kernels: ClassVar[MeasurementKernels | None] = MeasurementKernels(_predict, _backproject, settings=("numbers",))
 
     def predict(self, camera: StereoCamera, points_c: FloatArray, values: Values) -> FloatArray:
         """(u, v, d) with the errors."""
@@ -58,16 +60,21 @@ class PairWithLastingErrors(RectifiedPair):
         return uvd
 
     def jacobians(self, camera: StereoCamera, points_c: FloatArray, values: Values) -> SensorJacobians:
-        """Of Eq. 10, and the identity."""
-        exact = super().jacobians(camera, points_c[..., :4], values).by_point
-        own = np.broadcast_to(np.eye(3), (*exact.shape[:-1], 3))
-        return SensorJacobians(np.concatenate([exact, own], axis=-1), {})
+        """Of the calibrated pair, and the identity."""
+        rig = super().jacobians(camera, points_c[..., :4], values)
+        own = np.broadcast_to(np.eye(3), (*rig.by_point.shape[:-1], 3))
+        return SensorJacobians(np.concatenate([rig.by_point, own], axis=-1), rig.by_variable)
 
     def backproject(self, camera: StereoCamera, uvd: FloatArray, values: Values) -> FloatArray:
-        """The point as if there were no errors."""
+        """The point as if there were no errors of its own."""
         return np.hstack([super().backproject(camera, uvd, values), np.zeros((len(uvd), 3))])
 
     def backprojection_jacobians(self, camera: StereoCamera, uvd: FloatArray, values: Values) -> SensorJacobians:
-        """The errors are no matter of one measurement."""
-        exact = super().backprojection_jacobians(camera, uvd, values).by_point
-        return SensorJacobians(np.concatenate([exact, np.zeros((len(uvd), 3, 3))], axis=1), {})
+        """The errors of its own are no matter of one measurement."""
+        rig = super().backprojection_jacobians(camera, uvd, values)
+        return SensorJacobians(_with_none(rig.by_point), {name: _with_none(J) for name, J in rig.by_variable.items()})
+
+
+def _with_none(J: FloatArray) -> FloatArray:
+    """A Jacobian (M, 4, k) of the point, and zeros (M, 3, k) of the errors."""
+    return np.concatenate([J, np.zeros((len(J), 3, J.shape[2]))], axis=1)

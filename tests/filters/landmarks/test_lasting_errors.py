@@ -27,6 +27,7 @@ from ..drives import CAMERA, DT, SPEED, START_COVARIANCE, Frame, drive, finish, 
 WHITE, LASTING, TIME = StereoNoise.independent_pixels(0.5), StereoNoise.independent_pixels(1.0), 0.8
 NOISE = ColouredNoise(WHITE.R + LASTING.R, WHITE.R, drift={"pixels": [0.5, 0.5, 0.7]}, lasting_time=TIME)
 PARTS = {"landmark": LastingErrors(LASTING.R, TIME), "measurement": PairWithLastingErrors()}
+RIG = {"offset_sigma": 0.2, "yaw_sigma": 0.002, "roll_sigma": 0.001}
 
 
 def lasting_drive(seed: int, frames: int = 25, **options: object) -> list[Frame]:
@@ -42,7 +43,7 @@ def lasting_drive(seed: int, frames: int = 25, **options: object) -> list[Frame]
     return made
 
 
-@pytest.mark.parametrize("part", PARTS.values(), ids=PARTS)
+@pytest.mark.parametrize("part", [*PARTS.values(), PairWithLastingErrors(**RIG)], ids=[*PARTS, "and the rig"])
 def test_the_part_is_right(part: object) -> None:
     check_part(part)
 
@@ -97,6 +98,12 @@ def test_coloured_noise_takes_them_from_the_noise_and_what_is_given_goes_before(
     named = finish(ColouredNoiseEKF(CAMERA, NOISE, gate=None), frames)
     parts = finish(StereoEKF(CAMERA, WHITE, error="right-invariant", gate=None, **PARTS), frames)
     np.testing.assert_array_equal(named.pose.covariance, parts.pose.covariance)
+    of_the_rig = dict(zip(("disparity_offset", "right_yaw", "right_roll"), RIG.values(), strict=True))
+    with_rig = finish(ColouredNoiseEKF(CAMERA, replace(NOISE, **of_the_rig), gate=None), frames)
+    both = {**PARTS, "measurement": PairWithLastingErrors(**RIG)}
+    parts = finish(StereoEKF(CAMERA, WHITE, error="right-invariant", gate=None, **both), frames)
+    np.testing.assert_array_equal(with_rig.pose.covariance, parts.pose.covariance)
+    assert np.trace(with_rig.pose.covariance) > np.trace(named.pose.covariance)
     walking = finish(ColouredNoiseEKF(CAMERA, NOISE, gate=None, drift=NOISE.drift), frames)
     without_time = finish(ColouredNoiseEKF(CAMERA, replace(NOISE, lasting_time=None), gate=None), frames)
     np.testing.assert_array_equal(walking.pose.covariance, without_time.pose.covariance)

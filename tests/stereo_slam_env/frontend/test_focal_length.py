@@ -43,7 +43,7 @@ def test_a_focal_length_far_off_is_warned_of(share: float, warned: bool, caplog:
     recording = stated(share, drive(white=0.1, turn=0.03))
     with_measured_noise(recording)
     which = "shorter" if share > 0 else "longer"
-    assert [f"% {which} than it is stated" in message for message in caplog.messages] == [True] * warned
+    assert [f"% {which} than stated" in message for message in caplog.messages] == [True] * warned
     caplog.clear()
     with_measured_noise(dataclasses.replace(recording, truth_from=SIMULATION))
     assert not caplog.messages

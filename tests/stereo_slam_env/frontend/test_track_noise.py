@@ -279,11 +279,24 @@ def test_tracks_too_rough_for_any_claim_are_warned_of(
     assert ["drive: its tracks jump by 2.9 px" in message for message in caplog.messages] == [True] * warned
 
 
-def test_wrong_matches_do_not_count() -> None:
-    recording, rng = drive(white=0.3), np.random.default_rng(1)
-    wrong = []
+def with_wrong_matches(recording: Recording, share: float) -> Recording:
+    """The drive with some measurements off by some 30 px."""
+    rng, wrong = np.random.default_rng(1), []
     for frame in recording.frames:
-        uvd = frame.observation.uvd + 30.0 * rng.normal(size=(TRACKS, 3)) * (rng.random((TRACKS, 1)) < 0.05)
+        uvd = frame.observation.uvd + 30.0 * rng.normal(size=(TRACKS, 3)) * (rng.random((TRACKS, 1)) < share)
         wrong.append(StereoObservation(frame.observation.ids, uvd))
-    found = track_noise(recording.with_observations(wrong))
+    return recording.with_observations(wrong)
+
+
+def test_wrong_matches_do_not_count() -> None:
+    found = track_noise(with_wrong_matches(drive(white=0.3), 0.05))
     np.testing.assert_allclose(found.step[:2], np.sqrt(2.0) * 0.3, rtol=0.1)
+
+
+@pytest.mark.parametrize(("share", "warned"), [(0.03, False), (0.1, True)])
+def test_many_wrong_matches_are_warned_of(share: float, warned: bool, caplog: pytest.LogCaptureFixture) -> None:
+    """A wrong match is two steps, to it and back: of a tenth of them 1 - 0.9^2 are wrong."""
+    recording = with_wrong_matches(drive(white=0.3), share)
+    assert track_noise(recording).mismatched == pytest.approx(1.0 - (1.0 - share) ** 2, abs=0.03)
+    with_measured_noise(recording)
+    assert ["of the steps of its tracks are far" in message for message in caplog.messages] == [True] * warned
