@@ -124,16 +124,16 @@ class ColouredNoiseEKF(StereoEKF):
         scale = misalignment = 0.0
         if isinstance(noise, ColouredNoise):
             stated |= {"drift": noise.drift, "gauge_walk": noise.gauge_walk}
-            priors = {
+            sigmas = {
                 "offset_sigma": noise.disparity_offset,
                 "yaw_sigma": noise.right_yaw,
                 "roll_sigma": noise.right_roll,
             }
-            priors = {name: sigma for name, sigma in priors.items() if sigma}
+            priors: dict[str, Any] = {name: sigma for name, sigma in sigmas.items() if sigma}
             if priors:
                 stated["measurement"] = {"name": "calibrated", **priors}
-            lasts = noise.white is not None and noise.lasting_time is not None
-            if lasts and options.keys().isdisjoint(("landmark", "measurement", "drift")):
+            chosen = not options.keys().isdisjoint(("landmark", "measurement", "drift"))
+            if noise.white is not None and noise.lasting_time is not None and not chosen:
                 errors = LastingErrors(noise.R - noise.white, noise.lasting_time)
                 stated |= {"drift": None, "landmark": errors, "measurement": PairWithLastingErrors(**priors)}
             scale, misalignment = noise.scale, noise.misalignment
