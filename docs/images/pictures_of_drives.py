@@ -13,14 +13,15 @@ from typing import Any
 import cv2
 import gymnasium as gym
 import numpy as np
+from numpy.typing import NDArray
 
 import stereo_slam_env as sse
 from stereo_slam_env.benchmark.scenarios.streams import without_measurements
 from stereo_slam_env.frontend import ActiveSearch
 from stereo_slam_env.rendering.drawing import label
-from stereo_slam_env.rendering.images import Image
 from stereo_slam_env.viewer import Drive, save_still, search_picture
 
+Image = NDArray[np.uint8]
 JPEG_QUALITY = 88
 GAP = 4
 """Between pictures that stand together, px."""
