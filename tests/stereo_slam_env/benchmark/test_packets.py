@@ -2,10 +2,11 @@
 
 import copy
 import json
+from dataclasses import replace
 
 import pytest
 
-from stereo_slam_env.benchmark import run_benchmark
+from stereo_slam_env.benchmark import preset, run_benchmark
 from stereo_slam_env.benchmark.gate import gate
 from stereo_slam_env.benchmark.packets import packet_of, read_packet, verify, write_packet
 from stereo_slam_env.cli import app as cli
@@ -68,6 +69,20 @@ def test_what_is_repeated_agrees_and_what_was_changed_does_not(packet, tmp_path)
     assert "position_rmse_m of shared-anchor" in found.words
     assert found.other_plugins == ("shared-anchor",)
     assert "by the same code and other code of shared-anchor, on" in found.words
+
+
+def test_policies_measure_something_else_each_and_are_repeated_as_well(tmp_path):
+    scenario = replace(preset("gaze"), frames=8)
+    run_benchmark(scenario, tmp_path / "run", policies=["fixed", "sweep"], seeds=[3], jobs=1)
+    packet = packet_of(tmp_path / "run")
+    write_packet(tmp_path / "gaze.json", packet)
+    (recording,) = read_packet(tmp_path / "gaze.json")["cells"][0]["recordings"]
+    assert set(recording["stream_sha256"]) == {"fixed", "sweep"}
+    assert len(set(recording["stream_sha256"].values())) == 2
+    assert verify(packet, tmp_path / "again", jobs=1).same_streams
+    recording["stream_sha256"]["sweep"] = 64 * "0"
+    other = {**packet, "cells": [{**packet["cells"][0], "recordings": [recording]}]}
+    assert not verify(other, tmp_path / "other", jobs=1).same_streams
 
 
 def test_which_recordings_are_repeated_hangs_on_the_results(packet, tmp_path):
