@@ -3,7 +3,9 @@
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
+import scipy.stats
 
 from stereo_slam_env.benchmark.packets import read_packet
 from stereo_slam_env.benchmark.scenarios.study import Study
@@ -74,3 +76,16 @@ def test_a_grid_is_one_table_with_its_cells_in_their_order():
     ]
     assert page.count("\n## ") == 1
     assert "Missing: sigma-0.5: a failed in 1 of 2 runs (hung)." in page
+
+
+def test_k_of_many_recordings_has_its_interval_and_what_is_absurd_is_short():
+    gaps = np.exp(np.random.default_rng(0).normal(0.2, 0.3, 10))
+    trials = {"a": [trial(k, float(gap), pose_anees=6e9) for k, gap in enumerate(gaps)]}
+    cell = {"name": "one", "recordings": [{"reference": "simulation"}], "trials": trials}
+    page = leaderboard({"mine.json": {"study": {"name": "mine"}, "cells": [cell], "missing": []}})
+    (row,) = [line.split(" | ") for line in page.splitlines() if line.startswith("| a")]
+    assert row[3] == "1.0e+09"
+    middle, low, high = map(float, re.findall("[0-9.]+", row[4]))
+    expected = scipy.stats.ttest_1samp(np.log(gaps), 0.0).confidence_interval(0.95)
+    np.testing.assert_allclose(np.log([low, high]), expected, atol=0.01)
+    assert low < middle < high
