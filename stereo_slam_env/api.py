@@ -108,7 +108,7 @@ def make_recording(scenario: str | Scenario, seed: int | None = 0) -> Recording:
     return streams.make_recording(preset(scenario) if isinstance(scenario, str) else scenario, seed)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Evaluation:
     """One filter on one recording."""
 
@@ -117,14 +117,14 @@ class Evaluation:
     series: FilterRun
     """Estimates, errors, covariances and counts, frame by frame."""
 
-    def __str__(self) -> str:
+    def __repr__(self) -> str:
         return _table([self.figures])
 
     def _repr_html_(self) -> str:
         return html.fixed_width(str(self))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Comparison:
     """Filters on identical recordings."""
 
@@ -149,7 +149,7 @@ class Comparison:
         """The result table as text, a column a filter."""
         return _table(self.summaries)
 
-    def __str__(self) -> str:
+    def __repr__(self) -> str:
         return f"{self.title}\n\n{self.table}\n{self.verdict.headline}"
 
     def _repr_html_(self) -> str:

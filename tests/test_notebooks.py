@@ -105,6 +105,15 @@ def test_results_show_themselves():
     assert seen.count("svg") == 3
 
 
+def test_at_a_prompt_results_are_what_fits_on_a_screen():
+    recording = sse.make_recording("reference-turn", 0)
+    evaluation = sse.evaluate("inverse-depth", recording)
+    comparison = sse.compare(["inverse-depth", "right-invariant"], "reference-turn", seeds=2, frames=6)
+    for result in (recording, evaluation, comparison):
+        assert len(repr(result)) < 4000
+    assert "position error, m" in repr(comparison)
+
+
 def test_a_reference_from_the_same_images_is_not_called_the_truth():
     recording = sse.make_recording("reference-turn", 0)
     assert "true path" in shown(recording)[0]

@@ -183,13 +183,13 @@ class Recording:
     """Short name for tables and files."""
     camera: StereoCamera
     """The rig."""
-    frames: tuple[Frame, ...]
+    frames: tuple[Frame, ...] = field(repr=False)
     """In time order; the first one only initialises."""
     noise: StereoNoise
     """Noise to assume unless the scenario says otherwise."""
     start: Start = field(default_factory=Start)
     """What filters are told at the start."""
-    landmarks: LandmarkTruth | None = None
+    landmarks: LandmarkTruth | None = field(default=None, repr=False)
     """True map, where known."""
     source: Mapping[str, Any] = field(default_factory=dict)
     """Everything needed to say where the stream came from (scenario, seed, file, settings); JSON-able."""
