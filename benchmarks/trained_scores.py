@@ -22,7 +22,7 @@ from scipy.stats import bootstrap, trim_mean
 
 from harness import arguments, show
 from stereo_slam_env.policies.network import Network
-from stereo_slam_env.policies.scores import REFERENCE_RETURNS, normalised_score
+from stereo_slam_env.policies.scores import normalised_score
 from stereo_slam_env.training.ppo import LearningCurve, Task
 from stereo_slam_env.training.registered_task import RegisteredTask
 from stereo_slam_env.training.task import GazeTask, evaluate
@@ -40,7 +40,7 @@ def task_of(run: Path) -> Task:
 def results_of(network: Network | None, task: Task, episodes: int) -> dict[str, float]:
     """Means over the episodes, with the score where there is one."""
     means: dict[str, float] = asdict(evaluate(network, task, range(SEED, SEED + episodes)))
-    if isinstance(task, RegisteredTask) and task.environment in REFERENCE_RETURNS and not task.arguments:
+    if isinstance(task, RegisteredTask) and task.is_scored:
         means["score"] = float(normalised_score(task.environment, means["validation_return"]))
     return means
 

@@ -14,7 +14,14 @@ from filters.contract.inertial import InertialSamples
 from filters.contract.observation import StereoObservation
 from filters.contract.odometry import BodyVelocity
 from filters.contract.start import Start
-from filters.contract.stereo_filter import AT_ORIGIN, LONGEST_STEP, check_start, check_step, time_step
+from filters.contract.stereo_filter import (
+    AT_ORIGIN,
+    LONGEST_STEP,
+    StereoFilter,
+    check_start,
+    check_step,
+    time_step,
+)
 from filters.contract.update_report import UpdateReport
 from filters.contract.validation import whole_number
 from filters.engine.compiled.readout import points_at, relative_landmarks
@@ -67,6 +74,20 @@ class RelativeLandmarks:
     """(M, 3, 3): of those, m^2; errors of the pose and their correlation count."""
     located: BoolArray
     """(M,): whether the landmark is in front of its anchor, at a finite distance."""
+
+
+@dataclass(frozen=True, eq=False)
+class WorldLandmarks:
+    """The maps of many filters in W."""
+
+    offsets: IntArray
+    """(B + 1,): landmarks of filter b are offsets[b] to offsets[b + 1] - 1, ids ascending."""
+    ids: IntArray
+    """(M,): landmarks."""
+    positions: FloatArray
+    """(M, 3), m."""
+    covariances: FloatArray
+    """(M, 3, 3): of those, m^2."""
 
 
 def goes_in_a_batch(slam: object) -> TypeGuard[StereoEKF]:
@@ -173,14 +194,23 @@ class FilterBatch(Sequence[StereoEKF]):
 
     def relative_landmarks(self) -> RelativeLandmarks:
         """The maps of all filters as their cameras see them."""
+        return RelativeLandmarks(*self._read_maps(in_world=False))
+
+    def world_landmarks(self) -> WorldLandmarks:
+        """The maps of all filters in W: what `StereoEKF.landmarks` has of each."""
+        plan = self._engine.recipe.plan
+        if self._engine.recipe.landmark is None or plan.carries or plan.anchors > 1:  # or in the axes of a camera
+            return world_landmarks(self._filters)
+        return WorldLandmarks(*self._read_maps(in_world=True)[:4])
+
+    def _read_maps(self, *, in_world: bool) -> tuple[IntArray, IntArray, FloatArray, FloatArray, BoolArray]:
+        """Offsets, ids, places, covariances, and which are located."""
         storage = self._engine.storage
         counts = storage.counts[:, 0]
         offsets = np.concatenate([[0], np.cumsum(counts)])
         total = int(offsets[-1])
         ids = storage.ids[np.arange(storage.ids.shape[1]) < counts[:, None]]
-        found = RelativeLandmarks(
-            offsets, ids, np.empty((total, 3)), np.empty((total, 3, 3)), np.empty(total, dtype=np.bool_)
-        )
+        places, covariances, located = np.empty((total, 3)), np.empty((total, 3, 3)), np.empty(total, dtype=np.bool_)
         plan, model = self._engine.recipe.plan, self._filters[0].options.landmark
         if self._engine.recipe.landmark is None:
             raise ValueError(f"landmark {type(model).__name__} must have kernels here")
@@ -190,9 +220,9 @@ class FilterBatch(Sequence[StereoEKF]):
         points, by_own = np.zeros((total, model.seen_size)), np.zeros((total, model.seen_size, model.size))
         points_at(of_part(self._engine.recipe.landmark, "point"), plan.landmark, values, points, by_own)
         state = storage.P, storage.x, storage.blocks, storage.own, storage.anchor, storage.counts
-        written = found.points_c, found.covariances, found.located
-        relative_landmarks(*state, plan.leading, plan.anchors > 0, points, by_own, offsets, *written)
-        return found
+        how = plan.leading, plan.anchors > 0, in_world
+        relative_landmarks(*state, *how, points, by_own, offsets, places, covariances, located)
+        return offsets, ids, places, covariances, located
 
     def reset(self, starts: Start | Sequence[Start] = AT_ORIGIN) -> None:
         """Start again, with empty maps: all filters alike, or each from its own start."""
@@ -328,3 +358,13 @@ class FilterBatch(Sequence[StereoEKF]):
             order = np.lexsort((ids, owner))
             ids, uvd, R, right = ids[order], uvd[order], R[order], right[order]
         return Observations(seen, offsets, ids, uvd, R, with_right, right)
+
+
+def world_landmarks(slams: Sequence[StereoFilter]) -> WorldLandmarks:
+    """The maps of any filters in W, read one after the other."""
+    maps = [slam.landmarks for slam in slams]
+    offsets = np.concatenate([[0], np.cumsum([len(each.ids) for each in maps])])
+    ids, positions, covariances = (
+        np.concatenate([getattr(each, name) for each in maps]) for name in ("ids", "positions", "covariances")
+    )
+    return WorldLandmarks(offsets, ids, positions, covariances)

@@ -16,8 +16,8 @@ GAZE = ("StereoSlam/Gaze-v0", "StereoSlam/ActiveGaze-v0")
 
 def train(
     decisions: Annotated[
-        int, typer.Option("--decisions", help="How many the network makes; looks hold for some steps.", min=1)
-    ] = 120_000,
+        int | None, typer.Option("--decisions", help="How many it makes; 120,000, or what the task states.", min=1)
+    ] = None,
     seed: Annotated[int, typer.Option("--seed", help="Of network, actions and episodes.", min=0)] = 0,
     minutes: Annotated[
         float | None, typer.Option("--minutes", help="Stop after this time; the same command goes on.")
@@ -44,18 +44,19 @@ def train(
         float | None, typer.Option("--nees-gate", help="Looks: nothing is paid while the NEES leaves this band.")
     ] = None,
     discount: Annotated[
-        float | None, typer.Option("--discount", help="Of a decision later; 0.95 for looks, 0.99 for other ids.")
+        float | None, typer.Option("--discount", help="Of a decision later; 0.95 for looks, 0.999 for other ids.")
     ] = None,
     validation: Annotated[
-        int, typer.Option("--validation", help="Episodes on which the best network is chosen.", min=1, max=256)
-    ] = 256,
+        int | None,
+        typer.Option("--validation", help="Episodes that choose the network; 256, or as stated.", max=256),
+    ] = None,
     out: OutOption = None,
 ) -> None:
     """Train a network with PPO on any task, by default to look where the estimate becomes true; needs the extra rl."""
     from stereo_slam_env.files.folders import require_writable
     from stereo_slam_env.report.charts.policies import plot_learning
     from stereo_slam_env.report.console import progress_bar
-    from stereo_slam_env.training.ppo import VALIDATION_SEEDS, LearningCurve, PPOSettings, merit
+    from stereo_slam_env.training.ppo import VALIDATION_SEEDS, LearningCurve, merit, settings_for
     from stereo_slam_env.training.ppo import train as train_network
     from stereo_slam_env.training.task import evaluate
 
@@ -66,14 +67,13 @@ def train(
     task = _task(environment, _arguments(arguments), {name: v for name, v in looks.items() if v is not None})
     directory = out or new_directory("train")
     require_writable(directory)
-    later = discount if discount is not None else 0.95 if environment in GAZE else 0.99
-    settings = PPOSettings(
-        decisions=decisions,
+    given = {"decisions": decisions, "discount": discount, "validation": validation}
+    settings = settings_for(
+        task,
         seed=seed,
         environments=environments,
         threads=threads,
-        discount=later,
-        validation=validation,
+        **{name: value for name, value in given.items() if value is not None},
     )
     try:
         with progress_bar(console(stderr=True), "decisions") as progress:
@@ -89,8 +89,10 @@ def train(
     for name, value in idle.items():
         typer.echo(f"{name:<24} network {best[name]:8.3f}   {held_against} {value:8.3f}")
     made = int(rows[-1]["decisions"])
-    if made < decisions:
-        typer.echo(f"stopped after {made:,} of {decisions:,} decisions; to go on: the same command, --out {directory}")
+    if made < settings.decisions:
+        typer.echo(
+            f"stopped after {made:,} of {settings.decisions:,} decisions; to go on: the same command, --out {directory}"
+        )
     typer.echo(f"network: {network.resolve()} (the best so far, after {int(best['decisions']):,} decisions)")
 
 

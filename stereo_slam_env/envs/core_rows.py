@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from gymnasium import spaces
@@ -63,6 +63,8 @@ class CoreRows(Rows):
     """
 
     changes = ("generators", "simulator", "_pictures", "_image_sensors", "_seen", "_pool")
+    training: ClassVar[Mapping[str, Any]] = {}
+    """Settings of `PPOSettings` that a task states, and `arguments` with which it is learnt; none."""
 
     def __init__(
         self, options: StereoOptions, count: int, *, threads: int = 1, pool: int | None = None, draws: bool = False
@@ -307,6 +309,10 @@ class CoreRows(Rows):
         if name == "distance":
             return self.simulator.fleet.distance.copy()
         return np.array(self.simulator.sensed.terms[self._weights[name.removeprefix("reward_")]], dtype=np.float64)
+
+    def shown(self, key: str) -> NDArray[Any]:
+        """See `World`."""
+        return np.asarray(getattr(self.simulator.show(), key))
 
     def measured(self, which: BoolArray) -> Measured:
         """See `World`."""

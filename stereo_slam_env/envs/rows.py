@@ -15,6 +15,7 @@ from typing import Any, Protocol
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
+from numpy.typing import NDArray
 
 from filters.contract.start import Start
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
@@ -67,6 +68,9 @@ class World(Protocol):
 
     def told(self, name: str) -> FloatArray:
         """A number of `info`, after the last step; (B,)."""
+
+    def shown(self, key: str) -> NDArray[Any]:
+        """A key of the observation, after the last step; (B, ...)."""
 
     def true_positions(self) -> FloatArray:
         """True positions of the left cameras, in W, m; (B, 3)."""
@@ -301,6 +305,10 @@ class OneRow(Rows):
     def told(self, name: str) -> FloatArray:
         """See `World`."""
         return np.array([self._said[1][name]], dtype=np.float64)
+
+    def shown(self, key: str) -> NDArray[Any]:
+        """See `World`."""
+        return np.asarray(self._said[0][key])[None]
 
     def true_positions(self) -> FloatArray:
         """See `World`; a `ValueError` where a frame has no truth."""

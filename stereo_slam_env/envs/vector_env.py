@@ -45,6 +45,7 @@ class RowsVectorEnv(gym.vector.VectorEnv[Arrays, NDArray[Any], NDArray[Any]], Ke
         self.rows, self.num_envs = rows, rows.count
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {"render_modes": ["rgb_array"], "render_fps": 10, "autoreset_mode": self.autoreset_mode}
+        self.metadata["training"] = rows.inner("training")
         self.render_mode = "rgb_array" if self.core.draws else None
         self.single_observation_space, self.single_action_space = rows.observation_space, rows.action_space
         self.observation_space = batch_space(rows.observation_space, self.num_envs)

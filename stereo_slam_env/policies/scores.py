@@ -57,7 +57,7 @@ def follow_route(
     observation: Mapping[str, Any],
     actions: int = 2,
     *,
-    speed: float = Car.max_speed,
+    speed: float | FloatArray = Car.max_speed,
     lateral: float = 3.0,
     beside: float = 0.0,
 ) -> Action:
@@ -69,10 +69,10 @@ def follow_route(
     Parameters
     ----------
     observation : mapping
-        With `car` and `route`, from an environment in which the agent drives.
+        With `car` (..., 2) and `route` (..., 5, 2), from environments in which the agent drives.
     actions : int
         Entries of the action; those after the first two are 0.
-    speed : float
+    speed : float or (...)
         Largest one, m/s.
     lateral : float
         Largest acceleration across the direction of travel, m/s^2.
@@ -80,13 +80,13 @@ def follow_route(
         How far to the right of the route to drive, m.
     """
     car = Car()
-    now, _ = np.asarray(observation["car"], dtype=np.float64)
-    right, forward = np.asarray(observation["route"], dtype=np.float64).T
+    now = np.asarray(observation["car"], dtype=np.float64)[..., 0]
+    right, forward = np.moveaxis(np.asarray(observation["route"], dtype=np.float64), -1, 0)
     right, forward = right + beside, forward + car.camera_forward
     curvatures = 2.0 * right / np.maximum(right**2 + forward**2, 1.0)
-    bend = float(np.abs(curvatures[_STEER_BY : _BRAKE_BY + 1]).max())
-    wanted = min(speed, np.sqrt(lateral / max(bend, 1e-6)))
-    action = np.zeros(actions, dtype=np.float32)
-    action[0] = np.clip((wanted - now) / (car.max_acceleration * FRAME_PERIOD), -1.0, 1.0)
-    action[1] = np.clip(np.arctan(car.wheelbase * curvatures[_STEER_BY]) / car.max_steering, -1.0, 1.0)
+    bend = np.abs(curvatures[..., _STEER_BY : _BRAKE_BY + 1]).max(axis=-1)
+    wanted = np.minimum(speed, np.sqrt(lateral / np.maximum(bend, 1e-6)))
+    action = np.zeros((*now.shape, actions), dtype=np.float32)
+    action[..., 0] = np.clip((wanted - now) / (car.max_acceleration * FRAME_PERIOD), -1.0, 1.0)
+    action[..., 1] = np.clip(np.arctan(car.wheelbase * curvatures[..., _STEER_BY]) / car.max_steering, -1.0, 1.0)
     return action

@@ -5,6 +5,7 @@ from .branches import explore_and_close as explore_and_close
 from .branches import to_new_roads as to_new_roads
 from .closed_loop import RouteByEstimate as RouteByEstimate
 from .closed_loop import drive_slowly as drive_slowly
+from .drive_choices import DriveChoices as DriveChoices
 from .explore import Coverage as Coverage
 from .explore import explore_by_sweeping as explore_by_sweeping
 from .levels import LEVELS as LEVELS

@@ -148,10 +148,10 @@ class BranchChoiceRows(RowsWrapper):
 
     def _map(self, which: BoolArray) -> FloatArray:
         """The share of all landmarks that is where it is on the map, of some rows; (B,)."""
-        credit = np.zeros(self.count)
+        credit, maps = np.zeros(self.count), self._beliefs.world_maps()
         for b in np.flatnonzero(which).tolist():
-            landmarks, truth = self._beliefs.filters[b].landmarks, self.world.landmark_truth(b).positions
-            errors = np.linalg.norm(landmarks.positions - truth[landmarks.ids], axis=1)
+            mine, truth = slice(*maps.offsets[b : b + 2]), self.world.landmark_truth(b).positions
+            errors = np.linalg.norm(maps.positions[mine] - truth[maps.ids[mine]], axis=1)
             credit[b] = np.maximum(1.0 - (errors / self._accuracy) ** 2, 0.0).sum() / len(truth)
         return credit
 

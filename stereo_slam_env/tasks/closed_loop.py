@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 import gymnasium as gym
 import numpy as np
@@ -30,6 +30,7 @@ class RouteByEstimateRows(RowsWrapper):
     """What `RouteByEstimate` does, on rows; see there."""
 
     changes = ("_poses", "_nearest", "_progress")
+    training: ClassVar[Mapping[str, Any]] = {"decisions": 300_000, "evaluate_every": 32_768, "validation": 64}
 
     def __init__(self, rows: Rows, latency: int) -> None:
         super().__init__(rows)

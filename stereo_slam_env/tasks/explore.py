@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 import gymnasium as gym
 import numpy as np
@@ -14,6 +14,7 @@ from filters.geometry.arrays import BoolArray, FloatArray
 from stereo_slam_env.envs.rows import Arrays, Rows, RowsWrapper, Seeds, Step
 from stereo_slam_env.policies.interface import Action
 from stereo_slam_env.tasks.closed_loop import drive_slowly
+from stereo_slam_env.tasks.drive_choices import DriveChoices
 from stereo_slam_env.tasks.levels import inner_environment
 from stereo_slam_env.training.task import GAZE_FILTER
 from stereo_slam_env.world.routes import FRAME_PERIOD
@@ -36,6 +37,8 @@ class CoverageRows(RowsWrapper):
     """What `Coverage` does, on rows; see there."""
 
     changes = ("_in_reach", "_mapped", "_now", "_terms")
+    training: ClassVar[Mapping[str, Any]] = {"arguments": {"choices": {}}, "initial_bias": [-2.0, *[0.0] * 6]}
+    """A car that does not keep its lane yet would learn to stop at once, and so does one that often stops by chance."""
 
     def __init__(self, rows: Rows, accuracy: float, goal: float, coverage_weight: float, path_weight: float) -> None:
         super().__init__(rows)
@@ -92,12 +95,14 @@ class CoverageRows(RowsWrapper):
         """The share of the landmarks that is mapped, after a look at the maps of some rows, and metres; (B, 2)."""
         now = self._now.copy()
         now[:, 1] = self.world.told("distance")
+        maps = self._beliefs.world_maps()
+        known = np.sqrt(np.einsum("nii->n", maps.covariances)) < self._accuracy
         for b in np.flatnonzero(which).tolist():
-            landmarks, truth = self._beliefs.filters[b].landmarks, self.world.landmark_truth(b).positions
-            sigmas = np.sqrt(np.einsum("nii->n", landmarks.covariances))
-            errors = np.linalg.norm(landmarks.positions - truth[landmarks.ids], axis=1)
+            mine, truth = slice(*maps.offsets[b : b + 2]), self.world.landmark_truth(b).positions
+            ids, positions = maps.ids[mine][known[mine]], maps.positions[mine][known[mine]]
+            errors = np.linalg.norm(positions - truth[ids], axis=1)
             mapped, in_reach = self._mapped[b], self._in_reach[b]
-            mapped[landmarks.ids[(sigmas < self._accuracy) & (errors < _SINCERE * self._accuracy)]] = True
+            mapped[ids[errors < _SINCERE * self._accuracy]] = True
             now[b, 0] = mapped[in_reach].mean() if in_reach.any() else 0.0
         return now
 
@@ -152,6 +157,7 @@ def explore(
     goal: float = 0.6,
     coverage_weight: float = 20.0,
     path_weight: float = 0.01,
+    choices: Mapping[str, Any] | None = None,
     many: Mapping[str, Any] | None = None,
 ) -> Any:
     """`StereoSlam/Explore-v0`: drive round a block and look about, until the map is worth no further metre.
@@ -176,6 +182,9 @@ def explore(
         Its options; one that drops what is out of view maps little.
     accuracy, goal, coverage_weight, path_weight : float
         Of `Coverage`.
+    choices : mapping, optional
+        Arguments of `DriveChoices`: the action is then a speed and a gaze for a second, or the stop, and a script
+        steers. None: it is that of above.
     many : mapping, optional
         `num_envs`, `scenes` and `threads`: that many in rows, instead of one environment.
     """
@@ -184,7 +193,8 @@ def explore(
     inside = inner_environment("StereoSlam/DriveGaze-v0", level, arguments or {}, many, **own)
     inside = BeliefPanorama.around(BeliefObservation.around(inside, filter=filter, options=filter_options))
     weights = {"coverage_weight": coverage_weight, "path_weight": path_weight}
-    return SelectedKeys.around(Coverage.around(inside, accuracy=accuracy, goal=goal, **weights), keys=KEYS)
+    paid = Coverage.around(inside, accuracy=accuracy, goal=goal, **weights)
+    return SelectedKeys.around(paid if choices is None else DriveChoices.around(paid, **choices), keys=KEYS)
 
 
 explore_vector = vector_of(explore)

@@ -7,9 +7,9 @@ import json
 import logging
 import platform
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from importlib.util import find_spec
 from pathlib import Path
 from types import MappingProxyType
@@ -19,6 +19,7 @@ import numpy as np
 
 from filters.contract.extras import require_module
 from filters.contract.foreign_text import first_line
+from filters.contract.known_names import require_known
 from filters.contract.validation import positive, probability, whole_number
 from filters.geometry.arrays import FloatArray
 from stereo_slam_env.files.folders import claimed_folder, write_atomically
@@ -92,6 +93,8 @@ class PPOSettings:
     """Weight of the entropy of decisions, so that it goes on trying."""
     initial_log_std: float = -0.7
     """Logarithm of the standard deviation of continuous actions at first."""
+    initial_bias: tuple[float, ...] = ()
+    """Of the outputs of the policy at first: logits of a choice, or means of the entries of a Box; none: 0."""
     evaluate_every: int = 16_384
     """Decisions between two looks at the validation episodes."""
     validation: int = len(VALIDATION_SEEDS)
@@ -99,6 +102,7 @@ class PPOSettings:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "layers", tuple(self.layers))
+        object.__setattr__(self, "initial_bias", tuple(self.initial_bias))
         for name in ("decisions", "environments", "threads", "rollout", "minibatch", "epochs", "evaluate_every"):
             whole_number(name, getattr(self, name), 1)
         whole_number("validation", self.validation, 1, len(VALIDATION_SEEDS))
@@ -115,6 +119,14 @@ class PPOSettings:
     def steps(self) -> int:
         """Decisions of each environment between two updates."""
         return max(self.rollout // self.environments, 1)
+
+
+def settings_for(task: Task, **given: Any) -> PPOSettings:
+    """The settings that a task states, and over them those that are given; a `ValueError` names one there is not."""
+    stated = {**task.training, **given}
+    names = [each.name for each in fields(PPOSettings)]
+    require_known("the task states what is no setting of a training", stated, names)
+    return PPOSettings(**stated)
 
 
 def merit(row: Mapping[str, float]) -> float:
@@ -303,11 +315,24 @@ def _learner(task: Task, settings: PPOSettings, out: Path) -> Iterator[tuple[PPO
             device="cpu",
             tensorboard_log=str(out / "tensorboard") if find_spec("tensorboard") else None,
         )
+        if settings.initial_bias:
+            _bias(model, settings.initial_bias)
         if (out / "state.pt").exists():
             _load_state(out / "state.pt", model, scaling)
         yield model, scaling
     finally:
         scaling.close()
+
+
+def _bias(model: PPO, biases: Sequence[float]) -> None:
+    """Set the biases of the last layer of the policy; a `ValueError` where it has another number of them."""
+    import torch
+
+    there = model.policy.action_net.bias
+    if len(biases) != len(there):
+        raise ValueError(f"initial_bias must have {len(there)} numbers, one for each output, got {len(biases)}")
+    with torch.no_grad():
+        there.copy_(torch.tensor(biases))
 
 
 def _begin_stage(model: PPO, seed: int) -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
+from importlib import import_module
 from typing import Any
 
 import gymnasium as gym
@@ -12,7 +14,6 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 
 from filters.geometry.arrays import FloatArray
-from stereo_slam_env.envs.vector_env import RowsVectorEnv
 from stereo_slam_env.policies.network import Network
 from stereo_slam_env.policies.scores import REFERENCE_RETURNS, normalised_score
 
@@ -34,33 +35,53 @@ class EpisodeOutcome:
 
 @dataclass(frozen=True)
 class RegisteredTask:
-    """An id of this package, with its own reward; JSON-able.
+    """An id of Gymnasium, with its own reward; JSON-able.
+
+    Environments may state how they are best learnt: `metadata["training"]` has settings of `PPOSettings` by name, and
+    `arguments` with which they are made for that.
 
     Raises
     ------
     ValueError
-        There is no such id, or it has no native vector.
+        There is no such id.
     """
 
     environment: str
-    """The id."""
+    """The id; before a colon the module that registers it, if it is not of this package."""
     arguments: Mapping[str, Any] = field(default_factory=dict)
-    """Of `gymnasium.make_vec`."""
+    """Of `gymnasium.make_vec`, over those that the environment states."""
 
     def __post_init__(self) -> None:
-        known = sorted(name for name in gym.registry if name.startswith("StereoSlam/"))
-        if self.environment not in known:
-            raise ValueError(f"environment must be one of {', '.join(known)}, got {self.environment!r}")
+        module, _, name = self.environment.rpartition(":")
+        if module:
+            import_module(module)
+        if name not in gym.registry:
+            known = sorted(name for name in gym.registry if name.startswith("StereoSlam/"))
+            raise ValueError(f"environment must be one of {', '.join(known)}, or module:id, got {self.environment!r}")
+        object.__setattr__(self, "arguments", {**self._stated.get("arguments", {}), **self.arguments})
+
+    @cached_property
+    def _stated(self) -> Mapping[str, Any]:
+        """`metadata["training"]`."""
+        vector = _vector(self.environment, 1, {}, AutoresetMode.NEXT_STEP, 1)
+        vector.close()
+        stated: Mapping[str, Any] = vector.metadata.get("training", {})
+        return stated
+
+    @property
+    def training(self) -> Mapping[str, Any]:
+        """Settings that the environment states; what counts is the return, so what comes later counts nearly as much.
+
+        At 0.99, standing still, which costs 0.04 a step, is better than an accident now, which costs 10: a car that
+        cannot drive yet learns to stand.
+        """
+        return {"discount": 0.999, **{name: value for name, value in self._stated.items() if name != "arguments"}}
 
     def make_vector(
         self, count: int, *, autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP, threads: int = 1
-    ) -> RowsVectorEnv:
+    ) -> gym.vector.VectorEnv[Any, Any, Any]:
         """So many environments in lock-step."""
-        own = {"observe_ids": False} if self.environment in _WITH_IDS else {}
-        given = {**own, **self.arguments, "autoreset_mode": autoreset_mode, "threads": threads}
-        made: Any = gym.make_vec(self.environment, num_envs=count, **given)
-        vector: RowsVectorEnv = made
-        return vector
+        return _vector(self.environment, count, self.arguments, AutoresetMode(autoreset_mode), threads)
 
     @property
     def choices(self) -> FloatArray | None:
@@ -70,6 +91,11 @@ class RegisteredTask:
         vector.close()
         return np.arange(space.n, dtype=np.float64)[:, None] if isinstance(space, spaces.Discrete) else None
 
+    @property
+    def is_scored(self) -> bool:
+        """Whether its returns have a score: those of an id that has one, with the arguments that it states."""
+        return self.environment in REFERENCE_RETURNS and self.arguments == self._stated.get("arguments", {})
+
     def evaluate(self, network: Network | None, seeds: Sequence[int], threads: int = 1) -> EpisodeOutcome:
         """See `training.evaluate`."""
         vector = self.make_vector(len(seeds), threads=threads)
@@ -77,7 +103,7 @@ class RegisteredTask:
         returns, success, steps = (np.zeros(len(seeds)) for _ in range(3))
         going = np.ones(len(seeds), dtype=np.bool_)
         try:
-            observation, info = vector.reset(seed=list(seeds))
+            observation, info = vector.reset(seed=list(seeds))  # type: ignore[arg-type]
             while going.any():
                 if network is not None:
                     actions[...] = network.actions(observation).reshape(actions.shape)
@@ -95,6 +121,19 @@ class RegisteredTask:
         said = f"return {results.validation_return:.2f}"
         if np.isfinite(results.success):
             said += f", success {results.success:.0%}"
-        if self.environment in REFERENCE_RETURNS and not self.arguments:
+        if self.is_scored:
             said += f", score {float(normalised_score(self.environment, results.validation_return)):.0f}"
         return said
+
+
+def _vector(
+    environment: str, count: int, arguments: Mapping[str, Any], mode: AutoresetMode, threads: int
+) -> gym.vector.VectorEnv[Any, Any, Any]:
+    """Many environments with an id: its native vector, or one after the other."""
+    if gym.spec(environment.rpartition(":")[2]).vector_entry_point is None:
+        how: dict[str, Any] = {"vectorization_mode": "sync", "vector_kwargs": {"autoreset_mode": mode}}
+    else:
+        own = {"observe_ids": False} if environment in _WITH_IDS else {}
+        how = {**own, "autoreset_mode": mode, **({"threads": threads} if threads > 1 else {})}
+    made: gym.vector.VectorEnv[Any, Any, Any] = gym.make_vec(environment, num_envs=count, **{**how, **arguments})
+    return made

@@ -141,6 +141,11 @@ class GazeTask:
         return SelectedKeys.around(paid, keys=POLICY_KEYS)
 
     @property
+    def training(self) -> Mapping[str, Any]:
+        """Settings that the task states: the defaults of `PPOSettings` are its own."""
+        return {}
+
+    @property
     def choices(self) -> FloatArray | None:
         """Pan and tilt to choose from, as shares of the largest; (pans, 2)."""
         return None if self.pans is None else directions(self.pans)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 from numba import njit
+from numpy.typing import NDArray
 
 from filters.contract.noise import StereoNoise
 from filters.contract.validation import positive, whole_number
@@ -54,6 +55,12 @@ class BeliefPanoramaRows(RowsWrapper):
             "belief_sigmas": spaces.Box(0.0, _LARGEST_SIGMA, (6,), np.float32),
         }
         self.observation_space = spaces.Dict({**inner, **added})
+        self._panorama_shown = True
+
+    def want(self, keys: Collection[str]) -> None:
+        """See `Rows`; without `panorama` no map is read."""
+        self._panorama_shown = "panorama" in keys
+        self.rows.want(keys)
 
     def begin(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
         """See `Rows`; no sector has been in view yet."""
@@ -70,14 +77,19 @@ class BeliefPanoramaRows(RowsWrapper):
     def look(self) -> tuple[Arrays, Arrays]:
         """See `Rows`."""
         observation, info = self.rows.look()
+        sigmas = np.sqrt(np.einsum("bii->bi", self._beliefs.pose_covariances)).clip(0.0, _LARGEST_SIGMA)
+        added = {"belief_sigmas": sigmas.astype(np.float32)}
+        if self._panorama_shown:
+            added["panorama"] = self._panorama()
+        return {**observation, **added}, info
+
+    def _panorama(self) -> NDArray[np.float32]:
         seen = np.empty((self.count, self._sectors, len(FEATURES)))
         maps, angles = self._beliefs.maps, self.world.angles()
         seen[..., :4] = panoramas(maps, angles, self._camera, self._noise, self._sectors, self._most, self._reach)
         seen[..., 4] = self._in_view
         seen[..., 5] = 1.0 - np.exp((self._last_seen - self._times[:, None]) / _FORGOTTEN)
-        sigmas = np.sqrt(np.einsum("bii->bi", self._beliefs.pose_covariances)).clip(0.0, _LARGEST_SIGMA)
-        added = {"panorama": seen.clip(_LOW, _HIGH).astype(np.float32), "belief_sigmas": sigmas.astype(np.float32)}
-        return {**observation, **added}, info
+        return seen.clip(_LOW, _HIGH).astype(np.float32)
 
     def _look_around(self, which: BoolArray) -> None:
         """Remember what is in view of some rows."""

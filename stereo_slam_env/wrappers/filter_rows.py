@@ -13,7 +13,14 @@ from filters.contract.odometry import BodyVelocity
 from filters.contract.start import Start
 from filters.contract.stereo_filter import StereoFilter
 from filters.contract.update_report import UpdateReport
-from filters.engine.batch import FilterBatch, RelativeLandmarks, Reports, goes_in_a_batch
+from filters.engine.batch import (
+    FilterBatch,
+    RelativeLandmarks,
+    Reports,
+    WorldLandmarks,
+    goes_in_a_batch,
+    world_landmarks,
+)
 from filters.engine.frames import Observations, Odometry
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from stereo_slam_env.envs.rows import World
@@ -103,6 +110,10 @@ class FilterRows(Kept, ABC):
     @abstractmethod
     def _read_maps(self) -> RelativeLandmarks: ...
 
+    def world_maps(self) -> WorldLandmarks:
+        """The maps in W, read anew."""
+        return world_landmarks(self.filters)
+
     def belief(self, b: int) -> Belief:
         """Pose and map of a filter."""
         return Belief.of(self.filters[b], self.report(b))
@@ -178,6 +189,10 @@ class _Lockstep(FilterRows):
 
     def _read_maps(self) -> RelativeLandmarks:
         return self._batch.relative_landmarks()
+
+    def world_maps(self) -> WorldLandmarks:
+        """See `FilterRows`."""
+        return self._batch.world_landmarks()
 
     def _reset(self, b: int, start: Start) -> None:
         self._batch[b].reset(start)

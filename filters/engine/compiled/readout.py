@@ -1,4 +1,4 @@
-"""Kernels that read maps as their cameras see them: relative to the camera, and as predicted measurements."""
+"""Kernels that read maps: relative to the camera or in W, and as predicted measurements."""
 
 from __future__ import annotations
 
@@ -43,14 +43,17 @@ def relative_landmarks(
     counts: IntArray,
     leading: int,
     anchored: bool,
+    in_world: bool,
     points: FloatArray,
     by_own: FloatArray,
     offsets: IntArray,
-    points_c: FloatArray,
+    places: FloatArray,
     covariances: FloatArray,
     located: BoolArray,
 ) -> None:
     """p_c = R_wc^T (p_w - r) of the landmarks of all filters, and its covariance; the last three are written.
+
+    With `in_world` the same of p_w: the pose then is that of W, and exact.
 
     `points` (M, seen) and `by_own` (M, seen, size) are those of `points_at`. `located`: in front of the anchor, at a
     finite distance, with a finite covariance.
@@ -60,11 +63,14 @@ def relative_landmarks(
     J, own_P, JP = np.empty((3, most)), np.empty((most, most)), np.empty((3, most))
     rows, width = np.empty(most, dtype=np.int64), POSE_SIZE + size + (3 if anchored else 0)
     rows[:POSE_SIZE] = np.arange(POSE_SIZE)
+    origin_of_w = np.zeros(7)
+    origin_of_w[6] = 1.0
     for b in range(len(x)):
-        R_cw, P_b = transposed(orientation(x[b])), P[b]
+        camera, P_b = origin_of_w if in_world else x[b], P[b]
+        R_cw = transposed(orientation(camera))
         for i in range(counts[b, LANDMARKS]):
             m, first = offsets[b] + i, POSE_SIZE
-            w0, w1, w2, origin = -x[b, 0], -x[b, 1], -x[b, 2], anchor[b, i, 0]
+            w0, w1, w2, origin = -camera[0], -camera[1], -camera[2], anchor[b, i, 0]
             if anchored and origin < 0:  # a point of W
                 origin = own[b, i]
                 for a in range(4):
@@ -90,13 +96,13 @@ def relative_landmarks(
                 )
             ahead = z > 0.0
             c0, c1, c2 = times(R_cw, w0 + d0, w1 + d1, w2 + d2)
-            points_c[m, 0], points_c[m, 1], points_c[m, 2] = c0, c1, c2
+            places[m, 0], places[m, 1], places[m, 2] = c0, c1, c2
             for a in range(3):
                 for k in range(3):
-                    J[a, k] = -R_cw[3 * a + k]
+                    J[a, k] = 0.0 if in_world else -R_cw[3 * a + k]
                     if anchored:
                         J[a, POSE_SIZE + k] = R_cw[3 * a + k] if anchor[b, i, 0] >= 0 else 0.0
-            put(J, 0, 3, cross_matrix(c0, c1, c2), 1.0)
+            put(J, 0, 3, cross_matrix(c0, c1, c2), 0.0 if in_world else 1.0)
             for k in range(width):
                 for q in range(k, width):
                     p = P_b[min(rows[k], rows[q]), max(rows[k], rows[q])]

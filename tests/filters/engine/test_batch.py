@@ -9,6 +9,7 @@ from filters import BodyVelocity, Start, StereoEKF, StereoObservation, VelocityD
 from filters.engine.batch import FilterBatch
 
 from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, SPEED, START_COVARIANCE, drive
+from ..stranger.robocentric import InCamera
 from ..third_party import BiasedOdometry, ShearedPair
 from .beliefs import assert_same_belief
 
@@ -82,6 +83,19 @@ def test_what_is_read_of_all_at_once_has_the_bits_of_what_each_says(options: dic
         np.testing.assert_array_equal(velocities[index], np.append(slam.velocity.linear, slam.velocity.angular))
         np.testing.assert_array_equal(batch.velocity_covariances[index], slam.velocity.covariance)
         assert batch.state_sizes[index] == slam.state_size
+
+
+@pytest.mark.parametrize("options", [*OPTIONS, {"landmark": "euclidean"}, {"landmark": InCamera(), "gate": None}])
+def test_the_maps_of_all_in_w_are_those_that_each_tells(options: dict[str, object]) -> None:
+    frames, batch = drives(), batch_of(COUNT, **options)
+    for k in range(4):
+        batch.step(DT, [frames[index][k] for index in range(COUNT)], [ODOMETRY] * COUNT)
+    found, maps = batch.world_landmarks(), [slam.landmarks for slam in batch]
+    assert found.offsets.tolist() == [0, *np.cumsum([len(each.ids) for each in maps])]
+    np.testing.assert_array_equal(found.ids, np.concatenate([each.ids for each in maps]))
+    np.testing.assert_allclose(found.positions, np.concatenate([each.positions for each in maps]), rtol=1e-12)
+    expected = np.concatenate([each.covariances for each in maps])
+    np.testing.assert_allclose(found.covariances, expected, rtol=1e-9, atol=1e-12 * np.abs(expected).max())
 
 
 def test_the_filters_of_a_batch_believe_what_single_ones_do() -> None:

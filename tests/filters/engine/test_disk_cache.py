@@ -23,7 +23,7 @@ def seen():
     counts, offsets = np.array([[1, 1]]), np.array([0, 1])
     blocks = np.array([[[2.0, 3.0, 10.0]]])
     points, J = np.array([[2.0, 3.0, 10.0, 1.0]]), np.eye(4, 3)[None]
-    state = np.eye(15)[None], x, blocks, own, none, counts, 12, False
+    state = np.eye(15)[None], x, blocks, own, none, counts, 12, False, False
     relative_landmarks(*state, points, J, offsets, p_c, P_c, located)
     return p_c[0].tolist(), sum(relative_landmarks.stats.cache_hits.values())
 

@@ -169,6 +169,63 @@ def test_the_words_of_a_progress_bar_have_the_score_of_the_task_as_it_is():
     assert GazeTask(hold=3).words(figures) == "true error 0.400 m, claimed 0.500 m"
 
 
+class Valve(gym.Env):
+    """A stranger's task: leave it open, action 1, for three steps."""
+
+    metadata = {  # noqa: RUF012
+        "render_modes": [],
+        "training": {"discount": 0.5, "arguments": {"weight": 2.0}, "initial_bias": [0.0, 1e3]},
+    }
+    observation_space = gym.spaces.Dict({"steps": gym.spaces.Box(0.0, 3.0, (1,), np.float32)})
+    action_space = gym.spaces.Discrete(2)
+
+    def __init__(self, weight=1.0, render_mode=None):
+        self.weight = weight
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.steps = np.zeros(1, np.float32)
+        return {"steps": self.steps}, {}
+
+    def step(self, action):
+        self.steps = self.steps + 1
+        return {"steps": self.steps}, self.weight * float(action), bool(self.steps >= 3 or not action), False, {}
+
+
+@pytest.fixture
+def valve(monkeypatch):
+    monkeypatch.setitem(gym.registry, "Valve-v0", gym.spec("StereoSlam/Gaze-v0"))  # so that it is taken out again
+    del gym.registry["Valve-v0"]
+    gym.register("Valve-v0", Valve)
+    return RegisteredTask("Valve-v0")
+
+
+def test_a_task_states_its_settings_and_what_is_given_counts_more(valve):
+    assert ppo.settings_for(valve) == PPOSettings(discount=0.5, initial_bias=(0.0, 1e3))
+    assert ppo.settings_for(valve, discount=0.9, seed=3) == PPOSettings(discount=0.9, initial_bias=(0.0, 1e3), seed=3)
+    assert ppo.settings_for(RegisteredTask("StereoSlam/Drive-v0")) == PPOSettings(discount=0.999)
+    assert ppo.settings_for(GazeTask()) == PPOSettings()
+    assert RegisteredTask("Valve-v0").arguments == {"weight": 2.0}
+    assert RegisteredTask("Valve-v0", {"weight": 5.0}).arguments == {"weight": 5.0}
+
+
+def test_a_setting_that_there_is_not_is_named(valve, monkeypatch):
+    monkeypatch.setitem(Valve.metadata["training"], "dicount", 0.5)
+    with pytest.raises(ValueError, match="dicount"):
+        ppo.settings_for(RegisteredTask("Valve-v0"))
+
+
+@pytest.mark.slow
+def test_a_strangers_task_is_trained_from_the_bias_that_it_states(valve, tmp_path):
+    pytest.importorskip("stable_baselines3", reason="needs the extra rl")
+    settings = ppo.settings_for(valve, decisions=8, rollout=8, minibatch=8, environments=2, validation=2)
+    network = Network.load(train(valve, settings, tmp_path))
+    assert network.biases[-1].tolist() == pytest.approx([0.0, 1e3], abs=1.0)
+    assert [float(row["validation_return"]) for row in rows(tmp_path)] == [6.0, 6.0]
+    with pytest.raises(ValueError, match="initial_bias must have 2 numbers, one for each output, got 3"):
+        train(valve, dataclasses.replace(settings, initial_bias=(0.0, 0.0, 0.0)), tmp_path / "other")
+
+
 def test_tensorboard_gets_what_the_curve_has(tmp_path):
     """Where it is installed; losses, KL, entropy, explained variance and throughput under their usual names."""
     pytest.importorskip("stable_baselines3", reason="needs the extra rl")
