@@ -22,7 +22,9 @@ def train(
     minutes: Annotated[
         float | None, typer.Option("--minutes", help="Stop after this time; the same command goes on.")
     ] = None,
-    environments: Annotated[int, typer.Option("--environments", help="How many run in lock-step.", min=1)] = 16,
+    environments: Annotated[
+        int | None, typer.Option("--environments", help="How many run in lock-step; 16, or as stated.", min=1)
+    ] = None,
     threads: Annotated[int, typer.Option("--threads", help="Over which they are spread.", min=1)] = 1,
     environment: Annotated[
         str, typer.Option("--environment", help="Any id. Gaze-v0, ActiveGaze-v0: where to look; others: their reward.")
@@ -67,11 +69,10 @@ def train(
     task = _task(environment, _arguments(arguments), {name: v for name, v in looks.items() if v is not None})
     directory = out or new_directory("train")
     require_writable(directory)
-    given = {"decisions": decisions, "discount": discount, "validation": validation}
+    given = {"decisions": decisions, "environments": environments, "discount": discount, "validation": validation}
     settings = settings_for(
         task,
         seed=seed,
-        environments=environments,
         threads=threads,
         **{name: value for name, value in given.items() if value is not None},
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 import gymnasium as gym
 import numpy as np
@@ -38,6 +38,12 @@ class BranchChoiceRows(RowsWrapper):
     """What `BranchChoice` does, on rows; see there."""
 
     changes = ("_places", "_driven", "_sigmas", "_choices", "_credit", "_gained")
+    training: ClassVar[Mapping[str, Any]] = {
+        "decisions": 16_384,
+        "rollout": 1024,
+        "evaluate_every": 8_192,
+        "validation": 32,
+    }
 
     def __init__(self, rows: Rows, roads: int, accuracy: float, weight: float, goal: float) -> None:
         super().__init__(rows)

@@ -30,7 +30,7 @@ class RouteByEstimateRows(RowsWrapper):
     """What `RouteByEstimate` does, on rows; see there."""
 
     changes = ("_poses", "_nearest", "_progress")
-    training: ClassVar[Mapping[str, Any]] = {"decisions": 300_000, "evaluate_every": 32_768, "validation": 64}
+    training: ClassVar[Mapping[str, Any]] = {"decisions": 262_144, "evaluate_every": 65_536, "validation": 32}
 
     def __init__(self, rows: Rows, latency: int) -> None:
         super().__init__(rows)

@@ -37,7 +37,14 @@ class CoverageRows(RowsWrapper):
     """What `Coverage` does, on rows; see there."""
 
     changes = ("_in_reach", "_mapped", "_now", "_terms")
-    training: ClassVar[Mapping[str, Any]] = {"arguments": {"choices": {}}, "initial_bias": [-2.0, *[0.0] * 6]}
+    training: ClassVar[Mapping[str, Any]] = {
+        "arguments": {"choices": {}},
+        "decisions": 32_768,
+        "rollout": 1024,
+        "evaluate_every": 16_384,
+        "validation": 32,
+        "initial_bias": [-2.0, *[0.0] * 6],
+    }
     """A car that does not keep its lane yet would learn to stop at once, and so does one that often stops by chance."""
 
     def __init__(self, rows: Rows, accuracy: float, goal: float, coverage_weight: float, path_weight: float) -> None:
