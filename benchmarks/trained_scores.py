@@ -5,8 +5,8 @@ Run it: for s in 0 1 2 3 4; do stereo-slam train --environment StereoSlam/Revisi
         python benchmarks/trained_scores.py runs/0 runs/1 runs/2 runs/3 runs/4 --episodes 200
 
 A row for each training, means over the episodes; below, the interquartile mean over the trainings with its 95 %
-bootstrap interval over them, and what an agent has that does nothing (looks straight ahead, or has action 0). Seconds
-are those of the training, decisions those of the network that was kept.
+bootstrap interval over them, and what agents have that act at random, or do nothing (look straight ahead, or have
+action 0). Seconds are those of the training, decisions those of the network that was kept.
 """
 
 from __future__ import annotations
@@ -37,12 +37,29 @@ def task_of(run: Path) -> Task:
     return GazeTask(**task) if "filter" in task else RegisteredTask(**task)
 
 
-def results_of(network: Network | None, task: Task, episodes: int) -> dict[str, float]:
+def results_of(network: Any, task: Task, episodes: int) -> dict[str, float]:
     """Means over the episodes, with the score where there is one."""
     means: dict[str, float] = asdict(evaluate(network, task, range(SEED, SEED + episodes)))
     if isinstance(task, RegisteredTask) and task.is_scored:
         means["score"] = float(normalised_score(task.environment, means["validation_return"]))
     return means
+
+
+class AtRandom:
+    """In the place of a network: each action is as likely."""
+
+    def __init__(self, task: Task) -> None:
+        vector = task.make_vector(1)
+        self._choices, self._shape = task.choices, vector.single_action_space.shape or ()
+        self._rng = np.random.default_rng(SEED)
+        vector.close()
+
+    def actions(self, observations: Any) -> Any:
+        """(B, n), as `Network.actions`."""
+        count = len(next(iter(observations.values())))
+        if self._choices is None:
+            return self._rng.uniform(-1.0, 1.0, (count, *self._shape)).astype(np.float32)
+        return self._choices[self._rng.integers(len(self._choices), size=count)]
 
 
 def interval(values: Any) -> str:
@@ -66,8 +83,9 @@ def main() -> None:
     columns = {name: np.array([row[name] for row in found]) for name in found[0]}
     if len(found) > 1:
         rows.append(["interquartile mean", *map(interval, columns.values()), "", ""])
-    nothing = results_of(None, task, given.episodes)
-    rows.append(["does nothing", *(f"{nothing[name]:.3g}" for name in columns), "", ""])
+    for label, agent in {"at random": AtRandom(task), "does nothing": None}.items():
+        has = results_of(agent, task, given.episodes)
+        rows.append([label, *(f"{has[name]:.3g}" for name in columns), "", ""])
     show(f"{task.environment}, {given.episodes} episodes", ("training", *columns, "decisions", "s"), rows)
 
 

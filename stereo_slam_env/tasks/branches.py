@@ -39,9 +39,10 @@ class BranchChoiceRows(RowsWrapper):
 
     changes = ("_places", "_driven", "_sigmas", "_choices", "_credit", "_gained")
     training: ClassVar[Mapping[str, Any]] = {
-        "decisions": 16_384,
-        "rollout": 1024,
-        "evaluate_every": 8_192,
+        "decisions": 4_096,
+        "rollout": 512,
+        "minibatch": 64,
+        "evaluate_every": 4_096,
         "validation": 32,
     }
 

@@ -39,9 +39,10 @@ class CoverageRows(RowsWrapper):
     changes = ("_in_reach", "_mapped", "_now", "_terms")
     training: ClassVar[Mapping[str, Any]] = {
         "arguments": {"choices": {}},
-        "decisions": 32_768,
-        "rollout": 1024,
-        "evaluate_every": 16_384,
+        "decisions": 12_288,
+        "rollout": 512,
+        "minibatch": 64,
+        "evaluate_every": 12_288,
         "validation": 32,
         "initial_bias": [-2.0, *[0.0] * 6],
     }

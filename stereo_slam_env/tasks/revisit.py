@@ -40,10 +40,11 @@ class LoopClosureRows(RowsWrapper):
 
     changes = ("_closing", "_steps", "_price", "_driven", "_total", "_learnt", "_path")
     training: ClassVar[Mapping[str, Any]] = {
-        "decisions": 16_384,
-        "rollout": 1024,
-        "evaluate_every": 8_192,
-        "validation": 64,
+        "decisions": 4_096,
+        "rollout": 512,
+        "minibatch": 64,
+        "evaluate_every": 4_096,
+        "validation": 32,
         "environments": 64,
         "initial_bias": [-2.0, 0.0],
     }
