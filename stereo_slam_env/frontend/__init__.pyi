@@ -1,5 +1,6 @@
 """Public names of this room; each is imported when it is first used."""
 
+from .camera_motion import needed_motion as needed_motion
 from .check_front_end import check_front_end as check_front_end
 from .front_ends import FrontEnd as FrontEnd
 from .front_ends import available_front_ends as available_front_ends

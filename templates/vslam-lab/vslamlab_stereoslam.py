@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 import stereo_slam_env as sse
 from filters import Pose
 from stereo_slam_env.datasets import open_for_front_end
-from stereo_slam_env.frontend import record_tracks
+from stereo_slam_env.frontend import needed_motion, record_tracks
 
 HEADER = ("ts (ns)", "tx (m)", "ty (m)", "tz (m)", "qx", "qy", "qz", "qw")
 
@@ -33,7 +33,7 @@ def main(arguments: list[str] | None = None) -> None:
     with (given.exp_folder / f"{given.exp_it.zfill(5)}_KeyFrameTrajectory.csv").open("w", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(HEADER)
-        for moment in sse.run(given.filter, recording):
+        for moment in sse.run(given.filter, recording, motion=needed_motion(recording)):
             pose = Pose(moment.slam.pose.position, moment.slam.pose.orientation) @ turn
             writer.writerow([epoch + round(1e9 * moment.time), *pose.position.tolist(), *pose.orientation.tolist()])
 
