@@ -73,7 +73,10 @@ def _shade(colour: str) -> int:
 
 def nested_widths(count: int) -> list[float]:
     """Line widths from broad to fine: of curves on top of each other, each one still shows."""
-    return [1.4 + 1.5 * (count - 1 - i) for i in range(count)] if count > 1 else [1.8]
+    if count < 2:
+        return [1.8]
+    step = min(1.5, 12.0 / (count - 1))
+    return [1.4 + step * (count - 1 - i) for i in range(count)]
 
 
 class Limit(NamedTuple):
