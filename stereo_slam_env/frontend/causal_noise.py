@@ -17,8 +17,9 @@ from stereo_slam_env.frontend.track_noise import TrackStatistics, stated_noise
 
 EVERY = 10
 """Frames after which the filter is told what the tracks say now."""
-LEARNING, PERIOD, AT_FIRST = 13, 100, 50
-"""Frames that it learns from, of so many each; of the first ones it takes all. That keeps the cost low."""
+LEARNING, PERIOD, AT_FIRST = 13, 150, 50
+"""Frames that it learns from, of so many each; it takes all until so many have had enough tracks to say something. That
+keeps the cost low."""
 
 
 class CausalNoiseEKF(ColouredNoiseEKF):
@@ -57,7 +58,7 @@ class CausalNoiseEKF(ColouredNoiseEKF):
         """As of `StereoEKF`, then learn from the frame."""
         brings_R = isinstance(observation, StereoObservation) and observation.R is not None
         k = self._frame
-        learns = k < AT_FIRST or k % PERIOD < LEARNING
+        learns = self._tracks.frames < AT_FIRST or k % PERIOD < LEARNING
         if learns and k % EVERY == 0:
             found = self._tracks.noise
             self._raised = found.claimed_too_small

@@ -50,6 +50,8 @@ FOCAL_DOUBT = 0.05
 with noise and outliers added)."""
 TINY = 1e-12
 """Least variance, px^2."""
+_PASSES, _CHOOSING, _CONVERGED = 6, 2, 0.01
+"""Of least squares for a step; those that choose the tracks near it; and m and rad whose squares are no pixels."""
 MEDIAN = chi_square_quantile(0.5, 3)
 """Of chi-square with 3 degrees of freedom."""
 MISALIGNMENT = 0.005
@@ -114,7 +116,8 @@ class TrackStatistics:
         self._tracks = _Tracks.none(0)
         self._absolute = np.zeros(3)  # sum over frames of the median size of a residual, px
         self._squared = 0.0  # of the median squared one
-        self._frames = 0
+        self.frames = 0
+        """Those with residuals."""
         self._moved = self._matched = 0  # residuals, and those within `OUTLIER`
         self._counts = np.zeros(_LAGS)
         self._products = np.zeros((_LAGS, 3))
@@ -124,17 +127,19 @@ class TrackStatistics:
         """Take in a frame, its camera at `step` from that of the frame before, which came in before.
 
         A step that is not the one that fits these tracks best, as that of a filter, is corrected by least squares.
-        Where none is known, tracks go on without residuals.
+        Where none is known, or too few tracks tell, tracks go on without residuals.
         """
         ids, i, j = np.intersect1d(before.ids, now.ids, assume_unique=True, return_indices=True)
         tracks = self._followed(ids)
         if step is None:
             return
         first, second = before.uvd[i], now.uvd[j]
+        if not fits:
+            step = _fitted(self._camera, first, second, step)
+            if step is None:
+                return
         expected = transfer(self._camera, first, step)
         residuals = second - expected.uvd
-        if not fits:
-            residuals = _fitted(residuals, expected.by_step)
         flow = np.sqrt(np.sum((second - first)[:, :2] ** 2, axis=1))
         there = np.isfinite(residuals).all(axis=1) & (flow >= LEAST_FLOW)
         if there.any():
@@ -142,9 +147,9 @@ class TrackStatistics:
                 pairs = Pairs(first[there], second[there], before.R[i[there]], now.R[j[there]])
                 self._squared += float(np.median(squared_distances(self._camera, pairs, step)))
             self._absolute += 1.4826 * np.median(np.abs(residuals[there]), axis=0)
-            self._frames += 1
+            self.frames += 1
         self._moved += int(there.sum())
-        there &= np.all(np.abs(residuals) <= OUTLIER * self._absolute / max(self._frames, 1), axis=1)
+        there &= np.all(np.abs(residuals) <= OUTLIER * self._absolute / max(self.frames, 1), axis=1)
         self._matched += int(there.sum())
         tracks.residuals[:, 0] = np.where(there[:, None], residuals, np.nan)
         products = tracks.residuals * tracks.residuals[:, :1]
@@ -191,7 +196,7 @@ class TrackStatistics:
             correlation,
             share,
             float(np.hypot(share_error, doubt)),
-            max(1.0, self._squared / max(self._frames, 1) / MEDIAN),
+            max(1.0, self._squared / max(self.frames, 1) / MEDIAN),
             1.0 - self._matched / self._moved if self._moved else 0.0,
         )
 
@@ -223,17 +228,25 @@ def _at_one_frame(residuals: FloatArray, by_first: FloatArray) -> FloatArray:
     return products
 
 
-def _fitted(residuals: FloatArray, by_step: FloatArray) -> FloatArray:
-    """Residuals (M, 3) of the step that fits the tracks near it best, by least squares with equal weights."""
-    if len(residuals) == 0:
-        return residuals
-    size = np.abs(residuals)
-    near = np.all(size <= OUTLIER / 2.0 * (1.4826 * np.median(size, axis=0) + TINY), axis=1)
-    if np.sum(near) < MIN_POINTS:
-        return residuals
-    H = by_step[near].reshape(-1, 6)
-    fitted: FloatArray = residuals - by_step @ np.linalg.lstsq(H, residuals[near].ravel(), rcond=None)[0]
-    return fitted
+def _fitted(camera: StereoCamera, first: FloatArray, second: FloatArray, step: Step) -> Step | None:
+    """The step that fits the tracks near it best, by least squares with equal weights; None where none is found."""
+    near = np.ones(len(first), dtype=bool)
+    for k in range(_PASSES):
+        expected = transfer(camera, first, step)
+        residuals = second - expected.uvd
+        if k < _CHOOSING:
+            near = np.isfinite(residuals).all(axis=1)
+            if near.any():
+                size = np.abs(residuals)
+                near = np.all(size <= OUTLIER / 2.0 * (1.4826 * np.median(size[near], axis=0) + TINY), axis=1)
+        if near.sum() < MIN_POINTS:
+            return None
+        H = expected.by_step[near].reshape(-1, 6)
+        delta = np.linalg.lstsq(H.T @ H, H.T @ residuals[near].ravel(), rcond=None)[0]
+        step = step.moved(delta)
+        if np.abs(delta).max() < _CONVERGED:
+            return step
+    return None
 
 
 def track_noise(recording: Recording) -> TrackNoise:

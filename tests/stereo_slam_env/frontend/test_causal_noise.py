@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -11,7 +12,8 @@ import stereo_slam_env as sse
 from filters import ColouredNoise, StereoNoise, check_filter
 from filters.catalogue.presets import ColouredNoiseEKF
 from stereo_slam_env.frontend.causal_noise import CausalNoiseEKF
-from stereo_slam_env.frontend.track_noise import COMMON_WALK, with_measured_noise
+from stereo_slam_env.frontend.ego_motion import Step
+from stereo_slam_env.frontend.track_noise import COMMON_WALK, TrackStatistics, with_measured_noise
 from stereo_slam_env.loop import Moment
 from stereo_slam_env.recording.recording import Recording
 
@@ -45,6 +47,48 @@ def test_in_the_end_it_assumes_what_a_look_at_the_whole_drive_says(errors: dict[
     np.testing.assert_allclose(slam.options.gauge_walk, ahead.gauge_walk, rtol=0.2)
     np.testing.assert_allclose(slam.noise.R[0, 0], ahead.white[0, 0], atol=0.4 * recording.noise.R[0, 0])
     np.testing.assert_allclose(slam.options.drift.pixels[:2], ahead.drift.pixels[:2], rtol=0.25, atol=0.1)
+
+
+def told_wrong_motions(recording: Recording, wrong: float) -> TrackStatistics:
+    """Statistics of the tracks by motions that are off by so many m, and by a fiftieth of it in rad."""
+    statistics, rng = TrackStatistics(recording.camera), np.random.default_rng(0)
+    for before, now in pairwise(recording.frames):
+        assert before.truth is not None
+        assert now.truth is not None
+        true = before.truth.inverse() @ now.truth
+        error = wrong * rng.normal(size=6) / [1.0, 1.0, 1.0, 50.0, 50.0, 50.0]
+        step = Step(true.R_wc, true.position).moved(error)
+        statistics.add(before.observation, now.observation, step, fits=False)
+    return statistics
+
+
+def test_a_motion_that_is_far_off_is_corrected_or_says_nothing_of_the_tracks() -> None:
+    """With 1 m and 20 mrad, tens of pixels, the residuals are those of the tracks all the same."""
+    right = told_wrong_motions(drive(white=0.3), 0.0)
+    wrong = told_wrong_motions(drive(white=0.3), 1.0)
+    assert wrong.frames > 0.8 * right.frames
+    np.testing.assert_allclose(wrong.noise.step[:2], right.noise.step[:2], rtol=0.02)
+    assert wrong.noise.lasting_share == pytest.approx(right.noise.lasting_share, abs=0.05)
+
+
+def test_frames_with_too_few_tracks_say_nothing() -> None:
+    recording = drive(white=0.3)
+    few = recording.with_observations([f.observation.select(np.arange(7)) for f in recording.frames])
+    assert told_wrong_motions(few, 0.0).frames == 0
+
+
+def test_frames_that_tell_nothing_are_none_of_the_first_it_learns_from() -> None:
+    """With five points for 45 frames, it would soon look at few frames only, and wait for frame 150."""
+    recording = drive(white=0.3)
+    seen = [frame.observation for frame in recording.frames]
+    late = recording.with_observations([one.select(np.arange(5)) for one in seen[:45]] + seen[45:])
+    shares = []
+    for moment in sse.run(CausalNoiseEKF, late, use_odometry=False):
+        assert isinstance(moment.slam, CausalNoiseEKF)
+        assert moment.slam.options.drift is not None
+        shares.append(moment.slam.options.drift.share)
+    assert shares[44] == shares[0]
+    assert shares[-1] < shares[0]
 
 
 def test_it_starts_with_no_more_than_R_and_forgets_at_a_reset() -> None:
