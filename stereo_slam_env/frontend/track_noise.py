@@ -230,19 +230,19 @@ def _at_one_frame(residuals: FloatArray, by_first: FloatArray) -> FloatArray:
 
 def _fitted(camera: StereoCamera, first: FloatArray, second: FloatArray, step: Step) -> Step | None:
     """The step that fits the tracks near it best, by least squares with equal weights; None where none is found."""
-    near = np.ones(len(first), dtype=bool)
+    near = np.ones(len(first), dtype=np.bool_)
     for k in range(_PASSES):
         expected = transfer(camera, first, step)
         residuals = second - expected.uvd
         if k < _CHOOSING:
-            near = np.isfinite(residuals).all(axis=1)
+            near[:] = np.isfinite(residuals).all(axis=1)
             if near.any():
                 size = np.abs(residuals)
-                near = np.all(size <= OUTLIER / 2.0 * (1.4826 * np.median(size[near], axis=0) + TINY), axis=1)
+                near[:] = (size <= OUTLIER / 2.0 * (1.4826 * np.median(size[near], axis=0) + TINY)).all(axis=1)
         if near.sum() < MIN_POINTS:
             return None
         H = expected.by_step[near].reshape(-1, 6)
-        delta = np.linalg.lstsq(H.T @ H, H.T @ residuals[near].ravel(), rcond=None)[0]
+        delta = np.asarray(np.linalg.lstsq(H.T @ H, H.T @ residuals[near].ravel(), rcond=None)[0], dtype=np.float64)
         step = step.moved(delta)
         if np.abs(delta).max() < _CONVERGED:
             return step
