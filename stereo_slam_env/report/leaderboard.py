@@ -60,8 +60,8 @@ def _about(name: str, packet: Mapping[str, Any]) -> str:
     return "\n\n".join(lines)
 
 
-def _row(label: str, trials: Sequence[Mapping[str, Any]]) -> tuple[float, str, list[str]]:
-    """Distance of the claim from the truth, label and cells."""
+def _row(label: str, trials: Sequence[Mapping[str, Any]]) -> tuple[tuple[bool, float], str, list[str]]:
+    """Place in the table (what diverged last, then by the distance of the claim from the truth), label and cells."""
     claims = [trial["claim"] for trial in trials if "claim" in trial]
     gaps = np.log([claim["scale_gap"] for claim in claims])
     gap = float(np.exp(np.mean(gaps))) if claims else None
@@ -77,7 +77,8 @@ def _row(label: str, trials: Sequence[Mapping[str, Any]]) -> tuple[float, str, l
         _short(np.mean([claim["log_score"] for claim in claims])) if claims else _UNKNOWN,
         str(sum(bool(trial["diverged"]) for trial in trials)),
     ]
-    return np.inf if gap is None else abs(float(np.log(gap))), label, cells
+    diverged = any(trial["diverged"] for trial in trials)
+    return (diverged, np.inf if gap is None else abs(float(np.log(gap)))), label, cells
 
 
 def _interval(logarithms: FloatArray) -> str:
@@ -99,12 +100,12 @@ _HEAD = """# Leaderboard of claims
 Made from the packets in [`results/`](../results) by
 `python -m stereo_slam_env.report.leaderboard results docs/leaderboard.md`. The first system of a
 table is the one whose covariances are nearest to its errors, by k, the median NEES over its ideal:
-1 is right, 4 says that deviations are claimed half as large as they are. k, coverage and log score
-are of the first ten recordings, in the world of the recording, not aligned; [how results are handed
-in](handing_in.md) and what each figure [means](evaluate.md#what-is-said). From five recordings on k
-has its 95 % interval. From drive to drive it changes by a factor of 1.3 to 1.4, even of a filter
-whose models hold (`limits`, `quick`): where intervals overlap, or there is none, neighbours in a
-table are not told apart.
+1 is right, 4 says that deviations are claimed half as large as they are. Systems that diverged in
+any recording come last. k, coverage and log score are of the first ten recordings, in the world of
+the recording, not aligned; [how results are handed in](handing_in.md) and what each figure
+[means](evaluate.md#what-is-said). From five recordings on k has its 95 % interval. From drive to
+drive it changes by a factor of 1.3 to 1.4, even of a filter whose models hold (`limits`, `quick`):
+where intervals overlap, or there is none, neighbours in a table are not told apart.
 """
 
 

@@ -40,20 +40,21 @@ def test_each_packet_that_is_kept_can_be_repeated(path):
             assert [trial["seed"] for trial in trials] == seeds
 
 
-def test_the_nearest_claim_comes_first_whichever_way_it_is_wrong_and_none_last():
+def test_the_nearest_claim_comes_first_whichever_way_it_is_wrong_then_none_then_what_diverged():
     trials = {
         "loose": [trial(0, 0.5)],
         "nothing": [trial(0, None, pose_anees=None)],
-        "right": [trial(0, 1.1), trial(1, 1.0, position_rmse_m=4.0, diverged=1)],
+        "right": [trial(0, 1.1), trial(1, 1.0, position_rmse_m=4.0)],
+        "lost": [trial(0, 1.0, diverged=1)],
         "tight": [trial(0, 3.0)],
     }
     cell = {"name": "one", "recordings": [{"reference": "simulation"}], "trials": trials}
     missing = ["one: 3 frames of loose have no NEES"]
     page = leaderboard({"mine.json": {"study": {"name": "mine"}, "cells": [cell], "missing": missing}})
     rows = [line.split(" | ") for line in page.splitlines() if line.startswith("| ")][1:]
-    assert [row[0].lstrip("| ") for row in rows] == ["right", "loose", "tight", "nothing"]
-    # The root mean square of 3 and 4, the geometric mean of 1 and 1.1, and one run of two that diverged.
-    assert rows[0][1:] == ["2", "3.54", "1.00", "1.05", "80", "-3.00", "1 |"]
+    assert [row[0].lstrip("| ") for row in rows] == ["right", "loose", "tight", "nothing", "lost"]
+    # The root mean square of 3 and 4, the geometric mean of 1 and 1.1.
+    assert rows[0][1:] == ["2", "3.54", "1.00", "1.05", "80", "-3.00", "0 |"]
     assert rows[3][4] == "–"
     assert "Missing: 3 frames of loose have no NEES." in page
 
