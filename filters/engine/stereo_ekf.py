@@ -276,10 +276,7 @@ class StereoEKF(StereoFilter):
 
     @property
     def does_as_the_engine(self) -> bool:
-        """Whether it does what the engine does, and nothing else, so that it may run in a `FilterBatch`.
-
-        A subclass with methods of its own may say so itself.
-        """
+        """Whether it does what the engine does, nothing else, as in a `FilterBatch`; a subclass may say so itself."""
         own = (getattr(type(self), name) is not getattr(StereoEKF, name) or name in vars(self) for name in _ENGINE_DOES)
         return not any(own)
 

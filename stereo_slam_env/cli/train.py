@@ -58,8 +58,9 @@ def train(
     from stereo_slam_env.files.folders import require_writable
     from stereo_slam_env.report.charts.policies import plot_learning
     from stereo_slam_env.report.console import progress_bar
-    from stereo_slam_env.training.ppo import VALIDATION_SEEDS, LearningCurve, merit, settings_for
+    from stereo_slam_env.training.ppo import LearningCurve, merit, settings_for
     from stereo_slam_env.training.ppo import train as train_network
+    from stereo_slam_env.training.settings import VALIDATION_SEEDS
     from stereo_slam_env.training.task import evaluate
 
     looks = {

@@ -63,8 +63,7 @@ class CoreRows(Rows):
     """
 
     changes = ("generators", "simulator", "_pictures", "_image_sensors", "_seen", "_pool")
-    training: ClassVar[Mapping[str, Any]] = {}
-    """Settings of `PPOSettings` that a task states, and `arguments` with which it is learnt; none."""
+    training: ClassVar[Mapping[str, Any]] = {}  # of `PPOSettings`, and `arguments` with which it is learnt
 
     def __init__(
         self, options: StereoOptions, count: int, *, threads: int = 1, pool: int | None = None, draws: bool = False
@@ -112,8 +111,7 @@ class CoreRows(Rows):
     @property
     def route(self) -> Route:
         """The nominal drive: that of the first row; before its first episode, of a random route, a typical one."""
-        scene = self.simulator.scenes[0]
-        return self._route if scene is None else scene.route
+        return self._route if (scene := self.simulator.scenes[0]) is None else scene.route
 
     @property
     def noise(self) -> StereoNoise:
@@ -318,13 +316,12 @@ class CoreRows(Rows):
         """See `World`."""
         sensed = self.simulator.sensed
         there = (np.arange(sensed.ids.shape[1]) < sensed.number[:, None]) & which[:, None]
-        with_right = np.full(self.count, self.simulator.measures_right)
         return Measured(
             np.concatenate([[0], np.cumsum(there.sum(axis=1))]),
             sensed.ids[there],
             sensed.uvd[there],
             sensed.v_right[there],
-            with_right,
+            np.full(self.count, self.simulator.measures_right),
             None,
             self.times(),
             (sensed.odometry, self.simulator.odometry_covariance, self.simulator.fleet.step > 0),

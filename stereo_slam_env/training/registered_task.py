@@ -62,7 +62,7 @@ class RegisteredTask:
 
     @cached_property
     def _stated(self) -> Mapping[str, Any]:
-        """`metadata["training"]`."""
+        """What `metadata["training"]` has."""
         vector = _vector(self.environment, 1, {}, AutoresetMode.NEXT_STEP, 1)
         vector.close()
         stated: Mapping[str, Any] = vector.metadata.get("training", {})

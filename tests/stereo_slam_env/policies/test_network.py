@@ -11,7 +11,7 @@ import pytest
 from stereo_slam_env.envs.gaze import StereoGazeEnv
 from stereo_slam_env.policies import make_policy
 from stereo_slam_env.policies.network import CHECKPOINT, Network, NetworkPolicy
-from stereo_slam_env.training.ppo import PPOSettings
+from stereo_slam_env.training.settings import PPOSettings
 from stereo_slam_env.training.task import GazeTask
 
 

@@ -15,8 +15,9 @@ from stereo_slam_env.policies import make_policy
 from stereo_slam_env.policies.network import Network
 from stereo_slam_env.policies.scores import normalised_score
 from stereo_slam_env.training import ppo
-from stereo_slam_env.training.ppo import LearningCurve, PPOSettings, train
+from stereo_slam_env.training.ppo import LearningCurve, train
 from stereo_slam_env.training.registered_task import EpisodeOutcome, RegisteredTask
+from stereo_slam_env.training.settings import PPOSettings
 from stereo_slam_env.training.task import GazeTask, PolicyEvaluation
 
 TASK = GazeTask(arguments={"route": "right-turn"}, hold=8)
