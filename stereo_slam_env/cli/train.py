@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from importlib import import_module
 from typing import Annotated, Any
 
 import typer
@@ -27,7 +28,10 @@ def train(
     ] = None,
     threads: Annotated[int, typer.Option("--threads", help="Over which they are spread.", min=1)] = 1,
     environment: Annotated[
-        str, typer.Option("--environment", help="Any id. Gaze-v0, ActiveGaze-v0: where to look; others: their reward.")
+        str,
+        typer.Option(
+            "--environment", help="Any id, also module:id. Gaze-v0, ActiveGaze-v0: where to look; others: their reward."
+        ),
     ] = "StereoSlam/Gaze-v0",
     arguments: Annotated[str, typer.Option("--arguments", help="Of the environment, as JSON.")] = "{}",
     filter_name: Annotated[
@@ -113,7 +117,13 @@ def _task(environment: str, arguments: dict[str, Any], looks: dict[str, Any]) ->
             f"--{name.replace('_', '-')} is of where to look ({', '.join(GAZE)}), and {environment!r} has its own "
             "reward: give --arguments"
         )
-    return RegisteredTask(environment, arguments)
+    module, _, name = environment.rpartition(":")
+    if module:
+        try:
+            import_module(module)
+        except ImportError as error:
+            raise ValueError(f"--environment must name a module to import, got {environment!r}: {error}") from None
+    return RegisteredTask(name, arguments)
 
 
 def _arguments(text: str) -> dict[str, object]:

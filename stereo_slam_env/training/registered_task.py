@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from importlib import import_module
 from typing import Any
 
 import gymnasium as gym
@@ -47,17 +46,14 @@ class RegisteredTask:
     """
 
     environment: str
-    """The id; before a colon the module that registers it, if it is not of this package."""
+    """The id; whoever registers one of another package has imported that."""
     arguments: Mapping[str, Any] = field(default_factory=dict)
     """Of `gymnasium.make_vec`, over those that the environment states."""
 
     def __post_init__(self) -> None:
-        module, _, name = self.environment.rpartition(":")
-        if module:
-            import_module(module)
-        if name not in gym.registry:
+        if self.environment not in gym.registry:
             known = sorted(name for name in gym.registry if name.startswith("StereoSlam/"))
-            raise ValueError(f"environment must be one of {', '.join(known)}, or module:id, got {self.environment!r}")
+            raise ValueError(f"environment must be one of {', '.join(known)}, or registered, got {self.environment!r}")
         object.__setattr__(self, "arguments", {**self._stated.get("arguments", {}), **self.arguments})
 
     @cached_property

@@ -157,6 +157,19 @@ def test_options_of_looks_are_refused_where_the_id_has_its_own_reward(tmp_path, 
     assert "environment must be one of StereoSlam/ActiveGaze-v0, " in capsys.readouterr().err
 
 
+def test_a_module_before_the_id_is_imported_where_it_is_typed_and_nowhere_else(tmp_path, monkeypatch, capsys):
+    (tmp_path / "strange_tasks.py").write_text("from pathlib import Path\nPath(__file__).with_name('mark').touch()\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    with pytest.raises(ValueError, match="environment must be one of"):
+        RegisteredTask("strange_tasks:Some-v0")
+    assert not (tmp_path / "mark").exists()
+    assert cli.main(["train", "--environment", "strange_tasks:Some-v0", "--out", str(tmp_path / "run")]) == 2
+    assert "got 'Some-v0'" in capsys.readouterr().err
+    assert (tmp_path / "mark").exists()
+    assert cli.main(["train", "--environment", "nowhere:Some-v0", "--out", str(tmp_path / "run")]) == 2
+    assert "--environment must name a module to import, got 'nowhere:Some-v0'" in capsys.readouterr().err
+
+
 def test_the_words_of_a_progress_bar_have_the_score_of_the_task_as_it_is():
     assert RegisteredTask("StereoSlam/Drive-v0").words(EpisodeOutcome(31.4, 1.0, 300.0)) == (
         f"return 31.40, success 100%, score {float(normalised_score('StereoSlam/Drive-v0', 31.4)):.0f}"
