@@ -127,6 +127,7 @@ def test_the_command_answers(home, tmp_path):
     assert "inverse-depth" in run(home / "bin" / "stereo-slam", "filters", "list", cwd=tmp_path)
 
 
+@pytest.mark.timeout(900)  # all machine code is made here, by one process: three minutes on an idle core
 def test_the_main_job_runs_from_the_wheel(home, tmp_path):
     command = (home / "bin" / "stereo-slam", "bench", "--preset", "turn", "--seeds", 1, "--frames", 6)
     printed = run(*command, "--jobs", 1, "--out", tmp_path / "out", cwd=tmp_path)
