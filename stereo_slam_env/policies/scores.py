@@ -24,7 +24,7 @@ REFERENCE_RETURNS: Mapping[str, tuple[float, float]] = MappingProxyType(
         "StereoSlam/ActiveGaze-v0": (-5.35, -0.59),
         "StereoSlam/Explore-v0": (0.08, 8.34),
         "StereoSlam/Revisit-v0": (-0.77, 8.28),
-        "StereoSlam/ClosedLoop-v0": (-10.1, 23.0),
+        "StereoSlam/ClosedLoop-v0": (-10.1, 21.5),
         "StereoSlam/Branches-v0": (12.5, 19.6),
     }
 )

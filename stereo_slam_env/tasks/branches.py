@@ -13,6 +13,7 @@ from filters.contract.validation import positive, whole_number
 from filters.geometry.arrays import BoolArray, FloatArray
 from stereo_slam_env.envs.rows import Arrays, Rows, RowsWrapper, Seeds, Step
 from stereo_slam_env.tasks.levels import inner_environment
+from stereo_slam_env.training.settings import FEW_DECISIONS
 from stereo_slam_env.training.task import GAZE_FILTER
 from stereo_slam_env.world.routes import through_streets
 from stereo_slam_env.world.street_grid import LEFT, RIGHT, STRAIGHT, Place, StreetGrid
@@ -38,13 +39,7 @@ class BranchChoiceRows(RowsWrapper):
     """What `BranchChoice` does, on rows; see there."""
 
     changes = ("_places", "_driven", "_sigmas", "_choices", "_credit", "_gained")
-    training: ClassVar[Mapping[str, Any]] = {
-        "decisions": 4_096,
-        "rollout": 512,
-        "minibatch": 64,
-        "evaluate_every": 4_096,
-        "validation": 32,
-    }
+    training: ClassVar[Mapping[str, Any]] = {**FEW_DECISIONS, "decisions": 8_192, "evaluate_every": 4_096}
 
     def __init__(self, rows: Rows, roads: int, accuracy: float, weight: float, goal: float) -> None:
         super().__init__(rows)

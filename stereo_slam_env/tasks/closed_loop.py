@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any, ClassVar
 
 import gymnasium as gym
@@ -22,6 +23,8 @@ from stereo_slam_env.wrappers.recorded_wrapper import RowWrapper
 from stereo_slam_env.wrappers.vectors import vector_of
 
 KEYS = ("belief_sigmas", "car", "odometry", "progress", "route")
+LATENCIES: Mapping[str, int] = MappingProxyType({"easy": 1, "normal": 3, "hard": 4})
+"""Age of the estimate at each level, frames: the later it is, the slower one has to drive."""
 _SLOW = 5.0
 """Speed of `drive_slowly`, m/s."""
 
@@ -30,7 +33,20 @@ class RouteByEstimateRows(RowsWrapper):
     """What `RouteByEstimate` does, on rows; see there."""
 
     changes = ("_poses", "_nearest", "_progress")
-    training: ClassVar[Mapping[str, Any]] = {"decisions": 262_144, "evaluate_every": 65_536, "validation": 32}
+    training: ClassVar[Mapping[str, Any]] = {
+        "decisions": 393_216,
+        "environments": 64,
+        "rollout": 4096,
+        "minibatch": 512,
+        "learning_rate": 1e-3,
+        "discount": 0.995,
+        "entropy": 0.002,
+        "initial_log_std": -1.2,
+        "initial_bias": [0.3, 0.0],
+        "evaluate_every": 65_536,
+        "validation": 32,
+    }
+    """It begins with a car that drives and hardly swerves: one that stands, or leaves its lane at once, sees no road."""
 
     def __init__(self, rows: Rows, latency: int) -> None:
         super().__init__(rows)
@@ -96,13 +112,13 @@ def closed_loop(
     arguments: Mapping[str, Any] | None = None,
     filter: str = "right-invariant",
     filter_options: Mapping[str, Any] | None = None,
-    latency: int = 2,
+    latency: int | None = None,
     many: Mapping[str, Any] | None = None,
 ) -> Any:
     """`StereoSlam/ClosedLoop-v0`: come to the end of a route that is only known relative to an estimate.
 
     The action is that of `StereoSlam/Drive-v0`, `Box(-1, 1, (2,))`: acceleration and steering. The observation has
-    `route` (5, 2) and `progress` (1,) by the estimate of 0.2 s ago (`RouteByEstimate`), `car` (2,), `odometry` (6,) and
+    `route` (5, 2) and `progress` (1,) by the estimate of 0.3 s ago (`RouteByEstimate`), `car` (2,), `odometry` (6,) and
     `belief_sigmas` (6,). The reward is that of `StereoSlam/Drive-v0` without the one for tracked landmarks: 0.1 for
     each metre, less beside the route, 10 for its end, minus 10 for a collision or for more than 2 m beside it, minus
     0.4 for each second. At most 1200 steps.
@@ -120,8 +136,8 @@ def closed_loop(
         Name of the filter that is driven by.
     filter_options : mapping, optional
         Its options.
-    latency : int
-        Of `RouteByEstimate`.
+    latency : int, optional
+        Of `RouteByEstimate`; None: that of the level in `LATENCIES`.
     many : mapping, optional
         `num_envs`, `scenes` and `threads`: that many in rows, instead of one environment.
     """
@@ -129,6 +145,7 @@ def closed_loop(
     own = {"render_mode": render_mode, "max_landmarks": 40, "tracking_weight": 0.0, **odometry}
     inside = inner_environment("StereoSlam/Drive-v0", level, arguments or {}, many, **own)
     inside = BeliefPanorama.around(BeliefObservation.around(inside, filter=filter, options=filter_options))
+    latency = LATENCIES[level] if latency is None else latency
     return SelectedKeys.around(RouteByEstimate.around(inside, latency=latency), keys=KEYS)
 
 

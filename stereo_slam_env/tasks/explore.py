@@ -16,6 +16,7 @@ from stereo_slam_env.policies.interface import Action
 from stereo_slam_env.tasks.closed_loop import drive_slowly
 from stereo_slam_env.tasks.drive_choices import DriveChoices
 from stereo_slam_env.tasks.levels import inner_environment
+from stereo_slam_env.training.settings import FEW_DECISIONS
 from stereo_slam_env.training.task import GAZE_FILTER
 from stereo_slam_env.world.routes import FRAME_PERIOD
 from stereo_slam_env.wrappers import BeliefObservation, BeliefPanorama, SelectedKeys
@@ -38,12 +39,10 @@ class CoverageRows(RowsWrapper):
 
     changes = ("_in_reach", "_mapped", "_now", "_terms")
     training: ClassVar[Mapping[str, Any]] = {
+        **FEW_DECISIONS,
         "arguments": {"choices": {}},
         "decisions": 12_288,
-        "rollout": 512,
-        "minibatch": 64,
         "evaluate_every": 12_288,
-        "validation": 32,
         "initial_bias": [-2.0, *[0.0] * 6],
     }
     """A car that does not keep its lane yet would learn to stop at once, and so does one that often stops by chance."""

@@ -40,13 +40,16 @@ class LoopClosureRows(RowsWrapper):
 
     changes = ("_closing", "_steps", "_price", "_driven", "_total", "_learnt", "_path")
     training: ClassVar[Mapping[str, Any]] = {
-        "decisions": 4_096,
-        "rollout": 512,
-        "minibatch": 64,
-        "evaluate_every": 4_096,
-        "validation": 32,
+        "decisions": 20_480,
         "environments": 64,
-        "initial_bias": [-2.0, 0.0],
+        "minibatch": 512,
+        "epochs": 5,
+        "entropy": 0.03,
+        "gae_lambda": 1.0,
+        "discount": 1.0,
+        "initial_bias": [-3.5, 0.0],
+        "evaluate_every": 10_240,
+        "validation": 32,
     }
     """Whoever stops every other time never sees a loop closed. Most of the time is the way to the first decision, and
     the more environments there are, the more drive it together."""

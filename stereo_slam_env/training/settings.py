@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
 from filters.contract.validation import positive, probability, whole_number
 
 VALIDATION_SEEDS = tuple(range(100_000, 100_256))
 """Episodes on which the best network of a run is chosen; training never sees them, and reports use others."""
+FEW_DECISIONS: Mapping[str, int] = MappingProxyType({"rollout": 512, "minibatch": 64, "validation": 32})
+"""Of `PPOSettings`, for tasks in which a decision takes a second of driving or more."""
 
 
 @dataclass(frozen=True)

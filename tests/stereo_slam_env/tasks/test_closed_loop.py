@@ -62,6 +62,19 @@ def test_the_route_is_that_of_the_belief_some_frames_ago():
     np.testing.assert_array_equal(seen[1][:3], [seen[0][0]] * 3)
 
 
+@pytest.mark.parametrize(("level", "latency"), [("easy", 1), ("normal", 3), ("hard", 4)])
+def test_the_harder_the_level_the_later_is_the_estimate(level, latency):
+    def seen(**arguments):
+        given = {"level": level, "arguments": {"rig": "qvga"}, **arguments}
+        with gym.make("StereoSlam/ClosedLoop-v0", disable_env_checker=True, **given) as env:
+            env.reset(seed=4)
+            return [env.step(np.array([0.2, 0.1], np.float32))[0]["route"] for _ in range(6)]
+
+    usual = seen()
+    np.testing.assert_array_equal(usual, seen(latency=latency))
+    assert not np.array_equal(usual, seen(latency=latency + 1))
+
+
 def test_standing_still_costs_time():
     total, info, _ = drive(lambda _: np.array([-1.0, 0.0], np.float32), max_episode_steps=50)
     assert not info["is_success"]
