@@ -46,7 +46,7 @@ class RouteByEstimateRows(RowsWrapper):
         "evaluate_every": 65_536,
         "validation": 32,
     }
-    """It begins with a car that drives and hardly swerves: one that stands, or leaves its lane at once, sees no road."""
+    """It begins with a car that drives and hardly swerves: whoever stands, or leaves the lane at once, sees no road."""
 
     def __init__(self, rows: Rows, latency: int) -> None:
         super().__init__(rows)
