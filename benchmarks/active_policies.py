@@ -3,6 +3,7 @@
     python benchmarks/active_policies.py                                    # 500 drives, white errors
     python benchmarks/active_policies.py --world lasting --belief coloured-noise --options '{"landmark": "euclidean"}'
     python benchmarks/active_policies.py --policies fixed,oracle --drives 64
+    python benchmarks/active_policies.py --policies fixed,sweep --level hard
 
 For each policy, in the same drives: change against `fixed` of the mean true final error, of its root mean square over
 the drive and of the claimed sigma, paired, with 95 % bootstrap intervals; mean log det of the final pose, position
@@ -28,7 +29,7 @@ from harness import arguments, show
 from stereo_slam_env.policies import make_policy
 from stereo_slam_env.policies.rows import Oracle, TrueFigures, policy_in_rows, true_figures
 from stereo_slam_env.policies.scores import normalised_score
-from stereo_slam_env.tasks.levels import WORLDS
+from stereo_slam_env.tasks.levels import LEVELS, WORLDS
 from stereo_slam_env.training.task import GazeTask
 
 SEED = 200_000
@@ -74,15 +75,18 @@ def main() -> None:
         drives=500,
         seed=SEED,
         world="white",
+        level=("normal", "easy", "hard"),
         belief="shared-anchor",
         options={},
         policies="fixed,random,sweep,greedy,lookahead,ppo",
         out=Path("active_policies.csv"),
     )
     seeds = range(given.seed, given.seed + given.drives)
-    task = GazeTask(arguments=dict(WORLDS[given.world]), filter=given.belief, reward="error")
+    world = {**WORLDS[given.world], **LEVELS[given.level]}
+    task = GazeTask(arguments=world, filter=given.belief, reward="error")
     task = replace(task, filter_options={**task.filter_options, **given.options})
     belief = " ".join([given.belief, *(f"{name}={value}" for name, value in given.options.items())])
+    about_all = f"{given.world}, {given.level}, {belief}, {given.drives} drives"
     rows, kept, base = [], [], None
     for policy in given.policies.split(","):
         began = time.process_time()
@@ -113,8 +117,8 @@ def main() -> None:
             writer = csv.DictWriter(stream, list(kept[0]))
             writer.writeheader()
             writer.writerows({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in row.items()} for row in kept)
-        show(f"{given.world}, {belief}, {given.drives} drives", HEADS, rows[-1:])
-    show(f"{given.world}, {belief}, {given.drives} drives", HEADS, rows)
+        show(about_all, HEADS, rows[-1:])
+    show(about_all, HEADS, rows)
 
 
 HEADS = (

@@ -2,15 +2,18 @@
 
     python benchmarks/task_scores.py                             # 50 episodes each; a quarter of an hour of one core
     python benchmarks/task_scores.py --episodes 24 --only Drive   # the ids that contain this
+    python benchmarks/task_scores.py --episodes 2 --only Explore  # how fast few are
 
 Mean with its standard error and score (see `policies.scores`), interquartile mean with its 95 % bootstrap interval,
-standard deviation over the scenes, share of successes, decisions. All episodes of an agent are rows of one vector.
+standard deviation over the scenes, share of successes, decisions, and how many of all episodes are made in a second of
+one core, with all that an episode needs. All episodes of an agent are rows of one vector.
 `ActiveGaze-v0` is scored by the truth: `benchmarks/active_policies.py`.
 """
 
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
@@ -145,7 +148,9 @@ def episodes(name: str, choose: Choice, count: int, first: int = SEED, **options
     return returns, best, success, steps
 
 
-def row(short: str, agent: str, returns: np.ndarray, success: np.ndarray, steps: np.ndarray) -> list[str]:
+def row(
+    short: str, agent: str, returns: np.ndarray, success: np.ndarray, steps: np.ndarray, seconds: float
+) -> list[str]:
     """Of the table."""
     middle = partial(trim_mean, proportiontocut=0.25)
     low, high = bootstrap((returns,), middle, method="percentile", rng=0).confidence_interval
@@ -153,13 +158,14 @@ def row(short: str, agent: str, returns: np.ndarray, success: np.ndarray, steps:
     score = f"{normalised_score(name, returns).mean():.0f}" if name in REFERENCE_RETURNS else ""
     interval = f"{middle(returns):.1f} [{low:.1f}, {high:.1f}]"
     spread = f"{returns.std():.1f}"
-    return [agent, mean_and_error(returns, 2), score, interval, spread, f"{success.mean():.0%}", f"{steps.mean():.0f}"]
+    said = [spread, f"{success.mean():.0%}", f"{steps.mean():.0f}", f"{steps.sum() / seconds:.0f}"]
+    return [agent, mean_and_error(returns, 2), score, interval, *said]
 
 
 def main() -> None:
     """Run everything."""
     given = arguments(__doc__, episodes=50, seed=SEED, only="")
-    heads = ("agent", "mean", "score", "interquartile mean", "sd of scenes", "success", "decisions")
+    heads = ("agent", "mean", "score", "interquartile mean", "sd of scenes", "success", "decisions", "a second")
     for short, agents in ROWS.items():
         (ident, _, variant), rows = short.partition(" "), []
         name = f"StereoSlam/{ident}"
@@ -167,10 +173,12 @@ def main() -> None:
             continue
         for label, choose in agents.items():
             count = min(given.episodes, MOST_OF_ORACLE) if choose is oracle else given.episodes
+            began = time.process_time()
             returns, best, success, steps = episodes(name, choose, count, given.seed, **GIVEN.get(variant, {}))
-            rows.append(row(short, label, returns, success, steps))
+            seconds = time.process_time() - began
+            rows.append(row(short, label, returns, success, steps, seconds))
             if label in TO_BE_STOPPED:  # who knows what comes stops at the highest return; no agent can
-                rows.append(row(short, f"{label}, hindsight", best, best > 0.0, steps))
+                rows.append(row(short, f"{label}, hindsight", best, best > 0.0, steps, seconds))
         show(short, heads, rows)
 
 

@@ -51,8 +51,8 @@ def _register(name: str, room: str, made: str, max_episode_steps: int, **argumen
 _register("StereoSlam/Drive-v0", "envs.drive", "StereoDriveEnv", 1200)
 _register("StereoSlam/Gaze-v0", "envs.gaze", "StereoGazeEnv", 3000)
 _register("StereoSlam/DriveGaze-v0", "envs.drive_gaze", "StereoDriveGazeEnv", 1200)
-_register("StereoSlam/ActiveGaze-v0", "training.task", "active_gaze", 600)
 for _task, _made, _most in (
+    ("ActiveGaze", "active_gaze", 600),
     ("Explore", "explore", 1200),
     ("Revisit", "revisit", 100),
     ("ClosedLoop", "closed_loop", 1200),

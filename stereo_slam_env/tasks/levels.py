@@ -44,19 +44,24 @@ after five, see the page on the front end)."""
 _TRAFFIC = ("moving_cars", "pedestrians")
 
 
+def of_level(level: str, *, scripted: bool) -> Mapping[str, Any]:
+    """Arguments of the environment at a level of `LEVELS`; without traffic where no script drives.
+
+    Traffic keeps time with the script, and an agent that drives is not shown it, so it would be hit without a fault of
+    its own. In scripted drives it hides landmarks.
+    """
+    one_of("level", level, LEVELS)
+    return {key: value for key, value in LEVELS[level].items() if scripted or key not in _TRAFFIC}
+
+
 def inner_environment(
     name: str, level: str, given: Mapping[str, Any], many: Mapping[str, Any] | None, **own: Any
 ) -> gym.Env[Any, Any] | Rows:
     """The environment `name` inside a task: its own arguments, those of the level, and those given; the last ones win.
 
-    Rows of such where `many` has their number, see `wrappers.vectors.rows_of`. Traffic of a level is for scripted
-    drives, in which it hides landmarks: it keeps time with the script, and an agent that drives is not shown it, so it
-    would be hit without a fault of its own.
+    Rows of such where `many` has their number, see `wrappers.vectors.rows_of`.
     """
-    one_of("level", level, LEVELS)
-    scripted = name == "StereoSlam/Gaze-v0"
-    of_level = {key: value for key, value in LEVELS[level].items() if scripted or key not in _TRAFFIC}
-    arguments = {**own, **of_level, **given}
+    arguments = {**own, **of_level(level, scripted=name == "StereoSlam/Gaze-v0"), **given}
     if many is not None:
         return rows_of(name, options=arguments, **many)
     return gym.make(name, max_episode_steps=-1, disable_env_checker=True, **arguments)

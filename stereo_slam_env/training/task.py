@@ -30,7 +30,7 @@ from stereo_slam_env.wrappers import (
 from stereo_slam_env.wrappers.direction_of_gaze import directions
 from stereo_slam_env.wrappers.information import CRITERIA, Criterion
 from stereo_slam_env.wrappers.information_gain import BeliefOf
-from stereo_slam_env.wrappers.vectors import rows_of, vector_of
+from stereo_slam_env.wrappers.vectors import rows_of
 
 GAZE_FILTER: Mapping[str, Any] = {"drop_unseen": False, "motion": "velocity-driven", "iterations": 2}
 """Options of a filter for a head that turns: it keeps what is out of view, believes the odometry, and linearises twice,
@@ -173,39 +173,6 @@ class GazeTask:
         if self != GazeTask():
             return said
         return f"{said}, score {float(normalised_score(_ID, results.validation_return)):.0f}"
-
-
-def active_gaze(render_mode: str | None = None, *, many: Mapping[str, Any] | None = None, **arguments: Any) -> Any:
-    """`StereoSlam/ActiveGaze-v0`: decide where to look so that the estimate of the pose is as true as it can be.
-
-    The head of `StereoSlam/Gaze-v0` is turned to one of nine directions (`Discrete(9)`, from the farthest left to the
-    farthest right), for five steps. The observation has `belief_sigmas` (6,), `head` (2,) and `panorama` (12, 6), the
-    landmarks of the filter's map around the car, see `BeliefPanorama`; the reward is minus the squared true error of
-    the position after the decision (`TrueError`), or with `reward="information"` the decrease of the log determinant of
-    the covariance of the pose (`InformationGain`). `info` is that of `StereoSlam/Gaze-v0` and of these
-    wrappers.
-
-    Parameters
-    ----------
-    render_mode : str, optional
-        That of `StereoSlam/Gaze-v0`.
-    many : mapping, optional
-        Arguments of `GazeTask.make_rows`: that many in rows, instead of one environment.
-    **arguments
-        Of `GazeTask`: `arguments` of the environment, `filter`, `filter_options`, `reward`, `criterion`, `belief`,
-        `nees_gate`, `resolution`, `hold`, `pans`; JSON-able.
-
-    Raises
-    ------
-    TypeError
-        There is no argument of that name.
-    """
-    task = GazeTask(**arguments)
-    task = replace(task, arguments={**task.arguments, "render_mode": render_mode})
-    return task.make_for_learning() if many is None else task.make_rows(**many)
-
-
-active_gaze_vector = vector_of(active_gaze)
 
 
 @dataclass(frozen=True)

@@ -13,13 +13,9 @@ import stereo_slam_env  # noqa: F401 (registers the ids)
 
 IDS = ["StereoSlam/Drive-v0", "StereoSlam/DriveGaze-v0", "StereoSlam/Gaze-v0"]
 TASKS = [
-    "StereoSlam/ActiveGaze-v0",
-    *(f"StereoSlam/{task}-v0" for task in ("Explore", "Revisit", "ClosedLoop", "Branches")),
-    *(
-        f"StereoSlam/{task}-{level}-v0"
-        for task in ("Explore", "Revisit", "ClosedLoop", "Branches")
-        for level in ("easy", "hard")
-    ),
+    f"StereoSlam/{task}{level}-v0"
+    for task in ("ActiveGaze", "Explore", "Revisit", "ClosedLoop", "Branches")
+    for level in ("", "-easy", "-hard")
 ]
 """Made of these environments and of wrappers, by a function whose docstring is the page."""
 SECTIONS = [

@@ -11,6 +11,7 @@ from gymnasium.utils.env_checker import check_env, data_equivalence
 import stereo_slam_env  # noqa: F401 (registers the ids)
 
 QUICK = {
+    "StereoSlam/ActiveGaze-v0": {"arguments": {"route": "right-turn"}},
     "StereoSlam/Explore-v0": {"arguments": {"route": "right-turn"}},
     "StereoSlam/Revisit-v0": {"begin": (0.05, 0.1)},
     "StereoSlam/Branches-v0": {"roads": 2},
@@ -86,4 +87,4 @@ def test_traffic_is_only_where_a_script_drives():
     for name in LEVELS:
         env = made(name)
         most[name] = env.unwrapped.options.moving_cars
-    assert {name for name, count in most.items() if count} == {"StereoSlam/Revisit-hard-v0"}
+    assert {name for name, count in most.items() if count} == {"StereoSlam/ActiveGaze-hard-v0", "StereoSlam/Revisit-hard-v0"}
