@@ -11,7 +11,7 @@ import typer
 
 from stereo_slam_env.cli.parts import OutOption, console, new_directory
 
-GAZE = ("StereoSlam/Gaze-v0", "StereoSlam/ActiveGaze-v0")
+GAZE = ("StereoSlam/Gaze-v0", *(f"StereoSlam/ActiveGaze{level}-v0" for level in ("", "-easy", "-hard")))
 """Ids of which where to look is learnt, by what a filter knows; every other id is learnt by its own reward."""
 
 
@@ -104,13 +104,18 @@ def train(
 
 def _task(environment: str, arguments: dict[str, Any], looks: dict[str, Any]) -> Any:
     """What is learnt in an environment."""
+    import gymnasium as gym
+
+    from stereo_slam_env.tasks.levels import of_level
     from stereo_slam_env.training.registered_task import RegisteredTask
     from stereo_slam_env.training.task import GazeTask
 
     if environment == "StereoSlam/Gaze-v0":
         return GazeTask(environment, arguments, **looks)
     if environment in GAZE:
-        return GazeTask(**{**arguments, **looks})
+        level = gym.spec(environment).kwargs.get("level", "normal")
+        inside = {**of_level(level, scripted=True), **arguments.get("arguments", {})}
+        return GazeTask(**{**arguments, **looks, "arguments": inside})
     if looks:
         name = next(iter(looks))
         raise ValueError(

@@ -87,4 +87,7 @@ def test_traffic_is_only_where_a_script_drives():
     for name in LEVELS:
         env = made(name)
         most[name] = env.unwrapped.options.moving_cars
-    assert {name for name, count in most.items() if count} == {"StereoSlam/ActiveGaze-hard-v0", "StereoSlam/Revisit-hard-v0"}
+    assert {name for name, count in most.items() if count} == {
+        "StereoSlam/ActiveGaze-hard-v0",
+        "StereoSlam/Revisit-hard-v0",
+    }

@@ -149,12 +149,18 @@ def test_options_of_looks_are_refused_where_the_id_has_its_own_reward(tmp_path, 
     command = ["train", "--environment", "StereoSlam/Drive-v0", "--nees-gate", "0.95", "--out", str(tmp_path)]
     assert cli.main(command) == 2
     said = capsys.readouterr().err
-    assert said.startswith("--nees-gate is of where to look (StereoSlam/Gaze-v0, StereoSlam/ActiveGaze-v0)") or (
-        "--nees-gate is of where to look" in said
-    )
+    assert said.startswith("error: --nees-gate is of where to look (StereoSlam/Gaze-v0, StereoSlam/ActiveGaze-v0, ")
     assert not list(tmp_path.iterdir())
     assert cli.main(["train", "--environment", "StereoSlam/Fly-v0", "--out", str(tmp_path)]) == 2
-    assert "environment must be one of StereoSlam/ActiveGaze-v0, " in capsys.readouterr().err
+    assert "environment must be one of StereoSlam/ActiveGaze-easy-v0, " in capsys.readouterr().err
+
+
+def test_where_to_look_is_learnt_at_the_level_of_the_id(tmp_path, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "200")
+    command = ["train", "--environment", "StereoSlam/ActiveGaze-hard-v0", "--minutes", "1e-9", "--validation", "1"]
+    assert cli.main([*command, "--out", str(tmp_path)]) == 0
+    task = Network.load(tmp_path / "policy.npz").about["task"]
+    assert (task["reward"], task["arguments"]["sigma"]) == ("error", 1.25)
 
 
 def test_a_module_before_the_id_is_imported_where_it_is_typed_and_nowhere_else(tmp_path, monkeypatch, capsys):
