@@ -5,13 +5,15 @@ and delta p of `Knowledge`, positions taken relative to the camera as it is now.
 
 - a known motion changes nothing;
 - its noise, of covariance Q on the pose, takes L, the columns of the pose, to L A, with A = (I + Q L_pose)^-1, and the
-  information of the map down by L_map A Q L_map^T;
+  information of the map down by L_map A Q L_map^T; that of steps without a look adds up;
 - a look adds H^T R^-1 H of every landmark to its own block, and what follows from d e / d pose = [-I, [e]x] to the
   rest: a step costs 6 columns instead of the whole matrix.
 
 Only at the end is the matrix put together, with the pose last, and one Cholesky factor of it has the answer to both
 questions: all of its diagonal is the log-determinant of pose and map, the last six are that of the pose, whatever the
 map is.
+
+Landmarks that a sequence never looks at say nothing of the pose, and nothing of what one look gains: they are left out.
 """
 
 from __future__ import annotations
@@ -19,11 +21,13 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
+from numba import njit
 
 from filters.geometry import rotations
-from filters.geometry.arrays import FloatArray
+from filters.geometry.arrays import FloatArray, IntArray
 from filters.motions.model import POSE_SIZE, POSITION, ROTATION
 from stereo_slam_env.policies.foresight import Knowledge
+from stereo_slam_env.simulator.rays import OPTIONS
 
 Gain = Literal["pose", "map"]
 """Covariance whose determinant counts: of the pose, or of the pose and the map together."""
@@ -39,14 +43,13 @@ def expected_gain(knowledge: Knowledge, looks: FloatArray, Q: FloatArray, gain: 
     `SensorModel.information`; `Q` (K, 6, 6) is the noise that the motion before each look adds to the pose, see
     `motion_noise`. An `ArithmeticError` where the covariance is not positive definite.
     """
-    seen = looks.any(axis=(0, 1, 3, 4))
-    if not seen.any():
-        return np.zeros(len(looks))
-    if gain == "pose" and not seen.all():  # a landmark that is never seen says nothing of the pose
-        knowledge, looks = knowledge.of_landmarks(np.flatnonzero(seen)), looks[:, :, seen]
-    blind = np.zeros((1, *looks.shape[1:]))  # a sequence that looks at nothing: the prior
-    logdets = _log_determinants(knowledge, np.concatenate([looks, blind]), Q, gain)
-    gains: FloatArray = 0.5 * (logdets[:-1] - logdets[-1])
+    gains = np.zeros(len(looks))
+    try:
+        _put_gains(knowledge.covariance, knowledge.by_pose, looks, Q, gain == "pose", gains)
+    except np.linalg.LinAlgError:
+        raise ArithmeticError(
+            "joint_covariance() of the filter must be positive definite, and is not: no gain can be expected"
+        ) from None
     return gains
 
 
@@ -66,39 +69,63 @@ def motion_noise(middles: FloatArray, sigma_position: float, sigma_rotation: flo
     return Q
 
 
-def _log_determinants(knowledge: Knowledge, looks: FloatArray, Q: FloatArray, gain: Gain) -> FloatArray:
-    """Log-determinant of the information after each sequence, (B,)."""
+@njit(**OPTIONS)
+def _put_gains(
+    covariance: FloatArray, by_pose: FloatArray, looks: FloatArray, Q: FloatArray, of_pose: bool, gains: FloatArray
+) -> None:
     sequences, steps, count = looks.shape[:3]
-    rows = 3 * count
-    by_pose = knowledge.by_pose
-    stacked = by_pose.reshape(rows, POSE_SIZE)
-    scale = np.sqrt(np.diag(knowledge.covariance))
-    prior = np.linalg.inv(knowledge.covariance / np.outer(scale, scale)) / np.outer(scale, scale)
+    for s in range(sequences):
+        seen = np.empty((steps, count), dtype=np.bool_)
+        needed = np.full(count, not of_pose and steps > 1)
+        for k in range(steps):
+            for i in range(count):
+                seen[k, i] = looks[s, k, i, 0, 0] + looks[s, k, i, 1, 1] + looks[s, k, i, 2, 2] > 0.0
+                needed[i] |= seen[k, i]
+        index, place = np.flatnonzero(needed), 3 * (np.cumsum(needed) - 1)
+        rows = 3 * len(index)
+        if rows == 0:
+            continue
+        C, noise = _part(covariance, index), np.zeros((POSE_SIZE, POSE_SIZE))
+        L = np.linalg.inv(C)
+        L_xm, L_x = L[:POSE_SIZE, POSE_SIZE:].copy(), L[:POSE_SIZE, :POSE_SIZE].copy()
+        before, lost, used = np.empty((steps * POSE_SIZE, rows)), np.empty((steps * POSE_SIZE, rows)), 0
+        for k in range(steps):
+            noise += Q[k]
+            C[:POSE_SIZE, :POSE_SIZE] += Q[k]
+            if k < steps - 1 and not seen[k].any():
+                continue
+            A = np.linalg.inv(np.eye(POSE_SIZE) + np.dot(noise, L_x))
+            before[used : used + POSE_SIZE] = L_xm
+            lost[used : used + POSE_SIZE] = np.dot(np.dot(noise, A.T), L_xm)
+            L_xm, L_x, used = np.dot(A.T, L_xm), np.dot(L_x, A), used + POSE_SIZE
+            noise[:] = 0.0
+            for n in np.flatnonzero(seen[k]):
+                WB = np.dot(looks[s, k, n], by_pose[n])
+                for a in range(3):
+                    for b in range(3):
+                        L[POSE_SIZE + place[n] + a, POSE_SIZE + place[n] + b] += looks[s, k, n, a, b]
+                    for j in range(POSE_SIZE):
+                        L_xm[j, place[n] + a] += WB[a, j]
+                L_x += np.dot(by_pose[n].T, WB)
+        whole = np.empty((rows + POSE_SIZE, rows + POSE_SIZE))
+        whole[:rows, :rows] = L[POSE_SIZE:, POSE_SIZE:] - np.dot(before[:used].T, lost[:used])
+        whole[:rows, rows:], whole[rows:, :rows], whole[rows:, rows:] = L_xm.T, L_xm, L_x
+        first = rows if of_pose else 0
+        prior = C[:POSE_SIZE, :POSE_SIZE].copy() if of_pose else C
+        gains[s] = (
+            np.log(np.diag(np.linalg.cholesky(whole))[first:]).sum() + np.log(np.diag(np.linalg.cholesky(prior))).sum()
+        )
 
-    of_map, of_pose = prior[None, POSE_SIZE:, :POSE_SIZE], prior[None, :POSE_SIZE, :POSE_SIZE]
-    before, lost = [], []
-    for step in range(steps):
-        A = np.linalg.inv(np.eye(POSE_SIZE) + Q[step] @ of_pose)
-        before.append(of_map)
-        lost.append(of_map @ (A @ Q[step]))
-        of_map, of_pose = of_map @ A, of_pose @ A
-        seen = (looks[:, step] @ by_pose).reshape(sequences, rows, POSE_SIZE)
-        of_map, of_pose = of_map + seen, of_pose + stacked.T @ seen
 
-    whole = np.empty((sequences, rows + POSE_SIZE, rows + POSE_SIZE))
-    of_landmarks = whole[:, :rows, :rows]
-    of_landmarks[...] = prior[POSE_SIZE:, POSE_SIZE:] - lost[0] @ before[0].transpose(0, 2, 1)  # the same for all
-    if steps > 1:
-        of_landmarks -= np.concatenate(lost[1:], axis=2) @ np.concatenate(before[1:], axis=2).transpose(0, 2, 1)
-    block = 3 * np.arange(count)[:, None] + np.arange(3)
-    whole[:, block[:, :, None], block[:, None, :]] += looks.sum(axis=1)
-    whole[:, rows:, :rows], whole[:, :rows, rows:] = of_map.transpose(0, 2, 1), of_map
-    whole[:, rows:, rows:] = of_pose
-    try:
-        diagonal = np.diagonal(np.linalg.cholesky(whole), axis1=1, axis2=2)
-    except np.linalg.LinAlgError:
-        raise ArithmeticError(
-            "joint_covariance() of the filter must be positive definite, and is not: no gain can be expected"
-        ) from None
-    logdets: FloatArray = 2.0 * np.log(diagonal[:, rows if gain == "pose" else 0 :]).sum(axis=1)
-    return logdets
+@njit(**OPTIONS)
+def _part(covariance: FloatArray, index: IntArray) -> FloatArray:
+    """Covariance of the pose and of the landmarks at `index` (M,); (6 + 3 M, 6 + 3 M)."""
+    rows = np.arange(POSE_SIZE + 3 * len(index))
+    for m, i in enumerate(index):
+        for a in range(3):
+            rows[POSE_SIZE + 3 * m + a] = POSE_SIZE + 3 * i + a
+    part = np.empty((len(rows), len(rows)))
+    for i, row in enumerate(rows):
+        for j, column in enumerate(rows):
+            part[i, j] = covariance[row, column]
+    return part

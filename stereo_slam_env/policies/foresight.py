@@ -12,11 +12,13 @@ delta e = delta p - delta r + [e]x phi, with phi the error of the rotation in W,
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
+from numba import njit
 
 from filters.contract.noise import StereoNoise
 from filters.contract.stereo_filter import StereoFilter
@@ -25,6 +27,7 @@ from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.geometry.camera import StereoCamera
 from filters.geometry.poses import Pose
 from filters.motions.model import POSE_SIZE, POSITION, ROTATION
+from stereo_slam_env.simulator.rays import OPTIONS
 from stereo_slam_env.world.routes import FRAME_PERIOD, Route
 from stereo_slam_env.world.vehicle import Head, head_turn
 
@@ -43,13 +46,23 @@ class CameraPoses:
 
     @classmethod
     def at(cls, pose: Pose) -> CameraPoses:
-        """One pose, or many with the same leading dimensions in both of its fields."""
+        """One pose."""
         return cls(pose.position, rotations.matrix(pose.orientation))
 
-    def to_camera(self, points_w: FloatArray) -> FloatArray:
-        """Points (N, 3) of W in each camera frame; (..., N, 3) m."""
-        points_c: FloatArray = (points_w - self.positions[..., None, :]) @ self.R_wc
-        return points_c
+    @classmethod
+    def of(cls, poses: Sequence[Pose]) -> CameraPoses:
+        """Many poses, (Q,)."""
+        orientations = np.stack([pose.orientation for pose in poses])
+        return cls(np.stack([pose.position for pose in poses]), rotations.matrix(orientations))
+
+    @property
+    def flat(self) -> tuple[FloatArray, FloatArray]:
+        """Both, with one leading dimension."""
+        return self.positions.reshape(-1, 3), self.R_wc.reshape(-1, 3, 3)
+
+    def __getitem__(self, index: Any) -> CameraPoses:
+        """Some of them, by an index of their leading dimensions."""
+        return CameraPoses(self.positions[index], self.R_wc[index])
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,24 +79,13 @@ class Knowledge:
     covariance: FloatArray
 
     @classmethod
-    def of(cls, slam: StereoFilter, within: float = np.inf) -> Knowledge:
-        """The current belief, with the landmarks `within` m of the camera that have a finite position."""
-        belief, landmarks = slam.pose, slam.landmarks
-        with np.errstate(invalid="ignore"):
-            near = np.linalg.norm(landmarks.positions - belief.position, axis=1) <= within
-        near &= np.isfinite(landmarks.positions).all(axis=1) & np.isfinite(landmarks.covariances).all(axis=(1, 2))
-        near &= landmarks.inverse_distance > 0.0
-        ids = landmarks.ids[near]
+    def of(cls, slam: StereoFilter, pose: Pose, ids: IntArray, points: FloatArray) -> Knowledge:
+        """The current belief of a filter: its pose, and these landmarks of its map, at their places in W."""
         covariance = slam.joint_covariance(ids).copy()
-        R_wc = rotations.matrix(belief.orientation)
+        R_wc = rotations.matrix(pose.orientation)
         covariance[ROTATION] = R_wc @ covariance[ROTATION]
         covariance[:, ROTATION] = covariance[:, ROTATION] @ R_wc.T
-        return cls(ids, Pose(belief.position, belief.orientation), landmarks.positions[near], covariance)
-
-    def of_landmarks(self, index: IntArray) -> Knowledge:
-        """The same, with the landmarks at `index` (M,) only."""
-        rows = np.concatenate([np.arange(POSE_SIZE), (POSE_SIZE + 3 * index[:, None] + np.arange(3)).ravel()])
-        return Knowledge(self.ids[index], self.pose, self.points[index], self.covariance[np.ix_(rows, rows)])
+        return cls(ids, pose, points, covariance)
 
     @property
     def by_pose(self) -> FloatArray:
@@ -92,14 +94,6 @@ class Knowledge:
         J[:, :, POSITION] = -np.eye(3)
         J[:, :, ROTATION] = rotations.skew(self.points - self.pose.position)
         return J
-
-
-class Sight(NamedTuple):
-    """Predicted (u, v, d), px (..., N, 3); whether they are in view (..., N); points in each camera, m (..., N, 3)."""
-
-    uvd: FloatArray
-    in_view: BoolArray
-    points_c: FloatArray
 
 
 @dataclass(frozen=True)
@@ -124,98 +118,146 @@ class SensorModel:
         corners = camera.ray([[u, v] for u in (0.0, camera.width - 1.0) for v in (0.0, camera.height - 1.0)])
         return self.farthest * float(np.linalg.norm(corners, axis=1).max())
 
-    @cached_property
-    def _whitening(self) -> FloatArray:
-        """L^-1 with R = L L^T."""
-        whitening: FloatArray = np.linalg.inv(np.linalg.cholesky(self.noise.R))
-        return whitening
-
-    def sight(self, points: FloatArray, cameras: CameraPoses) -> Sight:
-        """Predicted view of the points (N, 3) of W, m, from each of the cameras."""
-        points_c = cameras.to_camera(points)
-        z = points_c[..., 2]
-        uvd = self.camera.project(points_c)
-        with np.errstate(invalid="ignore"):  # a point beside the camera has no image
-            in_view = (z > 0.0) & (z >= self.nearest) & (z <= self.farthest) & self.camera.in_view(uvd, self.margin)
-        return Sight(uvd, in_view, points_c)
+    def in_view(self, points: FloatArray, cameras: CameraPoses) -> BoolArray:
+        """Whether each of the points (N, 3) of W, m, is measured from each of the cameras (...); (..., N)."""
+        positions, R_wc = cameras.flat
+        in_view = np.empty((len(positions), len(points)), dtype=np.bool_)
+        _mark_in_view(self._numbers, points, positions, R_wc, in_view)
+        return in_view.reshape(*cameras.positions.shape[:-1], len(points))
 
     def information(self, points: FloatArray, cameras: CameraPoses) -> FloatArray:
         """H^T R^-1 H of each landmark in view, 0 of the others; (..., N, 3, 3) 1/m^2, in the axes of W.
 
         Where more are in view than are measured, each counts with the share of those that are.
         """
-        sight = self.sight(points, cameras)
-        seen = np.nonzero(sight.in_view)
-        J = self.camera.project_jacobian(sight.points_c[seen])
-        R_wc = np.broadcast_to(cameras.R_wc[..., None, :, :], (*sight.in_view.shape, 3, 3))[seen]
-        H = self._whitening @ J @ R_wc.transpose(0, 2, 1)
-        information = np.zeros((*sight.in_view.shape, 3, 3))
-        information[seen] = H.transpose(0, 2, 1) @ H
-        if self.most is not None:
-            count = sight.in_view.sum(axis=-1)
-            information *= (self.most / np.maximum(count, self.most))[..., None, None, None]
-        return information
+        positions, R_wc = cameras.flat
+        in_view = self.in_view(points, CameraPoses(positions, R_wc))
+        count = in_view.sum(axis=1)
+        shares = np.ones(len(count)) if self.most is None else self.most / np.maximum(count, self.most)
+        information = np.zeros((*in_view.shape, 3, 3))
+        _put_information(self._numbers, self._R_inverse, shares, points, positions, R_wc, in_view, information)
+        return information.reshape(*cameras.positions.shape[:-1], len(points), 3, 3)
+
+    @cached_property
+    def _R_inverse(self) -> FloatArray:
+        return np.asarray(np.linalg.inv(self.noise.R), dtype=np.float64)
+
+    @cached_property
+    def _numbers(self) -> Numbers:
+        camera, margin = self.camera, self.margin
+        sides = margin, camera.width - 1.0 - margin, camera.height - 1.0 - margin
+        numbers = camera.fx, camera.fy, camera.cx, camera.cy, camera.disparity_constant, self.nearest, self.farthest
+        return *map(float, numbers), *map(float, sides)
 
 
-def planned_bodies(body: Pose, route: Route, step: int, steps: int) -> CameraPoses:
-    """Poses of the camera, looking straight ahead, after each of the next steps of the car's route; K = `steps`.
+Numbers = tuple[float, ...]
+"""fx, fy, cx, cy, f b, nearest and farthest depth, smallest u and v, largest u, largest v."""
 
-    The car is believed to be at `body` now, after `step` steps. Speeds and yaw rates are the route's; after its end the
-    car stands still.
+
+@njit(**OPTIONS)
+def _mark_in_view(numbers: Numbers, points: FloatArray, r: FloatArray, R_wc: FloatArray, in_view: BoolArray) -> None:
+    fx, fy, cx, cy, fb, nearest, farthest, low, high_u, high_v = numbers
+    for c in range(len(r)):
+        R = R_wc[c]
+        for n in range(len(points)):
+            in_view[c, n] = False
+            x, y, z = points[n, 0] - r[c, 0], points[n, 1] - r[c, 1], points[n, 2] - r[c, 2]
+            depth = R[0, 2] * x + R[1, 2] * y + R[2, 2] * z
+            if depth > 0.0 and nearest <= depth <= farthest:
+                u = fx * (R[0, 0] * x + R[1, 0] * y + R[2, 0] * z) / depth + cx
+                v = fy * (R[0, 1] * x + R[1, 1] * y + R[2, 1] * z) / depth + cy
+                u_right = u - fb / depth
+                in_view[c, n] = low <= u <= high_u and low <= u_right <= high_u and low <= v <= high_v
+
+
+@njit(**OPTIONS)
+def _put_information(
+    numbers: Numbers,
+    R_inverse: FloatArray,
+    shares: FloatArray,
+    points: FloatArray,
+    r: FloatArray,
+    R_wc: FloatArray,
+    in_view: BoolArray,
+    information: FloatArray,
+) -> None:
+    fx, fy, fb = numbers[0], numbers[1], numbers[4]
+    H = np.empty((3, 3))
+    for seen in np.argwhere(in_view):
+        c, n = seen
+        R, e = R_wc[c], points[n] - r[c]
+        z = R[0, 2] * e[0] + R[1, 2] * e[1] + R[2, 2] * e[2]
+        x_z = (R[0, 0] * e[0] + R[1, 0] * e[1] + R[2, 0] * e[2]) / z
+        y_z = (R[0, 1] * e[0] + R[1, 1] * e[1] + R[2, 1] * e[2]) / z
+        for a in range(3):  # J R_cw, by Eq. 10
+            H[0, a], H[1, a] = fx / z * (R[a, 0] - x_z * R[a, 2]), fy / z * (R[a, 1] - y_z * R[a, 2])
+            H[2, a] = -fb / (z * z) * R[a, 2]
+        for i in range(3):
+            for j in range(3):
+                weight = shares[c] * R_inverse[i, j]
+                for a in range(3):
+                    for b in range(3):
+                        information[c, n, a, b] += weight * H[i, a] * H[j, b]
+
+
+def planned_bodies(bodies: CameraPoses, routes: Sequence[Route], done: Sequence[int], steps: int) -> CameraPoses:
+    """Poses of Q cameras, looking straight ahead, after each of the next steps of their cars' routes; (Q, K = `steps`).
+
+    The cars are believed to be at `bodies` (Q,) now, after `done` steps. Speeds and yaw rates are the route's; after
+    its end a car stands still.
     """
-    frames = np.minimum(step + np.arange(1, steps + 1), route.frames - 1)
-    now = min(step, route.frames - 1)
-    R_wb = rotations.matrix(body.orientation)
-    heading = np.zeros((steps, 3))
-    heading[:, 1] = route.headings[frames] - route.headings[now]
-    R_bw_nominal = rotations.exp(np.array([0.0, -route.headings[now], 0.0]))
-    moved = (route.positions[frames] - route.positions[now]) @ R_bw_nominal.T
-    return CameraPoses(body.position + moved @ R_wb.T, R_wb @ rotations.exp(heading))
+    frames = [np.minimum(now + np.arange(steps + 1), route.frames - 1) for route, now in zip(routes, done, strict=True)]
+    positions = np.stack([route.positions[which] for route, which in zip(routes, frames, strict=True)])
+    attitudes = np.stack([route.attitudes[which] for route, which in zip(routes, frames, strict=True)])
+    R = bodies.R_wc[:, None] @ attitudes[:, :1].transpose(0, 1, 3, 2)  # from the nominal drive to the believed one
+    moved = (R @ (positions[:, 1:] - positions[:, :1])[..., None])[..., 0]
+    return CameraPoses(bodies.positions[:, None] + moved, R @ attitudes[:, 1:])
 
 
 def turning_head(head: Head, angles: FloatArray, targets: FloatArray, steps: int) -> FloatArray:
-    """Pan and tilt after each step of turning from `angles` (2,) to each of the targets (B, 2), rad; (B, K, 2)."""
+    """Pan and tilt after each step of turning from `angles` (..., 2) to each target (B, 2), rad; (..., B, K, 2)."""
     command = targets[:, None, :] / np.maximum(head.max_angles, np.finfo(float).tiny)
     times: FloatArray = FRAME_PERIOD * np.arange(1.0, steps + 1.0)
-    return head.turned(angles, command, times[:, None])
+    return head.turned(angles[..., None, None, :], command, times[:, None])
 
 
 def seen_from(head: Head, bodies: CameraPoses, angles: FloatArray) -> CameraPoses:
-    """Cameras with the head turned to `angles` (..., K, 2), rad, on bodies (K,), see `Head.camera_pose`."""
-    R_bc = rotations.matrix(head_turn(angles))
-    middle = np.array([0.5 * head.baseline, 0.0, 0.0])
-    shift = middle - R_bc @ middle
-    return CameraPoses(bodies.positions + (bodies.R_wc @ shift[..., None])[..., 0], bodies.R_wc @ R_bc)
+    """Cameras with the head turned to `angles` (..., 2), rad, on bodies (...), see `Head.camera_pose`."""
+    R_bc, shift = _turned(head, angles)
+    return CameraPoses(bodies.positions + (bodies.R_wc @ shift)[..., 0], bodies.R_wc @ R_bc)
 
 
-class UnseenPlaces:
-    """Places beside the route, at the height of the camera, that have not been in view of `sensor` so far.
+def straight_ahead(head: Head, cameras: CameraPoses, angles: FloatArray) -> CameraPoses:
+    """Bodies (...) under cameras with the head turned to `angles` (..., 2), rad, see `Head.body_pose`."""
+    R_bc, shift = _turned(head, angles)
+    R_wb = cameras.R_wc @ np.swapaxes(R_bc, -1, -2)
+    return CameraPoses(cameras.positions - (R_wb @ shift)[..., 0], R_wb)
 
-    They go on straight ahead after the end of the route, as far as can be seen.
+
+def _turned(head: Head, angles: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """R_bc (..., 3, 3) and the position (..., 3, 1), m, of a camera in the frame that it has straight ahead."""
+    R_bc, middle = rotations.matrix(head_turn(angles)), np.array([[0.5 * head.baseline], [0.0], [0.0]])
+    return R_bc, middle - R_bc @ middle
+
+
+def places_beside(route: Route, farthest: float) -> FloatArray:
+    """Places beside the route, at the height of the camera, in W, m; (P, 3).
+
+    They go on straight ahead after the end of the route, as far as can be seen: `farthest` m.
     """
+    station = np.arange(0.0, route.length + farthest, _SPACING)
+    frame = np.minimum(np.searchsorted(route.arc_length, station), route.frames - 1)
+    heading = route.headings[frame]
+    ahead = np.stack([np.sin(heading), np.zeros_like(heading), np.cos(heading)], axis=1)
+    across = np.stack([np.cos(heading), np.zeros_like(heading), -np.sin(heading)], axis=1)
+    middle = route.positions[frame] + np.maximum(station - route.length, 0.0)[:, None] * ahead
+    places: FloatArray = (middle[:, None] + farthest * _OFFSETS[:, None] * across[:, None]).reshape(-1, 3)
+    return places
 
-    def __init__(self, route: Route, sensor: SensorModel) -> None:
-        self._sensor = replace(sensor, most=None)
-        station = np.arange(0.0, route.length + sensor.farthest, _SPACING)
-        frame = np.minimum(np.searchsorted(route.arc_length, station), route.frames - 1)
-        heading = route.headings[frame]
-        ahead = np.stack([np.sin(heading), np.zeros_like(heading), np.cos(heading)], axis=1)
-        across = np.stack([np.cos(heading), np.zeros_like(heading), -np.sin(heading)], axis=1)
-        middle = route.positions[frame] + np.maximum(station - route.length, 0.0)[:, None] * ahead
-        self._points = (middle[:, None] + sensor.farthest * _OFFSETS[:, None] * across[:, None]).reshape(-1, 3)
 
-    def __len__(self) -> int:
-        return len(self._points)
-
-    def look(self, cameras: CameraPoses) -> None:
-        """Remove the places in view of a camera."""
-        in_view = self._sensor.sight(self._points, cameras).in_view.reshape(-1, len(self._points))
-        self._points = self._points[~in_view.any(axis=0)]
-
-    def discovered(self, cameras: CameraPoses) -> IntArray:
-        """Number of places in view of each of B sequences of K looks, (B, K) cameras; (B,)."""
-        low, high = (end(cameras.positions.reshape(-1, 3), axis=0) for end in (np.min, np.max))
-        reach = self._sensor.reach
-        near = self._points[((self._points >= low - reach) & (self._points <= high + reach)).all(axis=1)]
-        discovered: IntArray = self._sensor.sight(near, cameras).in_view.any(axis=-2).sum(axis=-1)
-        return discovered
+def discovered(places: FloatArray, sensor: SensorModel, cameras: CameraPoses) -> IntArray:
+    """Number of the places (P, 3) in view of each of B sequences of K looks, (B, K) cameras; (B,)."""
+    low, high = (end(cameras.positions.reshape(-1, 3), axis=0) for end in (np.min, np.max))
+    near = places[((places >= low - sensor.reach) & (places <= high + sensor.reach)).all(axis=1)]
+    count: IntArray = sensor.in_view(near, cameras).any(axis=-2).sum(axis=-1)
+    return count

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, Protocol
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol, runtime_checkable
 
 import gymnasium as gym
 import numpy as np
@@ -39,21 +39,36 @@ class Policy(Protocol):
         """The next action, from the observation of the last `reset` or `step`."""
 
 
+@runtime_checkable
+class ActsTogether(Policy, Protocol):
+    """A policy that decides in many environments at once; the others are asked one after the other."""
+
+    @staticmethod
+    def act_together(policies: Sequence[Any], observations: Sequence[Mapping[str, Any]]) -> Action:
+        """The next actions of policies of this class (Q, ...), each as its `act` would decide.
+
+        The policies are made alike, and in rows of one vector of environments.
+        """
+
+
 def require_head(env: gym.Env[Any, Any]) -> Head:
     """The head of an environment; a `ValueError` where it has none that moves."""
     return moving_head(env.get_wrapper_attr("head"))
 
 
 def look_towards(env: gym.Env[Any, Any], angles: FloatArray) -> Action:
-    """The action that turns the head towards pan and tilt (2,), rad, and asks for nothing else."""
+    """The action that turns the head towards pan and tilt (..., 2), rad, and asks for nothing else."""
     head = require_head(env)
     return gaze_action(env, np.clip(angles / np.array(head.max_angles), -1.0, 1.0))
 
 
 def gaze_action(env: gym.Env[Any, Any], decided: ArrayLike) -> Action:
-    """An action whose last entries are `decided`, and that asks for nothing else; the last two are pan and tilt."""
+    """An action (...,) whose last entries are `decided` (..., n), and that asks for nothing else.
+
+    The last two are pan and tilt.
+    """
     last = np.asarray(decided, dtype=np.float32)
     assert env.action_space.shape is not None
-    action = np.zeros(env.action_space.shape, dtype=np.float32)
-    action[-len(last) :] = last
+    action = np.zeros((*last.shape[:-1], *env.action_space.shape), dtype=np.float32)
+    action[..., -last.shape[-1] :] = last
     return action

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, get_args
 
@@ -19,9 +19,11 @@ from stereo_slam_env.policies.foresight import (
     CameraPoses,
     Knowledge,
     SensorModel,
-    UnseenPlaces,
+    discovered,
+    places_beside,
     planned_bodies,
     seen_from,
+    straight_ahead,
     turning_head,
 )
 from stereo_slam_env.policies.interface import Action, look_towards, require_head
@@ -29,6 +31,7 @@ from stereo_slam_env.sensing.tracking import TrackingPolicy
 from stereo_slam_env.world.routes import FRAME_PERIOD, Route
 from stereo_slam_env.world.vehicle import Head
 from stereo_slam_env.wrappers import Belief
+from stereo_slam_env.wrappers.filter_rows import FilterRows
 
 _THERE = 1e-3
 """Distance at which the head has arrived at its target, rad."""
@@ -58,7 +61,9 @@ class Outlook:
             margin=tracking.margin,
             most=tracking.max_landmarks,
         )
-        self.slam: StereoFilter = env.get_wrapper_attr("slam")
+        self._slam: StereoFilter = env.get_wrapper_attr("slam")
+        self._beliefs: FilterRows = env.get_wrapper_attr("beliefs")
+        self._row = int(env.get_wrapper_attr("row")) if env.has_wrapper_attr("row") else 0
         self.route: Route = env.get_wrapper_attr("route")
         self.odometry_sigmas = (
             FRAME_PERIOD * options.odometry_sigma_linear,
@@ -78,8 +83,15 @@ class Outlook:
     @property
     def pose(self) -> Pose:
         """Estimated pose of the left camera."""
-        belief = self.slam.pose
-        return Pose(belief.position, belief.orientation)
+        pose = self._beliefs.poses[self._row]
+        return Pose(pose[:3], pose[3:])
+
+    def knowledge(self, within: float = np.inf) -> Knowledge:
+        """The current belief, with the landmarks `within` m of the camera that have a finite position."""
+        pose, maps = self.pose, self._beliefs.maps
+        mine = slice(*maps.offsets[self._row : self._row + 2])
+        near = maps.located[mine] & (np.linalg.norm(maps.points_c[mine], axis=1) <= within)
+        return Knowledge.of(self._slam, pose, maps.ids[mine][near], pose @ maps.points_c[mine][near])
 
 
 @dataclass(frozen=True)
@@ -129,15 +141,16 @@ class Planner:
         self.outlook = Outlook(env)
         self.targets = directions(self.outlook.head, preferences.pans, preferences.tilts)
         """The directions, (B, 2) rad."""
-        self._preferences = preferences
-        self._places = UnseenPlaces(self.outlook.route, self.outlook.sensor)
+        self.preferences = preferences
+        self.unseen = places_beside(self.outlook.route, self.outlook.sensor.farthest)
+        """Places beside the route that have not been in view so far, in W, m; (P, 3)."""
         self.step = -1
         """Steps driven so far."""
 
     def look(self) -> None:
         """Use a new frame: places that are in view are no longer unseen."""
         self.step += 1
-        self._places.look(CameraPoses.at(self.outlook.pose))
+        self.unseen = self.unseen[~self.outlook.sensor.in_view(self.unseen, CameraPoses.at(self.outlook.pose))]
 
     def best(self, angles: FloatArray) -> FloatArray:
         """The most worthwhile of `targets`, (2,) rad; `angles` as of `worth`, one row a target."""
@@ -149,20 +162,36 @@ class Planner:
 
         `angles` (B, K, 2) are pan and tilt in the next K steps if the head turns there, rad.
         """
-        outlook, wanted = self.outlook, self._preferences
-        body = outlook.head.body_pose(outlook.pose, outlook.angles)
-        bodies = planned_bodies(body, outlook.route, self.step, angles.shape[1])
-        cameras = seen_from(outlook.head, bodies, angles)
-        away = np.linalg.norm(cameras.positions - outlook.pose.position, axis=-1).max()
-        knowledge = Knowledge.of(outlook.slam, within=outlook.sensor.reach + float(away))
-        looks = outlook.sensor.information(knowledge.points, cameras)
-        ends = bodies.positions - outlook.pose.position
-        middles = 0.5 * (np.concatenate([np.zeros((1, 3)), ends[:-1]]) + ends)
-        gains = expected_gain(knowledge, looks, motion_noise(middles, *outlook.odometry_sigmas), wanted.gain)
-        turn = np.abs(targets - outlook.angles) / np.maximum(outlook.head.max_angles, np.finfo(float).tiny)
-        worth: FloatArray = gains - wanted.effort * turn.sum(axis=1)
-        worth += wanted.curiosity * self._places.discovered(cameras)
+        worth: FloatArray = worths([self], targets, angles[None])[0]
         return worth
+
+
+def worths(planners: Sequence[Planner], targets: FloatArray, angles: FloatArray) -> FloatArray:
+    """`Planner.worth` of B directions `targets` (B, 2), rad, in Q environments at once; (Q, B) nats.
+
+    `angles` (Q, B, K, 2) are those of each. The environments have the same head and the same sensors, and their
+    planners the same preferences.
+    """
+    outlooks, wanted = [planner.outlook for planner in planners], planners[0].preferences
+    head, sensor = outlooks[0].head, outlooks[0].sensor
+    now = np.stack([outlook.angles for outlook in outlooks])
+    turn = np.abs(targets - now[:, None]) / np.maximum(head.max_angles, np.finfo(float).tiny)
+    worths: FloatArray = -wanted.effort * turn.sum(axis=-1)
+
+    eyes = CameraPoses.of([outlook.pose for outlook in outlooks])
+    routes, done = [outlook.route for outlook in outlooks], [planner.step for planner in planners]
+    bodies = planned_bodies(straight_ahead(head, eyes, now), routes, done, angles.shape[2])
+    cameras = seen_from(head, bodies[:, None], angles)
+    ends = bodies.positions - eyes.positions[:, None]
+    middles = 0.5 * (np.concatenate([np.zeros((len(ends), 1, 3)), ends[:, :-1]], axis=1) + ends)
+    Q = motion_noise(middles, *outlooks[0].odometry_sigmas)
+    away = np.linalg.norm(cameras.positions - eyes.positions[:, None, None], axis=-1).max(axis=(1, 2))
+    for q, planner in enumerate(planners):
+        knowledge = outlooks[q].knowledge(within=sensor.reach + float(away[q]))
+        looks = sensor.information(knowledge.points, cameras[q])
+        worths[q] += expected_gain(knowledge, looks, Q[q], wanted.gain)
+        worths[q] += wanted.curiosity * discovered(planner.unseen, sensor, cameras[q])
+    return worths
 
 
 def directions(head: Head, pans: int, tilts: int) -> FloatArray:
@@ -235,14 +264,31 @@ class _Planning:
 
     def act(self, observation: Mapping[str, Any]) -> Action:
         """See `Policy.act`."""
-        planner, outlook = self._planner, self._planner.outlook
-        planner.look()
-        if planner.step >= self._decided + self._replan and outlook.is_turned_to(self._target):
-            angles = planner.targets[:, None]
-            if self._steps is not None:
-                angles = turning_head(outlook.head, outlook.angles, planner.targets, self._steps)
-            self._target, self._decided = planner.best(angles), planner.step
-        return look_towards(self._env, self._target)
+        action: Action = self.act_together([self], [observation])[0]
+        return action
+
+    @staticmethod
+    def act_together(policies: Sequence[_Planning], observations: Sequence[Mapping[str, Any]]) -> Action:
+        """See `ActsTogether`."""
+        deciding: dict[Any, list[_Planning]] = {}
+        for policy in policies:
+            policy._planner.look()
+            if policy._may_decide:
+                deciding.setdefault((policy._preferences, policy._steps), []).append(policy)
+        for (_, steps), group in deciding.items():
+            planners = [policy._planner for policy in group]
+            targets, head = planners[0].targets, planners[0].outlook.head
+            angles = np.broadcast_to(targets[:, None], (len(group), len(targets), 1, 2))
+            if steps is not None:
+                angles = turning_head(head, np.stack([one.outlook.angles for one in planners]), targets, steps)
+            for policy, best in zip(group, worths(planners, targets, angles).argmax(axis=1), strict=True):
+                policy._target, policy._decided = targets[best], policy._planner.step
+        return look_towards(policies[0]._env, np.stack([policy._target for policy in policies]))
+
+    @property
+    def _may_decide(self) -> bool:
+        planner = self._planner
+        return planner.step >= self._decided + self._replan and planner.outlook.is_turned_to(self._target)
 
 
 class Greedy(_Planning):

@@ -13,7 +13,7 @@ from stereo_slam_env.envs.rows import Rows
 from stereo_slam_env.envs.stereo_env import row_of
 from stereo_slam_env.envs.vector_env import RowsVectorEnv
 from stereo_slam_env.policies.episode import rng_of_policy
-from stereo_slam_env.policies.interface import Policy
+from stereo_slam_env.policies.interface import ActsTogether, Policy
 
 Actions = Callable[[Any, BoolArray], Any]
 """Actions of all rows (B, ...), by the observation and which rows go on."""
@@ -68,6 +68,8 @@ class RowOfVector:
             return rows.world.angles()[b].copy()
         if name == "route":
             return rows.world.route_of(b)
+        if name == "row":  # of `beliefs`, which are those of all rows
+            return b
         return rows.inner(name)
 
     def has_wrapper_attr(self, name: str) -> bool:
@@ -89,9 +91,16 @@ def policy_in_rows(vector: RowsVectorEnv, make: Callable[[], Policy], seeds: Seq
         policy.reset(RowOfVector(vector, b), rng_of_policy(seed))  # type: ignore[arg-type]
     actions = np.zeros(vector.action_space.shape or (), dtype=np.float32)
 
+    first, alike = policies[0], len(set(map(type, policies))) == 1
+    together = first.act_together if alike and isinstance(first, ActsTogether) else None
+
     def act(observation: Any, going: BoolArray) -> Any:
-        for b in np.flatnonzero(going).tolist():
-            actions[b] = policies[b].act(row_of(observation, b))
+        index = np.flatnonzero(going).tolist()
+        asked, seen = [policies[b] for b in index], [row_of(observation, b) for b in index]
+        if index and together is not None:
+            actions[index] = together(asked, seen)
+        elif index:
+            actions[index] = [policy.act(each) for policy, each in zip(asked, seen, strict=True)]
         return actions
 
     return act

@@ -9,9 +9,9 @@ import pytest
 from filters import BodyVelocity, StereoObservation
 from filters.geometry import rotations
 from stereo_slam_env.policies.expected_gain import expected_gain, motion_noise
-from stereo_slam_env.policies.foresight import CameraPoses, Knowledge
+from stereo_slam_env.policies.foresight import CameraPoses
 
-from .looking import looked_around, sensor_of
+from .looking import in_cameras, knowledge_of, looked_around, part_of, sensor_of, whole_jacobians
 
 DT, SIGMAS = 0.1, (0.1, 0.01)
 
@@ -43,7 +43,7 @@ def measure(slam, ids):
 @pytest.mark.parametrize("gain", ["pose", "map"])
 def test_of_one_look_it_is_what_the_filter_gains(env, gain):
     slam = copy.deepcopy(env.slam)
-    knowledge, sensor = Knowledge.of(slam), sensor_of(env)
+    knowledge, sensor = knowledge_of(slam), sensor_of(env)
     looks = sensor.information(knowledge.points, here(slam))[None, None]
     expected = expected_gain(knowledge, looks, np.zeros((1, 6, 6)), gain)[0]
     before = logdet(slam, knowledge.ids, gain)
@@ -55,11 +55,11 @@ def test_of_one_look_it_is_what_the_filter_gains(env, gain):
 
 def test_of_the_map_it_is_half_logdet_S_less_half_logdet_R(env):
     slam, sensor = env.slam, sensor_of(env)
-    knowledge = Knowledge.of(slam)
+    knowledge = knowledge_of(slam)
     camera = here(slam)
-    seen = np.flatnonzero(sensor.sight(knowledge.points, camera).in_view)
-    part = knowledge.of_landmarks(seen)
-    H_p = sensor.camera.project_jacobian(camera.to_camera(part.points)) @ camera.R_wc.T
+    seen = np.flatnonzero(sensor.in_view(knowledge.points, camera))
+    part = part_of(knowledge, seen)
+    H_p = sensor.camera.project_jacobian(in_cameras(part.points, camera)) @ camera.R_wc.T
     H = np.zeros((3 * len(seen), 6 + 3 * len(seen)))
     for k in range(len(seen)):
         H[3 * k : 3 * k + 3, :6], H[3 * k : 3 * k + 3, 6 + 3 * k : 9 + 3 * k] = H_p[k] @ part.by_pose[k], H_p[k]
@@ -74,7 +74,7 @@ def test_of_the_map_it_is_half_logdet_S_less_half_logdet_R(env):
 def test_of_a_sequence_of_looks_on_the_way_it_is_what_the_filter_gains(env, gain, turning):
     slam = copy.deepcopy(env.slam)
     blind = copy.deepcopy(slam)
-    knowledge, sensor, steps = Knowledge.of(slam), sensor_of(env), 5
+    knowledge, sensor, steps = knowledge_of(slam), sensor_of(env), 5
     positions, looks, gone = [slam.pose.position], [], []
     for _ in range(steps):
         for each in (slam, blind):
@@ -94,7 +94,7 @@ def test_of_a_sequence_of_looks_on_the_way_it_is_what_the_filter_gains(env, gain
 
 
 def test_sequences_are_judged_each_by_itself_and_one_that_sees_nothing_gains_nothing(env):
-    knowledge, sensor = Knowledge.of(env.slam), sensor_of(env)
+    knowledge, sensor = knowledge_of(env.slam), sensor_of(env)
     looks = sensor.information(knowledge.points, here(env.slam))
     sequences = np.stack([np.stack([looks, looks]), np.stack([looks, 0 * looks]), np.zeros((2, *looks.shape))])
     Q = motion_noise(np.ones((2, 3)), 0.01, 0.001)
@@ -106,7 +106,7 @@ def test_sequences_are_judged_each_by_itself_and_one_that_sees_nothing_gains_not
 
 
 def test_a_map_of_nothing_has_nothing_to_gain(env):
-    nothing = Knowledge.of(env.slam, within=0.0)
+    nothing = knowledge_of(env.slam, within=0.0)
     assert len(nothing.ids) == 0
     np.testing.assert_array_equal(
         expected_gain(nothing, np.zeros((4, 2, 0, 3, 3)), np.zeros((2, 6, 6)), "pose"), np.zeros(4)
@@ -118,7 +118,7 @@ def test_a_start_that_is_known_exactly_and_odometry_without_error_are_no_trouble
     slam.reset()
     observation = env.get_wrapper_attr("frame").observation
     slam.update(observation)
-    knowledge, sensor = Knowledge.of(slam), sensor_of(env)
+    knowledge, sensor = knowledge_of(slam), sensor_of(env)
     looks = np.repeat(sensor.information(knowledge.points, here(slam))[None, None], 8, axis=1)
     for sigmas in (0.0, 0.0), (0.01, 0.001):
         Q = motion_noise(np.zeros((8, 3)), *sigmas)
@@ -127,9 +127,39 @@ def test_a_start_that_is_known_exactly_and_odometry_without_error_are_no_trouble
 
 
 def test_a_covariance_that_is_none_is_named(env):
-    knowledge = Knowledge.of(env.slam)
+    knowledge = knowledge_of(env.slam)
     looks = sensor_of(env).information(knowledge.points, here(env.slam))[None, None]
     covariance = knowledge.covariance.copy()
     covariance[0, 1] = covariance[1, 0] = 2.0 * np.sqrt(covariance[0, 0] * covariance[1, 1])
     with pytest.raises(ArithmeticError, match="positive definite"):
         expected_gain(replace(knowledge, covariance=covariance), looks, np.zeros((1, 6, 6)), "pose")
+
+
+@pytest.mark.parametrize("gain", ["pose", "map"])
+@pytest.mark.parametrize("steps", [1, 6])
+def test_it_is_that_of_the_whole_information_matrix_put_together_look_by_look(env, gain, steps):
+    """Brute force: pose and all landmarks in every step, by inverses; some looks see nothing, some landmark never."""
+    knowledge, sensor, rng = knowledge_of(env.slam), sensor_of(env, farthest=25.0, most=4), np.random.default_rng(1)
+    turns = rotations.exp(np.stack([np.zeros(4), [-1.5, 0.0, 0.7, 3.1], np.zeros(4)], axis=1))
+    cameras = CameraPoses(
+        env.slam.pose.position + rng.normal(0.0, 1.0, (4, steps, 3)),
+        here(env.slam).R_wc @ turns[:, None].repeat(steps, 1),
+    )
+    looks = sensor.information(knowledge.points, cameras)
+    looks[1, : steps - 1] = 0.0
+    Q = motion_noise(rng.normal(0.0, 1.0, (steps, 3)), 0.02, 0.004)
+    size, J = 6 + 3 * len(knowledge.points), whole_jacobians(knowledge)
+    seen = looks.any(axis=(3, 4))
+    assert 0 < seen.any(axis=(0, 1)).sum() < len(knowledge.points)
+
+    def logdet(sequence):
+        covariance = knowledge.covariance
+        for k in range(steps):
+            covariance = covariance + np.pad(Q[k], (0, size - 6))
+            information = np.linalg.inv(covariance) + np.einsum("nia,nij,njb->ab", J, sequence[k], J)
+            covariance = np.linalg.inv(information)
+        return np.linalg.slogdet(covariance[:6, :6] if gain == "pose" else covariance)[1]
+
+    expected = [0.5 * (logdet(0.0 * sequence) - logdet(sequence)) for sequence in looks]
+    assert max(expected) > 0.1
+    np.testing.assert_allclose(expected_gain(knowledge, looks, Q, gain), expected, rtol=1e-6, atol=1e-7)

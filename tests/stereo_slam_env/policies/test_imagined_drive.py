@@ -6,7 +6,8 @@ import pytest
 
 import stereo_slam_env  # noqa: F401
 from filters.geometry import rotations
-from stereo_slam_env.policies.foresight import planned_bodies, seen_from, turning_head
+from stereo_slam_env.policies.foresight import CameraPoses, planned_bodies, seen_from, straight_ahead, turning_head
+from stereo_slam_env.world.routes import named_route
 from stereo_slam_env.world.vehicle import Head
 
 
@@ -18,9 +19,10 @@ def test_without_perturbations_the_camera_gets_where_it_was_imagined(before, ste
     core = env.unwrapped
     for k in range(before):
         env.step(np.array([np.sin(k), np.cos(k)], dtype=np.float32))
-    body = core.head.body_pose(core.frame.truth, core.head_angles)
+    body = straight_ahead(core.head, CameraPoses.of([core.frame.truth]), core.head_angles[None])
+    np.testing.assert_allclose(body.positions[0], core.body.position, atol=1e-9)
     angles = turning_head(core.head, core.head_angles, np.array([[0.0, 0.0], target]), steps)
-    cameras = seen_from(core.head, planned_bodies(body, core.route, before, steps), angles)
+    cameras = seen_from(core.head, planned_bodies(body, [core.route], [before], steps), angles)
     action = (np.array(target) / core.head.max_angles).astype(np.float32)
     for k in range(steps):
         over = env.step(action)[2]
@@ -36,8 +38,12 @@ def test_at_the_end_of_the_route_the_car_stands_still():
     env = gym.make("StereoSlam/Gaze-v0", rig="qvga", route="right-turn")
     route = env.unwrapped.route
     env.reset(seed=0)
-    bodies = planned_bodies(env.unwrapped.frame.truth, route, route.frames + 3, 4)
-    np.testing.assert_array_equal(bodies.positions, np.tile(env.unwrapped.frame.truth.position, (4, 1)))
+    here, other = env.unwrapped.frame.truth, named_route("town")
+    bodies = planned_bodies(CameraPoses.of([here, here]), [route, other], [route.frames + 3, 5], 4)
+    np.testing.assert_array_equal(bodies.positions[0], np.tile(here.position, (4, 1)))
+    one = planned_bodies(CameraPoses.of([here]), [other], [5], 4)
+    np.testing.assert_array_equal(bodies.positions[1], one.positions[0])
+    assert np.linalg.norm(one.positions[0, -1] - here.position) > 1.0
     env.close()
 
 

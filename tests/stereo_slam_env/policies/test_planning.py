@@ -9,7 +9,7 @@ import pytest
 import stereo_slam_env  # noqa: F401
 from stereo_slam_env.policies import available_policies, make_policy
 from stereo_slam_env.policies.foresight import turning_head
-from stereo_slam_env.policies.planning import Greedy, Lookahead, Planner, Preferences, directions
+from stereo_slam_env.policies.planning import Greedy, Lookahead, Planner, Preferences, directions, worths
 
 from .looking import looked_around, with_belief
 
@@ -160,6 +160,24 @@ def test_greedy_without_curiosity_and_effort_looks_where_the_filter_would_learn_
     assert chosen == pytest.approx(targets[np.argmax(worth), 0])
     assert worth.max() > 0.1
     env.close()
+
+
+def test_the_worth_in_many_environments_is_that_in_each_by_itself():
+    """Other routes, maps of other sizes, heads that are turned elsewhere, after other numbers of steps."""
+    envs = [looked_around(steps, route=route) for steps, route in ((25, "straight"), (9, "right-turn"), (0, "town"))]
+    for gain, steps in (("map", 1), ("pose", 16), ("map", 5)):
+        planners = [Planner(env, Preferences(gain, 9, 1, 0.15, 0.05)) for env in envs]
+        for looks, planner in enumerate(planners):
+            for _ in range(looks + 1):
+                planner.look()
+        targets, head = planners[0].targets, planners[0].outlook.head
+        angles = turning_head(head, np.stack([planner.outlook.angles for planner in planners]), targets, steps)
+        together = worths(planners, targets, angles)
+        assert np.ptp(together, axis=1).min() > 0.1
+        for planner, turning, worth in zip(planners, angles, together, strict=True):
+            np.testing.assert_allclose(planner.worth(targets, turning), worth, rtol=1e-12)
+    for env in envs:
+        env.close()
 
 
 @pytest.mark.parametrize("policy", [Greedy(), Lookahead(replan=1)], ids=["greedy", "lookahead"])

@@ -6,6 +6,8 @@ import pytest
 
 from stereo_slam_env.policies import make_policy
 from stereo_slam_env.policies.episode import rng_of_policy
+from stereo_slam_env.policies.interface import look_towards
+from stereo_slam_env.policies.planning import Greedy
 from stereo_slam_env.policies.rows import Oracle, RowOfVector, policy_in_rows, true_figures
 from stereo_slam_env.training.task import GazeTask
 
@@ -32,6 +34,37 @@ def test_a_policy_decides_in_a_row_as_in_the_single_environment(name):
             np.testing.assert_array_equal(action, many[k][b])
             seen = env.step(action)[0]
         env.close()
+
+
+def test_a_policy_that_only_acts_alone_is_asked_row_by_row_and_planners_once():
+    """A stranger's has `reset` and `act` and nothing else; rows whose drive is over are not asked."""
+
+    class Alone:
+        def reset(self, env, rng):
+            self._env, self._pan = env, rng.uniform(-1.0, 1.0)
+
+        def act(self, observation):
+            return look_towards(self._env, np.array([self._pan, 0.0]))
+
+    vector = GazeTask(arguments=QUICK, pans=None, hold=1).make_vector(3)
+    observation, _ = vector.reset(seed=[1, 2, 3])
+    alone = policy_in_rows(vector, Alone, [1, 2, 3])(observation, np.array([True, False, True]))
+    pans = [rng_of_policy(seed).uniform(-1.0, 1.0) for seed in (1, 3)]
+    np.testing.assert_allclose(alone[:, 0] * 2.0, [pans[0], 0.0, pans[1]], atol=1e-6)
+    asked = []
+
+    class Together(Greedy):
+        @staticmethod
+        def act_together(policies, observations):
+            asked.append(len(policies))
+            return Greedy.act_together(policies, observations)
+
+    act = policy_in_rows(vector, Together, [1, 2, 3])
+    act(observation, np.array([True, True, False]))
+    assert asked == [2]
+    act(observation, np.zeros(3, dtype=bool))
+    assert asked == [2]
+    vector.close()
 
 
 def test_a_row_has_what_policies_may_ask_for_and_nothing_else():
