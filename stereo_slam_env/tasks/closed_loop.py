@@ -20,7 +20,7 @@ from stereo_slam_env.tasks.levels import inner_environment
 from stereo_slam_env.wrappers import BeliefObservation, BeliefPanorama, SelectedKeys
 from stereo_slam_env.wrappers.filter_rows import FilterRows
 from stereo_slam_env.wrappers.recorded_wrapper import RowWrapper
-from stereo_slam_env.wrappers.vectors import vector_of
+from stereo_slam_env.wrappers.vectors import STEERING, vector_of
 
 KEYS = ("belief_sigmas", "car", "odometry", "progress", "route")
 LATENCIES: Mapping[str, int] = MappingProxyType({"easy": 1, "normal": 3, "hard": 4})
@@ -33,20 +33,7 @@ class RouteByEstimateRows(RowsWrapper):
     """What `RouteByEstimate` does, on rows; see there."""
 
     changes = ("_poses", "_nearest", "_progress")
-    training: ClassVar[Mapping[str, Any]] = {
-        "decisions": 393_216,
-        "environments": 64,
-        "rollout": 4096,
-        "minibatch": 512,
-        "learning_rate": 1e-3,
-        "discount": 0.995,
-        "entropy": 0.002,
-        "initial_log_std": -1.2,
-        "initial_bias": [0.3, 0.0],
-        "evaluate_every": 65_536,
-        "validation": 32,
-    }
-    """It begins with a car that drives and hardly swerves: whoever stands, or leaves the lane at once, sees no road."""
+    training: ClassVar[Mapping[str, Any]] = {**STEERING, "decisions": 393_216}
 
     def __init__(self, rows: Rows, latency: int) -> None:
         super().__init__(rows)
