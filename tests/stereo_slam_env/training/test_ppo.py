@@ -223,7 +223,8 @@ def valve(monkeypatch):
 def test_a_task_states_its_settings_and_what_is_given_counts_more(valve):
     assert ppo.settings_for(valve) == PPOSettings(discount=0.5, initial_bias=(0.0, 1e3))
     assert ppo.settings_for(valve, discount=0.9, seed=3) == PPOSettings(discount=0.9, initial_bias=(0.0, 1e3), seed=3)
-    assert ppo.settings_for(RegisteredTask("StereoSlam/Drive-v0")) == PPOSettings(discount=0.999)
+    assert ppo.settings_for(RegisteredTask("StereoSlam/DriveGaze-v0")) == PPOSettings(discount=0.999)
+    assert RegisteredTask("StereoSlam/Drive-v0").arguments == {"keys": ["car", "progress", "route"]}
     assert ppo.settings_for(GazeTask()) == PPOSettings()
     assert RegisteredTask("Valve-v0").arguments == {"weight": 2.0}
     assert RegisteredTask("Valve-v0", {"weight": 5.0}).arguments == {"weight": 5.0}
