@@ -46,7 +46,7 @@ class Outlook:
     def __init__(self, env: gym.Env[Any, Any]) -> None:
         self._env = env
         self.head: Head = require_head(env)
-        if not env.has_wrapper_attr("slam"):
+        if not env.has_wrapper_attr("beliefs"):
             raise ValueError(
                 "the policy plans on the belief of a filter and there is none: "
                 "wrap the environment in stereo_slam_env.wrappers.BeliefObservation"
