@@ -139,7 +139,7 @@ def episodes(name: str, choose: Choice, count: int, first: int = SEED, **options
             actions = Oracle(vector.unwrapped.rows, depth=2).act(going)
         for b in () if choose is oracle else np.flatnonzero(going).tolist():
             actions[b] = choose({key: values[b] for key, values in observation.items()}, step, rngs[b], entries)
-        observation, rewards, terminated, truncated, info = vector.step(actions)
+        observation, rewards, terminated, truncated, info = vector.advance(actions, going)
         returns += np.where(going, rewards, 0.0)
         best, steps, step = np.maximum(best, returns), steps + going, step + 1
         success[going] = info["is_success"][going]

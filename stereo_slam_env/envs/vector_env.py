@@ -91,6 +91,17 @@ class RowsVectorEnv(gym.vector.VectorEnv[Arrays, NDArray[Any], NDArray[Any]], Ke
         info["_final_info"] = ended
         return observation, rewards, terminated, truncated, info
 
+    def advance(
+        self, actions: NDArray[Any], going: BoolArray
+    ) -> tuple[Arrays, FloatArray, BoolArray, BoolArray, Arrays]:
+        """Step those environments (num_envs,) that are `going`; the others stay as they are, and none is reset."""
+        if np.shape(going) != (self.num_envs,) or np.asarray(going).dtype != np.bool_:
+            raise ValueError(f"going must be ({self.num_envs},) bool, got {going!r}")
+        rewards, terminated, truncated = self.rows.advance(self._command(actions), going & ~self._over)
+        self._over |= terminated | truncated
+        observation, info = self._look()
+        return observation, rewards, terminated, truncated, info
+
     def render(self) -> Sequence[NDArray[np.uint8]] | None:  # type: ignore[override]
         """Pictures of the environments, (H, W, 3) uint8 each, which are drawn when they are asked for one by one.
 

@@ -123,7 +123,7 @@ def true_figures(vector: RowsVectorEnv, begin: Callable[[Any], Actions], seeds: 
     going, figures = np.ones(count, dtype=np.bool_), np.zeros((count, 6))
     squares, returns, steps = np.zeros(count), np.zeros(count), np.zeros(count)
     while going.any():
-        observation, rewards, terminated, truncated, info = vector.step(act(observation, going))
+        observation, rewards, terminated, truncated, info = vector.advance(act(observation, going), going)
         offsets = beliefs.poses[:, :3] - info["truth_position"]
         errors = np.linalg.norm(offsets, axis=1)
         squares, steps, returns = squares + going * errors**2, steps + going, returns + np.where(going, rewards, 0.0)

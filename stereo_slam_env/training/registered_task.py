@@ -13,6 +13,7 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 
 from filters.geometry.arrays import FloatArray
+from stereo_slam_env.envs.vector_env import RowsVectorEnv
 from stereo_slam_env.policies.network import Network
 from stereo_slam_env.policies.scores import REFERENCE_RETURNS, normalised_score
 
@@ -103,7 +104,10 @@ class RegisteredTask:
             while going.any():
                 if network is not None:
                     actions[...] = network.actions(observation).reshape(actions.shape)
-                observation, rewards, terminated, truncated, info = vector.step(actions)
+                if isinstance(vector, RowsVectorEnv):  # whose episodes are over wait
+                    observation, rewards, terminated, truncated, info = vector.advance(actions, going)
+                else:
+                    observation, rewards, terminated, truncated, info = vector.step(actions)
                 returns, steps = returns + np.where(going, rewards, 0.0), steps + going
                 told = info.get("is_success", np.full(len(seeds), np.nan))
                 success[going] = np.asarray(told, dtype=np.float64)[going]

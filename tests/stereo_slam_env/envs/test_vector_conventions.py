@@ -153,6 +153,24 @@ def test_only_those_of_the_mask_are_reset(name):
 
 
 @every_id
+def test_some_are_stepped_while_the_others_wait(name):
+    vector, waiting = vector_of(name, 3), np.array([True, False, True])
+    vector.reset(seed=1)
+    for actions in actions_of(name)[:EPISODE]:
+        some = vector.advance(actions, waiting)
+    *_, all_of_them = run(vector_of(name, 3), name, EPISODE)
+    for key, value in some[0].items():
+        np.testing.assert_array_equal(value[[0, 2]], all_of_them[0][key][[0, 2]])
+    assert some[1][1] == 0.0
+    assert some[3].tolist() == [True, False, True]
+    beyond = vector.advance(actions_of(name)[EPISODE], np.ones(3, dtype=bool))
+    assert beyond[4]["time"].tolist() == pytest.approx([0.1 * EPISODE, 0.1, 0.1 * EPISODE])
+    with pytest.raises(ValueError, match=r"going must be \(3,\) bool, got \[1, 0\]"):
+        vector.advance(actions, [1, 0])
+    vector.close()
+
+
+@every_id
 def test_the_same_seeds_give_the_same_bits(name):
     expected = run(vector_of(name), name, EPISODE + 3, seed=4)
     assert_equal(expected, run(vector_of(name), name, EPISODE + 3, seed=[4, 5]))
