@@ -6,7 +6,8 @@
 
 Mean with its standard error and score (see `policies.scores`), interquartile mean with its 95 % bootstrap interval,
 standard deviation over the scenes, share of successes, decisions, and how many of all episodes are made in a second of
-one core, with all that an episode needs. All episodes of an agent are rows of one vector.
+one core, with all that an episode needs. All episodes of an agent are rows of one vector. Success in hindsight is a
+return above 0.
 `ActiveGaze-v0` is scored by the truth: `benchmarks/active_policies.py`.
 """
 

@@ -106,16 +106,17 @@ def _task(environment: str, arguments: dict[str, Any], looks: dict[str, Any]) ->
     """What is learnt in an environment."""
     import gymnasium as gym
 
-    from stereo_slam_env.tasks.levels import of_level
+    from filters.contract.known_names import require_known
+    from stereo_slam_env.tasks.active_gaze import gaze_task
     from stereo_slam_env.training.registered_task import RegisteredTask
     from stereo_slam_env.training.task import GazeTask
 
     if environment == "StereoSlam/Gaze-v0":
         return GazeTask(environment, arguments, **looks)
     if environment in GAZE:
-        level = gym.spec(environment).kwargs.get("level", "normal")
-        inside = {**of_level(level, scripted=True), **arguments.get("arguments", {})}
-        return GazeTask(**{**arguments, **looks, "arguments": inside})
+        known = ["level", *(each.name for each in dataclasses.fields(GazeTask))]
+        require_known(f"--arguments: {environment} has no argument", arguments, known)
+        return gaze_task(**{**gym.spec(environment).kwargs, **arguments, **looks})
     if looks:
         name = next(iter(looks))
         raise ValueError(

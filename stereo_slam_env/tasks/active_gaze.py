@@ -46,9 +46,16 @@ def active_gaze(
     TypeError
         There is no argument of that name.
     """
-    inside = {**of_level(level, scripted=True), **(arguments or {}), "render_mode": render_mode}
-    gaze = GazeTask(arguments=inside, **task)
+    gaze = gaze_task(level, {**(arguments or {}), "render_mode": render_mode}, **task)
     return gaze.make_for_learning() if many is None else gaze.make_rows(**many)
+
+
+def gaze_task(level: str = "normal", arguments: Mapping[str, Any] | None = None, **task: Any) -> GazeTask:
+    """The task of `active_gaze`; a `ValueError` where `arguments` are no mapping."""
+    given = {} if arguments is None else arguments
+    if not isinstance(given, Mapping):
+        raise ValueError(f"arguments must be a mapping of arguments of the environment, got {given!r}")
+    return GazeTask(arguments={**of_level(level, scripted=True), **given}, **task)
 
 
 active_gaze_vector = vector_of(active_gaze)

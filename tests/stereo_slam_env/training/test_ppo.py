@@ -163,6 +163,21 @@ def test_where_to_look_is_learnt_at_the_level_of_the_id(tmp_path, monkeypatch):
     assert (task["reward"], task["arguments"]["sigma"]) == ("error", 1.25)
 
 
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ('{"arguments": 5}', "arguments must be a mapping of arguments of the environment, got 5"),
+        ('{"holds": 3}', "ActiveGaze-hard-v0 has no argument 'holds', did you mean 'hold'?"),
+        ('{"level": "hrad"}', "level must be "),
+    ],
+)
+def test_arguments_of_where_to_look_that_there_are_not_get_one_line(tmp_path, capsys, arguments, said):
+    command = ["train", "--environment", "StereoSlam/ActiveGaze-hard-v0", "--arguments", arguments]
+    assert cli.main([*command, "--out", str(tmp_path)]) == 2
+    assert said in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_module_before_the_id_is_imported_where_it_is_typed_and_nowhere_else(tmp_path, monkeypatch, capsys):
     (tmp_path / "strange_tasks.py").write_text("from pathlib import Path\nPath(__file__).with_name('mark').touch()\n")
     monkeypatch.syspath_prepend(str(tmp_path))
