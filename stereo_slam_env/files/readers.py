@@ -6,6 +6,7 @@ a megabyte of zeros. Here sizes are compared first: that of the archive, of its 
 
 from __future__ import annotations
 
+import codecs
 import io
 import json
 import os
@@ -57,7 +58,9 @@ class DamagedArchive(ValueError):
 
 
 def read_text(path: Path, *, errors: str = "strict", most_bytes: int = MOST_TEXT, inside: Path | None = None) -> str:
-    """Read a text file in UTF-8; `errors` as `str.decode` has it, the others as of `open_regular`.
+    """Read a text file in UTF-8, or in UTF-16 behind its mark, with the line ends of any file.
+
+    `errors` as `str.decode` has it, the others as of `open_regular`.
 
     Raises
     ------
@@ -67,8 +70,9 @@ def read_text(path: Path, *, errors: str = "strict", most_bytes: int = MOST_TEXT
         No regular file, too large, not readable, or no text: one line.
     """
     content = read_bytes(path, most_bytes=most_bytes, inside=inside)
+    encoding = "utf-16" if content[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE) else "utf-8-sig"
     try:
-        return io.TextIOWrapper(io.BytesIO(content), encoding="utf-8", errors=errors).read()  # line ends as of any file
+        return io.TextIOWrapper(io.BytesIO(content), encoding=encoding, errors=errors).read()
     except UnicodeDecodeError as error:
         raise ValueError(f"{path} is no text in UTF-8 (byte {error.start}): save it as such") from error
 

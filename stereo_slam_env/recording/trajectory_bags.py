@@ -5,7 +5,7 @@ A topic of transforms is asked for with the two frames, as evo has it: `FILE:/tf
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -14,22 +14,30 @@ import numpy as np
 
 from filters.contract.extras import require_module
 from filters.contract.foreign_text import first_line, plain
-from filters.geometry.arrays import FloatArray
+from filters.geometry.arrays import IntArray
 from filters.motions.model import POSE_SIZE
 from stereo_slam_env.files.opening import require_regular
+from stereo_slam_env.recording.times import message_times, require_rate
 from stereo_slam_env.recording.trajectory import Trajectory
-from stereo_slam_env.recording.trajectory_layouts import claim_of_ros
+from stereo_slam_env.recording.trajectory_rows import assembled
 from stereo_slam_env.recording.trajectory_transforms import Link, links_of, listed, poses_between
 
 _ENDINGS = (".bag", ".db3", ".mcap")
-_TYPES = {
-    "geometry_msgs/msg/PoseStamped": False,
-    "geometry_msgs/msg/PoseWithCovarianceStamped": True,
-    "nav_msgs/msg/Odometry": True,
+_Parts = tuple[Any, Any, Any]
+"""Position, orientation, and 36 covariances or None, of a message."""
+_TYPES: Mapping[str, Callable[[Any], _Parts]] = {
+    "geometry_msgs/msg/PoseStamped": lambda m: (m.pose.position, m.pose.orientation, None),
+    "geometry_msgs/msg/PoseWithCovarianceStamped": lambda m: (m.pose.pose.position, *_turn_and_doubt(m.pose)),
+    "nav_msgs/msg/Odometry": lambda m: (m.pose.pose.position, *_turn_and_doubt(m.pose)),
+    "geometry_msgs/msg/TransformStamped": lambda m: (m.transform.translation, m.transform.rotation, None),
 }
-"""Messages that hold a pose; whether a covariance stands beside it."""
+"""Messages that hold one pose."""
+_PATH = "nav_msgs/msg/Path"
+"""A message that holds a whole path: the last one of a topic counts."""
 _TRANSFORMS = "tf2_msgs/msg/TFMessage"
 _STATIC = "tf_static"
+_SHOWN = 12
+"""Other topics that a message lists."""
 
 
 def bag_and_topic(path: str | Path) -> tuple[Path, str | None] | None:
@@ -59,30 +67,58 @@ def read_bag(path: Path, topic: str | None) -> Trajectory:
         types = {c.topic: c.msgtype for c in reader.connections}
         name, _, pair = (topic or "").partition(":")
         asked = [c for c in types if topic and c.strip("/") == name.strip("/")]
-        moving = transforms_of(reader) if pair or _TRANSFORMS in types.values() else {}
         if pair or [types[c] for c in asked] == [_TRANSFORMS]:
-            return _of_transforms(path, name, pair, moving)
-        with_poses = sorted(c for c, kind in types.items() if kind in _TYPES)
-        offered = ", ".join(map(plain, with_poses)) or "none"
-        offered += f"; transforms as /tf:PARENT.CHILD: {listed(moving)}" if moving else ""
+            return _of_transforms(path, name, pair, transforms_of(reader))
+        with_poses = sorted(c for c, kind in types.items() if kind in _TYPES or kind == _PATH)
         alike = [c for c in (asked if topic else with_poses) if c in with_poses]
         if len(alike) != 1:
             said = "poses on several topics" if alike else f"no poses on {topic}" if topic else "no topic of poses"
-            raise ValueError(f"{path} has {said}: ask for one by {path}:TOPIC (topics with poses: {offered})")
+            raise ValueError(f"{path} has {said}: ask for one by {path}:TOPIC ({_offered(reader, types, with_poses)})")
         (wanted,) = alike
-        rows, doubts = _rows(reader, wanted)
-    if not rows:
-        raise ValueError(f"{path} has no message on {wanted}: ask for another topic ({offered})")
-    table = np.array(rows)
-    order = np.argsort(table[:, 0], kind="stable")
-    kept = order[np.concatenate([[True], np.diff(table[order, 0]) > 0])]
-    claim: dict[str, Any] = {}
-    if _TYPES[types[wanted]]:
-        claim = claim_of_ros(table[kept, 4:8], np.array(doubts).reshape(-1, POSE_SIZE, POSE_SIZE)[kept])
-    notes = [*claim.pop("notes", [])]
-    if repeated := len(table) - len(kept):
-        notes.append(f"{repeated} of {len(table)} messages repeat the time of the one before: the first counts")
-    return _trajectory(path, wanted, table[kept], notes=tuple(notes), **claim)
+        logged, messages = _messages(reader, wanted)
+    if not messages:
+        raise ValueError(f"{path} has no message on {plain(wanted)}: ask for another topic")
+    if types[wanted] == _PATH:
+        messages = messages[-1].poses
+        logged = np.zeros(len(messages), dtype=np.int64)
+        parts = [_TYPES["geometry_msgs/msg/PoseStamped"](message) for message in messages]
+    else:
+        parts = [_TYPES[types[wanted]](message) for message in messages]
+    if not parts:
+        raise ValueError(f"{path}, {plain(wanted)}: its last path is empty: ask for another topic")
+    stamps = np.array([m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in messages], dtype=np.int64)
+    times, kept, notes = message_times(stamps, logged)
+    order = np.flatnonzero(kept)[np.argsort(times[kept], kind="stable")]
+    positions = np.array([[p.x, p.y, p.z] for p, _, _ in parts], dtype=np.float64)[order]
+    orientations = np.array([[q.x, q.y, q.z, q.w] for _, q, _ in parts], dtype=np.float64)[order]
+    covariances = None
+    if parts[0][2] is not None:
+        covariances = np.array([doubt for _, _, doubt in parts], dtype=np.float64)[order]
+        covariances = covariances.reshape(-1, POSE_SIZE, POSE_SIZE)
+    seconds = np.asarray(1e-9 * times[order], dtype=np.float64)
+    require_rate(seconds, f"{path}, {plain(wanted)}")
+    return assembled(
+        f"{path}, {plain(wanted)}",
+        positions,
+        orientations,
+        by_ros=True,
+        timestamps=seconds,
+        covariances=covariances,
+        name=f"{path.stem}:{plain(wanted)}",
+        gauge=None,
+        notes=notes,
+    )
+
+
+def _offered(reader: Any, types: Mapping[str, str], with_poses: Sequence[str]) -> str:
+    """Topics that could be asked for, and all others with their types."""
+    offered = "topics with poses: " + (", ".join(map(plain, with_poses)) or "none")
+    if _TRANSFORMS in types.values():
+        offered += f"; transforms as /tf:PARENT.CHILD: {listed(transforms_of(reader))}"
+    others = [f"{plain(c)} ({plain(kind)})" for c, kind in sorted(types.items()) if c not in with_poses]
+    return offered + (
+        f"; others: {', '.join(others[:_SHOWN])}" + (", ..." if others[_SHOWN:] else "") if others else ""
+    )
 
 
 def _of_transforms(path: Path, topic: str, pair: str, links: dict[str, Link]) -> Trajectory:
@@ -91,15 +127,10 @@ def _of_transforms(path: Path, topic: str, pair: str, links: dict[str, Link]) ->
         table = poses_between(links, pair)
     except ValueError as error:
         raise ValueError(f"{path}, {topic}: {error}") from error
-    return _trajectory(path, pair, table)
-
-
-def _trajectory(path: Path, what: str, table: FloatArray, **about: Any) -> Trajectory:
-    name = f"{path.stem}:{plain(what)}"
-    try:
-        return Trajectory(table[:, 1:4], table[:, 4:8], table[:, 0], name=name, gauge=None, **about)
-    except ValueError as error:
-        raise ValueError(f"{path}, {what}: {error}") from error
+    what = f"{path}, {plain(pair)}"
+    require_rate(table[:, 0], what)
+    name = f"{path.stem}:{plain(pair)}"
+    return assembled(what, table[:, 1:4], table[:, 4:8], timestamps=table[:, 0], name=name, gauge=None)
 
 
 @contextmanager
@@ -123,18 +154,17 @@ def opened_bag(path: Path) -> Iterator[Any]:
         ) from error
 
 
-def _rows(reader: Any, topic: str) -> tuple[list[list[float]], list[Any]]:
-    """Time and pose of each message, and its covariance where there is one."""
-    rows, doubts = [], []
-    for connection, _, raw in reader.messages([c for c in reader.connections if c.topic == topic]):
-        message = reader.deserialize(raw, connection.msgtype)
-        stamp, pose = message.header.stamp, message.pose
-        if _TYPES[connection.msgtype]:
-            doubts.append(pose.covariance)
-            pose = pose.pose
-        p, q = pose.position, pose.orientation
-        rows.append([stamp.sec + 1e-9 * stamp.nanosec, p.x, p.y, p.z, q.x, q.y, q.z, q.w])
-    return rows, doubts
+def _turn_and_doubt(pose: Any) -> tuple[Any, Any]:
+    return pose.pose.orientation, pose.covariance
+
+
+def _messages(reader: Any, topic: str) -> tuple[IntArray, list[Any]]:
+    """Times of the log (K,), ns, and the messages of a topic, in the order of the log."""
+    logged, messages = [], []
+    for connection, at, raw in reader.messages([c for c in reader.connections if c.topic == topic]):
+        logged.append(at)
+        messages.append(reader.deserialize(raw, connection.msgtype))
+    return np.array(logged, dtype=np.int64), messages
 
 
 def transforms_of(reader: Any) -> dict[str, Link]:

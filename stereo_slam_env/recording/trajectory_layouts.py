@@ -14,11 +14,12 @@ from typing import Any
 
 import numpy as np
 
-from filters.geometry import rotations
 from filters.geometry.arrays import BoolArray, FloatArray
 from filters.motions.model import POSE_SIZE, POSITION, ROTATION
 from stereo_slam_env.files.readers import parse_table, require_rotations, split_poses
-from stereo_slam_env.recording.trajectory import Tangent, Trajectory, transformed
+from stereo_slam_env.recording.times import seconds_of
+from stereo_slam_env.recording.trajectory import Tangent, Trajectory
+from stereo_slam_env.recording.trajectory_rows import about_fixed_axes, assembled
 
 _LOWER = [(i, j) for i in range(POSE_SIZE) for j in range(i + 1)]
 _POSE = ["t", "tx", "ty", "tz", "qx", "qy", "qz", "qw"]
@@ -30,18 +31,23 @@ SQUARE_COLUMNS = [*_POSE, *(f"square{i}{j}" for i, j in _LOWER)]
 UNNAMED: Mapping[int, Sequence[str]] = {
     7: _POSE[1:],
     8: _POSE,
+    11: ["t", "tx", "ty", "tz", "qw", "qx", "qy", "qz", "vx", "vy", "vz"],
     12: _MATRIX,
     13: ["number", *_MATRIX],
     17: ["t", "tx", "ty", "tz", "qw", "qx", "qy", "qz", *(f"other{i}" for i in range(9))],
     20: [*_POSE, *_BLOCKS],
     44: [*_POSE, *(f"covariance{i}" for i in range(36))],
 }
-"""What the columns are of a file that does not say it, by their number: poses alone, TUM, KITTI, KITTI with the frame
-number or the time in front, EuRoC, OpenVINS, ROS poses with their 36 covariances."""
+"""What the columns are of a file that does not say it, by their number: poses alone, TUM, VINS, KITTI,
+KITTI with the frame number or the time in front, EuRoC, OpenVINS, ROS poses with their 36 covariances."""
+_BOTTOM = ["bottom0", "bottom1", "bottom2", "bottom3"]
+_SQUARE_MATRIX = {16: [*_MATRIX, *_BOTTOM], 17: ["number", *_MATRIX, *_BOTTOM]}
+"""Likewise, of rows that end in 0 0 0 1: the 4x4 matrices of KITTI-360, with the frame number or without."""
 
 KNOWN = (
-    "8 numbers a row (TUM), 12 (KITTI), 13 (frame number and KITTI), 17 (EuRoC), 20 (OpenVINS), 7 (x y z qx qy qz qw), "
-    "44 (TUM and the 36 covariances of ROS), 29 under a header of SQUARE, or named columns"
+    "8 numbers a row (TUM), 12 (KITTI), 13 (frame number and KITTI), 16 or 17 (KITTI-360), 17 (EuRoC), 20 (OpenVINS), "
+    "11 (VINS), 7 (x y z qx qy qz qw), 44 (TUM and the 36 covariances of ROS), 29 under a header of "
+    "SQUARE, or named columns"
 )
 """The layouts, in words."""
 
@@ -56,9 +62,8 @@ _NAMES = {
     **{f"covariance{i}": rf"(?!.*twist).*cov(ariance)?[._\[]?{i}\]?" for i in range(36)},
 }
 """Names that columns are known by, as patterns, in small letters and without units."""
-_UNITS = {"ns": 1e-9, "us": 1e-6, "µs": 1e-6, "ms": 1e-3, "s": 1.0, "sec": 1.0}
-_BY_SIZE = ((1e17, 1e-9, "nanoseconds"), (1e14, 1e-6, "microseconds"), (1e11, 1e-3, "milliseconds"))
-"""Times since 1970 from so many on are in that unit: in the next larger one they would be 3000 years away or more."""
+_MOST_FRAMES = 1e8
+"""Larger numbers in front of a pose are times."""
 _ERRORS: Mapping[str, tuple[Tangent, bool]] = {
     "type1": ("position-rotation", False),
     "type5": ("position-rotation", False),
@@ -78,8 +83,8 @@ class Columns:
     """(K,) each, by the names of `UNNAMED`."""
     words: Mapping[str, str]
     """Text of the first row, by the name of its column."""
-    seconds: float | None
-    """Unit of the times, s, where the file says it."""
+    unit: str
+    """Unit of the times, as the file says it; empty where it does not."""
 
     def block(self, kind: str, rows: int, columns: int) -> FloatArray:
         """(K, rows, columns) of the values whose names are the kind and a position."""
@@ -115,16 +120,18 @@ def split_columns(path: Path, text: str, names: Sequence[str] | None = None) -> 
         if not any(map(_is_number, cells)):
             raise ValueError(f"{path} is no trajectory: its first row is {lines[first][:60]!r}, not {KNOWN}")
         usual = names or UNNAMED.get(len(cells))
+        if names is None and cells[-4:] and _ends_in_0001(cells):
+            usual = _SQUARE_MATRIX.get(len(cells), usual)
         if usual is None:
             raise ValueError(f"{path} has {len(cells)} columns{_asked(len(cells))}")
         if len(usual) != len(cells):
             raise ValueError(f"{path} has {len(cells)} columns where its header has {len(usual)}")
         known = {name: i for i, name in enumerate(usual)}
     only = list(known.values())
-    table = parse_table(path, "\n".join(lines[above:]), len(only), delimiter=delimiter, only=only)
+    table = parse_table(path, "\n".join(lines[above:]), len(only), delimiter=delimiter, only=only, finite=False)
     words = {name: cell for (name, _), cell in zip(named, cells, strict=False) if not _is_number(cell)}
     unit = named[known["t"]][1] if named and "t" in known else ""
-    return Columns(path, dict(zip(known, table.T, strict=True)), words, _UNITS.get(unit))
+    return Columns(path, dict(zip(known, table.T, strict=True)), words, unit)
 
 
 def trajectory_of(columns: Columns, about: Mapping[str, Any]) -> Trajectory:
@@ -135,106 +142,54 @@ def trajectory_of(columns: Columns, about: Mapping[str, Any]) -> Trajectory:
     ValueError
         The numbers are no trajectory: one line that names the file.
     """
-    values, path, notes = columns.values, columns.path, []
+    values, path = columns.values, columns.path
+    notes: list[str] = []
     if "m00" in values:
         matrices = columns.block("m", 3, 4)
-        require_rotations(path, matrices)
-        positions, orientations = split_poses(matrices)
+        data: BoolArray = np.asarray(np.isfinite(matrices).all(axis=(1, 2)))
+        require_rotations(path, matrices[data])
+        positions, orientations = np.full((len(data), 3), np.nan), np.zeros((len(data), 4))
+        positions[data], orientations[data] = split_poses(matrices[data])
     else:
         positions = np.stack([values[f"t{a}"] for a in "xyz"], axis=1)
         orientations = np.stack([values[f"q{a}"] for a in "xyzw"], axis=1)
     times, numbers = values.get("t"), values.get("number")
-    if numbers is not None and (numbers != np.round(numbers)).any():
+    if numbers is not None and ((numbers != np.round(numbers)).any() or np.abs(numbers).max() >= _MOST_FRAMES):
         times, numbers = numbers, None  # 13 columns with the time in front
     if times is not None:
-        scale, note = _seconds(columns.seconds, times)
-        times = times * scale
-        notes += note
-    covariances, how = _covariances(columns)
+        times, notes = seconds_of(times, str(path), columns.unit)
+    covariances, how = _covariances(columns, orientations)
     notes += how.pop("notes", [])
-    kept = np.ones(len(positions), dtype=bool)
-    for along, what in ((times, "time"), (numbers, "frame number")):
-        if along is not None:
-            kept = _first_of_each(along)
-            if repeated := int(np.count_nonzero(~kept)):
-                notes.append(f"{repeated} of {len(kept)} rows repeat the {what} of the row before: the first counts")
-            break
-    parts = {
-        "timestamps": times,
-        "covariances": covariances,
-        "tracks": values.get("tracks"),
+    about = {
+        **{"timestamps": times, "covariances": covariances, "tracks": values.get("tracks")},
         "frame_numbers": None if times is not None or numbers is None else numbers.astype(np.int64),
+        **how,
+        **about,
     }
-    parts = {name: None if part is None else part[kept] for name, part in parts.items()}
-    try:
-        return Trajectory(positions[kept], orientations[kept], **{**parts, **how, **about, "notes": tuple(notes)})
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
+    return assembled(str(path), positions, orientations, **about, notes=notes)
 
 
-def about_fixed_axes(orientations: FloatArray, covariances: FloatArray) -> FloatArray:
-    """Covariances (K, 6, 6) whose rotation is about the axes of the world, as ROS has it, for that in the body."""
-    J = np.tile(np.eye(POSE_SIZE), (len(orientations), 1, 1))
-    J[:, ROTATION, ROTATION] = rotations.matrix(orientations).swapaxes(-1, -2)
-    return transformed(J, covariances)
-
-
-def claim_of_ros(orientations: FloatArray, covariances: FloatArray) -> dict[str, Any]:
-    """What 36 covariances of ROS (K, 6, 6) claim: `covariances`, `plane` and `notes` of the trajectory.
-
-    All zero, or negative in front, they are not known. Those of a robot in the plane are zero, or too large to say
-    anything, for z, roll and pitch: what is claimed is x, y and yaw, and the others are given the size of these.
-    """
-    if not covariances.any():
-        return {"notes": ["its covariances are all zero, which says that they are not known"]}
-    if (covariances[:, 0, 0] < 0).all():
-        return {"notes": ["its covariances are marked as not known (-1)"]}
-    variances = np.abs(np.diagonal(covariances, axis1=1, axis2=2))
-    unknown = (variances == 0.0).all(axis=0) | (variances >= _SAYS_NOTHING).all(axis=0)
-    axes = [axis for axis, is_unknown in zip(_AXES, unknown.tolist(), strict=True) if is_unknown]
-    if not axes:
-        return {"covariances": about_fixed_axes(orientations, covariances)}
-    words = f"its covariances are zero, or too large to say anything, for {', '.join(axes)}"
-    if tuple(axes) != _AXES[2:5]:
-        return {"notes": [f"{words}, so there is none of a pose: not judged"]}
-    filled = np.zeros_like(covariances)
-    filled[:, _IN_PLANE[:, None], _IN_PLANE] = covariances[:, _IN_PLANE[:, None], _IN_PLANE]
-    filled[:, 2, 2] = 0.5 * (variances[:, 0] + variances[:, 1])
-    filled[:, 3, 3] = filled[:, 4, 4] = variances[:, 5]
-    return {
-        "covariances": about_fixed_axes(orientations, filled),
-        "plane": np.eye(3),
-        "notes": [f"{words}: it is judged in the plane, by x, y and yaw"],
-    }
-
-
-def _covariances(columns: Columns) -> tuple[FloatArray | None, dict[str, Any]]:
-    """Covariances (K, 6, 6) of the columns, and what they are of; position part first."""
+def _covariances(columns: Columns, orientations: FloatArray) -> tuple[FloatArray | None, dict[str, Any]]:
+    """Covariances (K, 6, 6) of the columns, position part first, and what they are of."""
     values = columns.values
     count = len(next(iter(values.values())))
-    found = np.zeros((count, POSE_SIZE, POSE_SIZE))
+    covariances = np.zeros((count, POSE_SIZE, POSE_SIZE))
     if "square00" in values:
         for i, j in _LOWER:
-            found[:, i, j] = found[:, j, i] = values[f"square{i}{j}"]
-        return found, {}
-    if "qx" not in values:
-        return None, {}
-    orientations = np.stack([values[f"q{a}"] for a in "xyzw"], axis=1)
+            covariances[:, i, j] = covariances[:, j, i] = values[f"square{i}{j}"]
+        return covariances, {}
     if all(f"covariance{i}" in values for i in range(36)):
-        found = np.stack([values[f"covariance{i}"] for i in range(36)], axis=1).reshape(-1, POSE_SIZE, POSE_SIZE)
-        claim = claim_of_ros(orientations, found)
-        if "covariances" in claim:
-            claim["notes"] = [
-                "its covariances are read as those of ROS poses: the rotation about the axes of the world",
-                *claim.get("notes", []),
-            ]
-        return claim.pop("covariances", None), claim
+        covariances = np.stack([values[f"covariance{i}"] for i in range(36)], axis=1)
+        return covariances.reshape(-1, POSE_SIZE, POSE_SIZE), {
+            "by_ros": True,
+            "notes": ["its covariances are read as those of ROS poses: the rotation about the axes of the world"],
+        }
     if not all(name in values for name in _BLOCKS):
         return None, {}
     for part, kind in ((POSITION, "Pt"), (ROTATION, "Pr")):
         for i in (1, 2, 3):
             for j in range(i, 4):
-                block = found[:, part, part]
+                block = covariances[:, part, part]
                 block[:, i - 1, j - 1] = block[:, j - 1, i - 1] = values[f"{kind}{i}{j}"]
     error = columns.words.get("est_err_type", "type5")
     if error not in _ERRORS or columns.words.get("err_representation", "theta_so3") not in _REPRESENTATIONS:
@@ -244,30 +199,10 @@ def _covariances(columns: Columns) -> tuple[FloatArray | None, dict[str, Any]]:
             f"give one of {', '.join(_ERRORS)} with one of {', '.join(_REPRESENTATIONS)}"
         )
     tangent, fixed_axes = _ERRORS[error]
-    return about_fixed_axes(orientations, found) if fixed_axes else found, {"tangent": tangent}
+    return about_fixed_axes(orientations, covariances) if fixed_axes else covariances, {"tangent": tangent}
 
 
-_AXES = ("x", "y", "z", "roll", "pitch", "yaw")
-_IN_PLANE = np.array([0, 1, 5])
-_SAYS_NOTHING = np.array([1e3, 1e3, 1e3, 10.0, 10.0, 10.0])
-"""m^2 and rad^2: variances that are never smaller are written by those who do not estimate an axis."""
 _REPRESENTATIONS = ("theta_R", "theta_q", "theta_so3", "R_small_theta", "q_small_theta", "so3_theta", "none")
-
-
-def _seconds(stated: float | None, times: FloatArray) -> tuple[float, list[str]]:
-    """Unit of times, s: as stated, or by their size."""
-    if stated is not None:
-        return stated, []
-    middle = float(np.median(np.abs(times)))
-    for least, unit, name in _BY_SIZE:
-        if middle >= least:
-            return unit, [f"its times, of the size of {middle:.0e}, are read as {name}"]
-    return 1.0, []
-
-
-def _first_of_each(values: FloatArray) -> BoolArray:
-    """Which of (K,) values are not those of the row before."""
-    return np.concatenate([[True], np.diff(values) != 0])
 
 
 def _asked(count: int) -> str:
@@ -287,6 +222,10 @@ def _known(names: Sequence[str]) -> dict[str, int]:
 
 def _cells(line: str, delimiter: str | None) -> list[str]:
     return [cell.strip() for cell in line.rstrip().rstrip(delimiter).split(delimiter)]
+
+
+def _ends_in_0001(cells: Sequence[str]) -> bool:
+    return all(map(_is_number, cells)) and [float(cell) for cell in cells[-4:]] == [0.0, 0.0, 0.0, 1.0]
 
 
 def _name_and_unit(title: str) -> tuple[str, str]:

@@ -27,6 +27,8 @@ class Link:
     """(K, 8): t, x, y, z, qx, qy, qz, qw; ascending in time, each time once."""
     is_static: bool
     """Whether it holds at all times; then it has one row."""
+    rivals: tuple[str, ...] = ()
+    """All its parents, where there are several: no chain leads over it."""
 
     def at(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Positions (N, 3) and orientations (N, 4) at times (N,), between the rows."""
@@ -40,22 +42,18 @@ class Link:
 def links_of(transforms: Iterable[tuple[str, str, bool, list[float]]]) -> dict[str, Link]:
     """Links by the name of the child, from (parent, child, whether it is static, row of t, p, q) in any order.
 
-    Raises
-    ------
-    ValueError
-        A frame has two parents.
+    A frame with two parents, as a thing that is taken up and put down has, ends the tree above it: it is no chain's.
     """
-    found: dict[str, tuple[str, bool, list[list[float]]]] = {}
+    rows: dict[str, dict[tuple[str, bool], list[list[float]]]] = {}
     for parent, child, is_static, row in transforms:
-        known, _, rows = found.setdefault(child, (parent, is_static, []))
-        if known != parent:
-            raise ValueError(f"frame {plain(child)} has two parents, {plain(known)} and {plain(parent)}: no tree")
-        rows.append(row)
+        rows.setdefault(child, {}).setdefault((parent, is_static), []).append(row)
     links = {}
-    for child, (parent, is_static, rows) in found.items():
-        table = np.array(rows)
+    for child, by_parent in rows.items():
+        parents = sorted({parent for parent, _ in by_parent})
+        (parent, is_static), table_rows = next(iter(by_parent.items()))
+        table = np.array([row for some in by_parent.values() for row in some] if len(parents) == 1 else table_rows)
         table = table[np.unique(table[:, 0], return_index=True)[1]]
-        links[child] = Link(parent, table, is_static)
+        links[child] = Link(parent, table, is_static, tuple(parents[1:] and parents))
     return links
 
 
@@ -80,7 +78,13 @@ def poses_between(links: Mapping[str, Link], pair: str) -> FloatArray:
         None,
     )
     if chain is None:
-        raise ValueError(f"no chain of transforms for {plain(pair)}: ask for PARENT.CHILD ({listed(links)})")
+        forks = [
+            f"{plain(child)} has the parents {' and '.join(map(plain, link.rivals))}"
+            for child, link in links.items()
+            if link.rivals and pair.endswith(f".{child}")
+        ]
+        why = f" ({forks[0]}, which is no tree)" if forks else ""
+        raise ValueError(f"no chain of transforms for {plain(pair)}{why}: ask for PARENT.CHILD ({listed(links)})")
     moving = [link for link in chain if not link.is_static]
     if not moving:
         raise ValueError(f"{plain(pair)} is static: ask for another pair ({listed(links)})")
@@ -107,7 +111,7 @@ def fixed_pose(links: Mapping[str, Link], parent: str, child: str) -> Pose | Non
 def _in_fixed_ancestors(links: Mapping[str, Link], frame: str) -> dict[str, Pose]:
     """Poses of a frame in itself and in the frames above it that it is fixed to."""
     found, name = {frame: Pose()}, frame
-    while name in links and links[name].is_static and links[name].parent not in found:
+    while name in links and not links[name].rivals and links[name].is_static and links[name].parent not in found:
         link = links[name]
         found[link.parent] = Pose(link.rows[-1, 1:4], link.rows[-1, 4:]) @ found[name]
         name = link.parent
@@ -124,7 +128,7 @@ def listed(links: Mapping[str, Link]) -> str:
 def _ancestors(links: Mapping[str, Link], child: str) -> list[str]:
     """Names of the parents of a frame, from its own to the root."""
     names: list[str] = []
-    while child in links and links[child].parent not in names:
+    while child in links and not links[child].rivals and links[child].parent not in names:
         child = links[child].parent
         names.append(child)
     return names

@@ -165,7 +165,7 @@ NOT_JUDGED = {
 """What is said of pairs that tell nothing of a claim."""
 REFUSED = {
     "29 numbers without a header": (square(IN_BODY).replace(SQUARE, ""), T_TUM, "29 columns and no header"),
-    "times a factor of 1e9 apart": (text(tum(ESTIMATE, TIMES_1E9)), T_TUM, "of the estimate seem to be nanoseconds"),
+    "times a factor of 1e9 apart": (text(tum(ESTIMATE, TIMES_1E9)), T_TUM, "as nanoseconds they would be at"),
     "KITTI, rows missing, not numbered": (text(kitti(ESTIMATE)[SOME]), T_KITTI, "must be the same frames, or be num"),
     "bodies named, and others": (
         square(IN_BODY, "BODY_FRAME imu"),

@@ -176,7 +176,7 @@ def test_smfeval_reads_what_is_written(tmp_path, tangent):
         ("", "has no rows: a trajectory has 8"),
         ("0 1 2 3 0 0 0 2\n", "row 0 has length 2"),
         ("1 1 2 3 0 0 0 1\n0 1 2 3 0 0 0 1\n", "timestamps must ascend, row 1"),
-        ("0 1 nan 3 0 0 0 1\n", "NaN or infinity"),
+        ("0 1 nan 3 0 0 0 1\n", "none of its 1 rows holds a pose"),
         ("0 1 2 3 0 0 0 x\n", "not a table of 8 numbers"),
         ("Dear reader,\nthis is a letter\n", "is no trajectory: its first row is 'Dear reader,'"),
         ("#%FORMAT TUM\n0 1 2 3 0 0 0 1\n", "without FORMAT SQUARE"),

@@ -121,7 +121,7 @@ def test_36_covariances_of_ros_are_about_the_axes_of_the_world(tmp_path):
     np.testing.assert_array_equal(bare.covariances, found.covariances)
     nothing = load_trajectory(written(tmp_path / "none.txt", [[*row, *np.zeros(36)] for row in POSES]))
     assert nothing.covariances is None
-    assert "not known" in nothing.notes[0]
+    assert "not known" in nothing.notes[-1]
 
 
 def test_repeated_times_are_left_out_and_counted(tmp_path):
@@ -205,3 +205,45 @@ def test_published_samples_are_read(path, rows, first):
     found = load_trajectory(real_data("field") / path)
     assert len(found) == rows
     assert first is None or found.timestamps[0] == pytest.approx(first, abs=1e-3)
+
+
+def test_rows_that_claim_nothing_are_left_out_and_counted(tmp_path):
+    covariances = np.tile(np.diag([4e-4] * 3 + [9e-6] * 3), (len(POSES), 1, 1))
+    for filler in (9999.0, np.nan, 1e6):
+        doubts = covariances.copy()
+        doubts[1] = filler * np.eye(6)
+        rows = [[*row, *doubt.ravel()] for row, doubt in zip(POSES, doubts, strict=True)]
+        left = load_trajectory(written(tmp_path / "lost.txt", rows))
+        assert len(left) == len(POSES) - 1
+        assert f"1 of {len(POSES)} rows claim nothing" in " ".join(left.notes)
+    lost = POSES.copy()
+    lost[1, 4:] = 0.0
+    assert len(load_trajectory(written(tmp_path / "null.tum", lost))) == len(POSES) - 1
+
+
+def test_a_covariance_that_grows_is_a_claim_however_large(tmp_path):
+    doubts = [scale * np.eye(6) for scale in np.geomspace(400.0, 3000.0, len(POSES))]
+    rows = [[*row, *doubt.ravel()] for row, doubt in zip(POSES, doubts, strict=True)]
+    assert len(load_trajectory(written(tmp_path / "grows.txt", rows))) == len(POSES)
+
+
+def test_one_triangle_of_a_covariance_is_mirrored(tmp_path):
+    full = np.diag([4e-4] * 3 + [9e-6] * 3)
+    full[0, 1] = full[1, 0] = 1e-4
+    both, upper = (
+        load_trajectory(written(tmp_path / f"{name}.txt", [[*row, *P.ravel()] for row in POSES])).covariances
+        for name, P in (("both", full), ("upper", np.triu(full)))
+    )
+    np.testing.assert_array_equal(both, upper)
+
+
+def test_matrices_of_4_by_4_and_a_byte_order_mark_are_read(tmp_path):
+    T = np.tile(np.eye(4), (4, 1, 1))
+    T[:, :3, 3] = np.arange(12).reshape(4, 3)
+    bare = load_trajectory(written(tmp_path / "bare.txt", [pose.ravel() for pose in T]))
+    numbered = load_trajectory(written(tmp_path / "numbered.txt", [[k, *pose.ravel()] for k, pose in enumerate(T)]))
+    for read in (bare, numbered):
+        np.testing.assert_array_equal(read.positions, T[:, :3, 3])
+    path = written(tmp_path / "plain.tum", POSES)
+    (tmp_path / "bom.tum").write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
+    np.testing.assert_array_equal(load_trajectory(tmp_path / "bom.tum").positions, load_trajectory(path).positions)

@@ -56,9 +56,13 @@ def test_what_is_no_pair_of_frames_is_refused_with_those_that_are(pair, reason):
     assert "map.base" in listed(links)
 
 
-def test_a_frame_with_two_parents_is_no_tree():
-    with pytest.raises(ValueError, match="frame base has two parents, odom and world"):
-        links_of([("odom", "base", False, row(0.0, np.eye(4))), ("world", "base", False, row(1.0, np.eye(4)))])
+def test_a_frame_with_two_parents_stops_only_the_chains_over_it():
+    rows = [("odom", "base", False, row(t, np.eye(4))) for t in (0.0, 1.0)]
+    rows += [("world", "box", False, row(0.0, np.eye(4))), ("base", "box", False, row(1.0, np.eye(4)))]
+    links = links_of(rows)
+    assert len(poses_between(links, "odom.base")) == 2
+    with pytest.raises(ValueError, match="box has the parents base and world, which is no tree"):
+        poses_between(links, "world.box")
 
 
 def test_frames_in_a_ring_end():
