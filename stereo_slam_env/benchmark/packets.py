@@ -22,7 +22,7 @@ from stereo_slam_env.benchmark.scenarios.scenario import Scenario
 from stereo_slam_env.benchmark.scenarios.study import Study
 from stereo_slam_env.benchmark.storage.code_identity import code_digest
 from stereo_slam_env.benchmark.storage.settings import SETTINGS
-from stereo_slam_env.benchmark.storage.store import prepared_study, read_study, root_of
+from stereo_slam_env.benchmark.storage.store import prepared_study, read_study
 from stereo_slam_env.benchmark.storage.tables import CellResult, results_of
 from stereo_slam_env.evaluation.results import FilterRun
 from stereo_slam_env.evaluation.run_trajectories import estimate_of, reference_of
@@ -30,7 +30,8 @@ from stereo_slam_env.evaluation.trajectory_score import evaluate_trajectory
 from stereo_slam_env.files.json_files import write_json
 from stereo_slam_env.files.readers import read_json
 
-FORMAT = "stereo-slam packet 2"
+_FORMATS = "stereo-slam packet "
+FORMAT = f"{_FORMATS}2"
 DATA = "{data}"
 """What stands for the folder of real recordings, which is another one elsewhere."""
 KEPT = (
@@ -55,7 +56,7 @@ def packet_of(run: Path) -> dict[str, Any]:
     return {
         "format": FORMAT,
         "study": study.as_dict(),
-        "versions": read_json(directory.cells[0].out / SETTINGS, inside=root_of(run))["versions"],
+        "versions": read_json(directory.cells[0].out / SETTINGS, inside=directory.root)["versions"],
         "cells": [_cell(result) for result in results],
         "missing": [sentence for result in results for sentence in _missing(result)],
     }
@@ -147,8 +148,19 @@ def _moved(scenario: Scenario, to: Path | None) -> Scenario:
 
 
 def write_packet(path: Path, packet: Mapping[str, Any]) -> None:
-    """Write a packet, as compact JSON: trials by columns, so that a figure is named once, not in every trial."""
+    """Write a packet, as compact JSON: trials by columns, so that a figure is named once, not in every trial.
+
+    A `ValueError` says that something else has this name.
+    """
+    require_no_other(path)
     write_json(path, {**packet, "cells": _with_trials(packet["cells"], _columns)}, indent=None)
+
+
+def require_no_other(path: Path) -> None:
+    """Raise a `ValueError` where a path is that of anything but a packet."""
+    content = read_json(path) if path.exists() else {"format": FORMAT}
+    if not isinstance(content, dict) or not str(content.get("format")).startswith(_FORMATS):
+        raise ValueError(f"{path} is there and is no packet: choose another name by --out")
 
 
 def read_packet(path: Path) -> dict[str, Any]:

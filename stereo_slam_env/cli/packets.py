@@ -21,13 +21,14 @@ def submit(
     ] = None,
 ) -> None:
     """Make a small packet of a run, to be handed in: study, versions, digests of the recordings, figures."""
-    from stereo_slam_env.benchmark.packets import packet_of, write_packet
+    from stereo_slam_env.benchmark.packets import packet_of, require_no_other, write_packet
     from stereo_slam_env.files.folders import require_writable
 
     path = Path(f"{run.resolve().name}.json") if out is None else out
     if path.suffix != ".json":
         raise ValueError(f"--out must end in .json, got {path}")
     require_writable(path.parent)
+    require_no_other(path)
     packet = packet_of(run)
     write_packet(path, packet)
     for sentence in packet["missing"]:

@@ -241,6 +241,27 @@ def read_arrays(
         raise DamagedArchive(first_line(error)) from error
 
 
+def require_plain_zip(stream: BinaryIO) -> None:
+    """Refuse, before a library opens it, what is no zip archive or one with packed parts; ends at the beginning.
+
+    Raises
+    ------
+    DamagedArchive
+        It is no archive, or has parts that are packed, or that are longer than the archive.
+    """
+    try:
+        _require_short_directory(stream)
+        parts = zipfile.ZipFile(stream).infolist()
+        packed = any(part.compress_type != zipfile.ZIP_STORED for part in parts)
+        if packed or sum(part.file_size for part in parts) > _size(stream):
+            raise DamagedArchive("its parts are packed, which this program does not do")
+    except DamagedArchive:
+        raise
+    except _DAMAGE as error:
+        raise DamagedArchive(first_line(error)) from error
+    stream.seek(0)
+
+
 def _opened(source: str | Path | bytes, inside: Path | None) -> BinaryIO:
     return io.BytesIO(source) if isinstance(source, bytes) else open_regular(source, inside=inside)
 
