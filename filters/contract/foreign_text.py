@@ -7,6 +7,7 @@ when it is asked for its message. Whatever is shown or stored of them goes throu
 from __future__ import annotations
 
 import re
+from html import escape
 
 MOST_CHARACTERS = 2000
 """Longer lines are cut."""
@@ -21,6 +22,11 @@ def plain(text: str) -> str:
 def without_controls(document: str) -> str:
     """A page with a replacement character for what controls a terminal or turns the direction of a text around."""
     return _CONTROLS.sub("\N{REPLACEMENT CHARACTER}", document)
+
+
+def markdown(text: str) -> str:
+    """The text for a line or a cell of a table in Markdown: no markup in it is one."""
+    return re.sub(r"([\\|\[\]`])", r"\\\1", escape(" ".join(plain(text).split()), quote=False))
 
 
 def first_line(error: BaseException, *, empty: str | None = None) -> str:

@@ -296,7 +296,9 @@ def verify(
                 key = row["recording"], row["seed"]
                 where = f"{label} on {row['recording']}" + ("" if row["seed"] is None else f", seed {row['seed']}")
                 of_row = known.get(key, {})
-                gaps = (*_gaps(of_row, row), *_claim_gaps(of_row, row, expected=key in claimed))
+                gaps = [*_gaps(of_row, row)]
+                rounded = any(gap for _, gap, _ in gaps)
+                gaps += _claim_gaps(of_row, row, expected=key in claimed, rounded=rounded)
                 for name, gap, words in gaps:
                     largest = max(largest, gap)
                     if gap > SAME:
@@ -347,9 +349,12 @@ def _gaps(before: Mapping[str, Any], again: Mapping[str, Any]) -> Iterator[tuple
 
 
 def _claim_gaps(
-    before: Mapping[str, Any], again: Mapping[str, Any], *, expected: bool
+    before: Mapping[str, Any], again: Mapping[str, Any], *, expected: bool, rounded: bool
 ) -> Iterator[tuple[str, float, str]]:
-    """Differences of the claim of a trial: a packet has one where one can be made, of its first recordings."""
+    """Differences of the claim of a trial: a packet has one where one can be made, of its first recordings.
+
+    Where figures are `rounded` otherwise, a share of frames may have one more or less.
+    """
     a, b = before.get("claim"), again.get("claim")
     if a is None and not expected:
         return
@@ -357,7 +362,7 @@ def _claim_gaps(
         if a is not b:
             yield "claim", math.inf, f"{a and a['gauge']} in the packet, {b and b['gauge']} here"
         return
-    frame = 1.5 / max(again["frames"] or 1, 1)  # of a share of frames, one more or less is rounding
+    frame = 1.5 / max(again["frames"] or 1, 1) if rounded else 0.0
     yield "coverage_90", _gap(a["coverage_90"], b["coverage_90"], frame), f"{a['coverage_90']}, {b['coverage_90']} here"
     for name, least in (("scale_gap", 0.0), ("log_score", 1.0)):
         gap = abs(a[name] - b[name]) / max(abs(a[name]), abs(b[name]), least) if a[name] != b[name] else 0.0

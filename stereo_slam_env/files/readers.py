@@ -85,10 +85,9 @@ def read_json(path: Path, *, most_bytes: int = MOST_TEXT, inside: Path | None = 
     ValueError
         As `read_text`, or it is no JSON: one line.
     """
+    text = read_text(path, most_bytes=most_bytes, inside=inside)
     try:
-        return json.loads(read_text(path, most_bytes=most_bytes, inside=inside))
-    except NotOpened:
-        raise
+        return json.loads(text)
     except (ValueError, RecursionError) as error:  # ValueError: numbers of too many digits, too
         raise ValueError(f"{path} is no JSON ({first_line(error)}): write it again") from error
 

@@ -90,6 +90,8 @@ class LearningCurve:
         if file.exists():
             try:
                 rows = csv.DictReader(read_text(file, inside=file.parent).splitlines())
+                if "decisions" not in (rows.fieldnames or ()):
+                    raise ValueError("it has no column decisions")
                 self.rows = [{name: float(value) for name, value in row.items()} for row in rows]
                 if not np.isfinite([(row["decisions"], row["seconds"], merit(row)) for row in self.rows]).all():
                     raise ValueError("decisions, seconds and results must be finite")

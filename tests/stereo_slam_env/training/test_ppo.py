@@ -310,7 +310,7 @@ def test_wrong_settings_get_one_clear_line(wrong, message):
         PPOSettings(**wrong)
 
 
-# ---- folders of a training ---------------------------------------------------------------------------------------------
+# ---- folders of a training -------------------------------------------------------------------------------------------
 
 
 def content(folder):
