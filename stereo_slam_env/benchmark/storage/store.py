@@ -51,6 +51,8 @@ from stereo_slam_env.files.readers import read_json
 
 VERSION = 2
 CELLS = "cells"
+_OF_COMPETITORS = ("filters", "policies", "name")
+"""Keys of a scenario that have no share in its recordings."""
 _WRITTEN = (
     *(SETTINGS, STUDY, "summary.json", "summary.csv", "trials.sqlite", "report.html", "comparison.html", CELLS),
     *("trials", "bounds", "recordings", "trajectories", "figures", "tables"),
@@ -120,7 +122,8 @@ class RunDirectory:
         To know them, filters are imported: nobody who only reads a run asks for them.
         """
         if self._found_code is None:
-            source = digest_of_source(self.scenario.source)
+            own = {key: value for key, value in self.scenario.as_dict().items() if key not in _OF_COMPETITORS}
+            source = digest_of_source(self.scenario.source, own)
             self._found_code = {None: source}
             for choice in self.scenario.competitors:
                 theirs = " ".join(filter(None, (source, digest_of_choice(choice))))
