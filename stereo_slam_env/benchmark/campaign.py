@@ -239,7 +239,9 @@ def check_filters(scenario: Scenario) -> None:
             make_with_common_options(choice.name, camera, noise, choice.options, scenario.common_options)
         except ValueError:
             raise
-        except Exception as error:  # a third-party constructor may raise anything; the run will record it
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # a third-party constructor may raise anything; the run will record it
             _log.info("filter %s cannot be made: %s", choice.label, first_line(error))
 
 

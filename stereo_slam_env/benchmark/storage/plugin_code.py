@@ -32,6 +32,7 @@ from typing import Any
 
 import numpy as np
 
+from filters.contract.foreign_text import error_line
 from stereo_slam_env.benchmark.recordings.source import Source
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice
 from stereo_slam_env.benchmark.storage.code_identity import PACKAGES, digest_of, meaning, source_files
@@ -129,8 +130,10 @@ def _found(load: Callable[[], Any]) -> Any:
     """What is loaded; where that cannot be done, the reason, which is the result then."""
     try:
         return load()
-    except Exception as error:  # whatever a stranger's module does at import
-        return f"{type(error).__name__}: {error}"
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # whatever a stranger's module does at import
+        return error_line(error)
 
 
 def plugin_digest(factory: Callable[..., Any] | str, point: EntryPoint | None = None) -> str | None:
