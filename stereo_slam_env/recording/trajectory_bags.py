@@ -16,6 +16,7 @@ from filters.contract.extras import require_module
 from filters.contract.foreign_text import first_line, plain
 from filters.geometry.arrays import FloatArray
 from filters.motions.model import POSE_SIZE
+from stereo_slam_env.files.bags import open_bag
 from stereo_slam_env.files.opening import require_regular
 from stereo_slam_env.recording.trajectory import Trajectory
 from stereo_slam_env.recording.trajectory_layouts import claim_of_ros
@@ -105,15 +106,12 @@ def _trajectory(path: Path, what: str, table: FloatArray, **about: Any) -> Traje
 @contextmanager
 def opened_bag(path: Path) -> Iterator[Any]:
     """The reader of a bag; whatever it or a message raises is damage, in one line."""
-    from rosbags.highlevel import AnyReader
-    from rosbags.typesys import Stores, get_typestore
-
     inside = path if path.is_dir() else None
     try:
         for file in [path] if inside is None else sorted(path.iterdir()):
             if not file.is_dir():
                 require_regular(file, inside=inside)  # the library would wait for a pipe
-        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+        with open_bag(path) as reader:
             yield reader
     except ValueError:
         raise
