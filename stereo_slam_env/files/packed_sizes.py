@@ -45,6 +45,8 @@ def zstd_bound(data: bytes | memoryview) -> int:
                 if total > MOST_UNPACKED:
                     raise Unbounded(f"it would unpack to more than {MOST_UNPACKED} bytes, which is refused")
             at += 4 * (flags >> 2 & 1)
+        if at > len(data):
+            raise Unbounded("it is cut off")
     except (struct.error, IndexError) as error:
         raise Unbounded("it is cut off") from error
     return total
