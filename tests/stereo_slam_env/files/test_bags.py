@@ -1,4 +1,4 @@
-"""Bags that would fill memory, disk or time are refused in a line before they are unpacked; healthy ones are read (30 s)."""
+"""Bags that would fill memory, disk or time are refused before they are unpacked; healthy ones are read (15 s)."""
 
 from __future__ import annotations
 
@@ -210,12 +210,14 @@ def virtual(path):
 
 
 def computed(path):
-    made = "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, data BLOB AS (zeroblob(900000000)))"
+    columns = "id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, data BLOB AS (zeroblob(900000000))"
+    made = f"CREATE TABLE messages({columns})"
     return changed(healthy(path, plugin="sqlite3"), "DROP TABLE messages", made)
 
 
 def topics_of_database(path):
-    made = f"WITH RECURSIVE n(x) AS (SELECT 9 UNION ALL SELECT x + 1 FROM n WHERE x < 65000) INSERT INTO topics SELECT x, 't' || x, '{POSE}', 'cdr', '', '' FROM n"
+    numbers = "WITH RECURSIVE n(x) AS (SELECT 9 UNION ALL SELECT x + 1 FROM n WHERE x < 65000)"
+    made = f"{numbers} INSERT INTO topics SELECT x, 't' || x, '{POSE}', 'cdr', '', '' FROM n"
     return changed(healthy(path, plugin="sqlite3"), made)
 
 
@@ -309,6 +311,26 @@ def bomb_of_bz2():
 
 
 GB8 = 8_000_000_000
+STATES_MUCH = b"\x04\x22\x4d\x18\x68\x40" + struct.pack("<Q", GB8) + bytes(5)
+EMPTY = f"E[] x\n{80 * '='}\nMSG: geometry_msgs/E\n# none\n"
+
+
+def topics(count):
+    return b"".join(channel(k, f"/t{k}") for k in range(count))
+
+
+def with_qos(profile):
+    return schema() + channel(1, "/pose", text("offered_qos_profiles") + text(profile))
+
+
+def defined(path, definition):
+    return mcap(path / "a.mcap", schema(1, POSE, definition) + channel())
+
+
+def with_deep_entry(content):
+    return content.replace("version: ", f"other: 1{100 * ':59'}\n  version: {99 * '['}")
+
+
 BOMBS = {
     "zstd chunk": lambda p: one_chunk(p / "a.mcap", repeated(GB8), "zstd", GB8),
     "zstd chunk that states little": lambda p: one_chunk(p / "a.mcap", repeated(GB8), "zstd", 1000),
@@ -316,7 +338,7 @@ BOMBS = {
     "zstd chunk of two frames": lambda p: one_chunk(p / "a.mcap", repeated(1 << 17) + repeated(GB8), "zstd", 1000),
     "zstd chunk without summary": lambda p: without_summary(p / "a.mcap", repeated(GB8), "zstd", 1000),
     "lz4 chunk": lambda p: one_chunk(p / "a.mcap", lz4_of(600_000_000), "lz4", 1000),
-    "lz4 chunk that states much": lambda p: one_chunk(p / "a.mcap", b"\x04\x22\x4d\x18\x68\x40" + struct.pack("<Q", GB8) + bytes(5), "lz4", 10),
+    "lz4 chunk that states much": lambda p: one_chunk(p / "a.mcap", STATES_MUCH, "lz4", 10),
     "many chunks at one time": lambda p: many_chunks(p / "a.mcap"),
     "a chunk in a message": lambda p: hidden_chunk(p / "a.mcap"),
     "a summary in a message": lambda p: hidden_summary(p / "a.mcap"),
@@ -325,18 +347,18 @@ BOMBS = {
     "zstd message in MCAP": lambda p: packed_message_of_mcap(p / "bag"),
     "anchors": lambda p: in_folder(p / "bag", lambda content: YAML_BOMB + content),
     "merges": lambda p: in_folder(p / "bag", lambda content: MERGES + content),
-    "colons": lambda p: in_folder(p / "bag", lambda content: content.replace("version: ", f"other: 1{100 * ':59'}\n  version: {99 * '['}")),
+    "colons": lambda p: in_folder(p / "bag", with_deep_entry),
     "65,000 topics in metadata": lambda p: in_folder(p / "bag", many_topics),
-    "65,000 topics": lambda p: mcap(p / "a.mcap", schema() + b"".join(channel(k, f"/t{k}") for k in range(65_000))),
-    "65,000 topics in a summary": lambda p: mcap(p / "a.mcap", schema(), schema() + b"".join(channel(k, f"/t{k}") for k in range(65_000))),
-    "merges of a topic": lambda p: mcap(p / "a.mcap", schema() + channel(1, "/pose", text("offered_qos_profiles") + text(MERGES))),
-    "merges of a topic in a chunk": lambda p: mcap(p / "a.mcap", chunk(schema() + channel(1, "/pose", text("offered_qos_profiles") + text(MERGES)))),
-    "texts": lambda p: mcap(p / "a.mcap", schema(1, POSE, "string[2000000000] x\n") + channel()),
+    "65,000 topics": lambda p: mcap(p / "a.mcap", schema() + topics(65_000)),
+    "65,000 topics in a summary": lambda p: mcap(p / "a.mcap", schema(), schema() + topics(65_000)),
+    "merges of a topic": lambda p: mcap(p / "a.mcap", with_qos(MERGES)),
+    "merges of a topic in a chunk": lambda p: mcap(p / "a.mcap", chunk(with_qos(MERGES))),
+    "texts": lambda p: defined(p, "string[2000000000] x\n"),
     "texts in a chunk": lambda p: mcap(p / "a.mcap", chunk(schema(1, POSE, "string[2000000] x\n") + channel())),
-    "entries": lambda p: mcap(p / "a.mcap", schema(1, POSE, "\n".join(f"string[500] x{k}" for k in range(100))) + channel()),
-    "fields": lambda p: mcap(p / "a.mcap", schema(1, POSE, "".join(f"float64 x{k}\n" for k in range(30_000))) + channel()),
-    "a long definition": lambda p: mcap(p / "a.mcap", schema(1, POSE, "# x\n" * 1_000_000) + channel()),
-    "nothing, four billion times": lambda p: mcap(p / "a.mcap", schema(1, POSE, f"E[] x\n{80 * '='}\nMSG: geometry_msgs/E\n# none\n") + channel()),
+    "entries": lambda p: defined(p, "\n".join(f"string[500] x{k}" for k in range(100))),
+    "fields": lambda p: defined(p, "".join(f"float64 x{k}\n" for k in range(30_000))),
+    "a long definition": lambda p: defined(p, "# x\n" * 1_000_000),
+    "nothing, four billion times": lambda p: defined(p, EMPTY),
     "an endless view": lambda p: view(p / "bag"),
     "a view": lambda p: view_beside(p / "bag"),
     "a trigger": lambda p: trigger(p / "bag"),
@@ -365,13 +387,9 @@ def test_a_bomb_is_refused_in_a_line_within_memory_and_time(name, tmp_path, monk
     monkeypatch.setattr("tempfile.tempdir", str(scratch))
     path = BOMBS[name](tmp_path)
     began = time.process_time()
-    with (
-        limited_memory(1_500_000_000),
-        pytest.raises(ValueError, match=r"\A[^\n]*(a\.mcap|a\.bag|bag)[^\n]*\Z"),
-        opened_bag(path) as reader,
-    ):
-        for connection, _, raw in reader.messages():
-            reader.deserialize(raw, connection.msgtype)
+    with limited_memory(1_500_000_000), pytest.raises(ValueError, match=r"\A[^\n]+\Z") as refused:
+        read_all(path)
+    assert path.name in str(refused.value)
     assert time.process_time() - began < MOST_SECONDS
     assert list(scratch.iterdir()) == []
 
