@@ -9,7 +9,9 @@ from __future__ import annotations
 import io
 import json
 import os
+import re
 import struct
+import sys
 import tokenize
 import warnings
 import zipfile
@@ -27,12 +29,21 @@ from filters.contract.foreign_text import first_line, plain
 from filters.geometry.arrays import BoolArray, FloatArray
 from stereo_slam_env.files.opening import NotOpened, open_regular, read_bytes
 
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
 MOST_TEXT = 100_000_000
 """Larger texts are refused, bytes."""
+MOST_ENTRIES = 5_000_000
+"""Of a JSON file."""
 MOST_BYTES = 256_000_000
 """An archive may always unpack to so many bytes ..."""
 MOST_GROWTH = 20
 """... or to so many times its own size."""
+_PART = r"(?:[\w-]+|\"[^\"\n]*\"|'[^'\n]*')[ \t]*"
+_DOTTED = re.compile(rf"(?<![\w-]){_PART}(?:\.[ \t]*{_PART}){{30}}")
 _PIECE, _MOST_HEADER = 1 << 20, 1 << 17
 _MOST_DIRECTORY = 10_000_000
 _END_OF_ZIP = 22
@@ -86,10 +97,22 @@ def read_json(path: Path, *, most_bytes: int = MOST_TEXT, inside: Path | None = 
         As `read_text`, or it is no JSON: one line.
     """
     text = read_text(path, most_bytes=most_bytes, inside=inside)
+    if sum(map(text.count, "[{,")) > MOST_ENTRIES:  # each takes a hundred bytes and more
+        raise ValueError(f"{path} has more than {MOST_ENTRIES} entries, which are refused")
     try:
         return json.loads(text)
     except (ValueError, RecursionError) as error:  # ValueError: numbers of too many digits, too
         raise ValueError(f"{path} is no JSON ({first_line(error)}): write it again") from error
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """Tables of a text in TOML, as `tomllib` has them; a `ValueError` of one line where it is none."""
+    if _DOTTED.search(text):  # their parts take the square of their number, of time and memory
+        raise ValueError("a key has more than 30 parts")
+    try:
+        return tomllib.loads(text)
+    except RecursionError as error:
+        raise ValueError(first_line(error)) from error
 
 
 def read_table(
