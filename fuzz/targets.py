@@ -15,7 +15,7 @@ from fuzz import seeds
 from fuzz import seeds_of_others as others
 from stereo_slam_env.benchmark import compare
 from stereo_slam_env.benchmark.gate import gate
-from stereo_slam_env.benchmark.packets import read_packet, require_no_other
+from stereo_slam_env.benchmark.packets import packet_of, read_packet, require_no_other
 from stereo_slam_env.benchmark.scenarios.study import load_study
 from stereo_slam_env.benchmark.storage.run_archive import load_provenance, load_run
 from stereo_slam_env.benchmark.storage.store import read_study
@@ -27,6 +27,7 @@ from stereo_slam_env.evaluation.trajectory_score import evaluate_trajectory
 from stereo_slam_env.files.readers import read_arrays
 from stereo_slam_env.policies.network import Network
 from stereo_slam_env.recording.archive import load_recording
+from stereo_slam_env.recording.trajectory_bags import read_bag
 from stereo_slam_env.recording.trajectory_files import load_trajectory
 from stereo_slam_env.report.leaderboard import leaderboard
 from stereo_slam_env.sensing.rigs import calibration_of
@@ -54,7 +55,7 @@ class Target:
     """Public functions and commands that read such files by the functions that `read` calls."""
 
 
-_LOAD = ("datasets.load", "stereo-slam replay", "stereo-slam convert")
+_LOAD = ("datasets.load", "sources.DatasetSource", "stereo-slam replay", "stereo-slam convert")
 _IMAGES = ("datasets.open_image_sequence", "datasets.open_for_front_end", "datasets.holds_images", "datasets.layout_of")
 _TRAJECTORIES = ("trajectory_score.evaluate_trajectory", "trajectory_files.load_trajectory", "stereo-slam evaluate")
 _CLAIMS = ("drift_calibration.calibrate", "DriftModel.read", "stereo-slam calibrate", "stereo-slam claim")
@@ -80,7 +81,7 @@ def targets() -> tuple[Target, ...]:
         Target("stereo_folder", others.stereo_folder(), _pairs),
         Target("bag_of_images", others.bag_of_images(), lambda folder: _pairs(folder / "images.mcap"), True),
         Target("bags", others.bags(), _bags, True),
-        Target("rigs", others.rigs(), _rigs, True, ("rigs.camera_of", "rigs.calibration_of")),
+        Target("rigs", others.rigs(), _rigs, True),
         Target("recording", seeds.recording(), _recording, True, ("archive.load_recording",)),
         Target("run", seeds.run(), _run, True),
         Target("trajectories", seeds.trajectories(), _score, True, _TRAJECTORIES),
@@ -99,9 +100,10 @@ def targets() -> tuple[Target, ...]:
 
 
 def _finished(folder: Path) -> object:
-    """What `report` and the next start of the same run read of a finished one."""
+    """What `report`, `submit` and the next start of the same run read of a finished one."""
     (directory,) = read_study(folder).cells
     compare(folder, folder)
+    packet_of(folder)
     return results_of(directory), directory.missing(), directory.recording_content(0)
 
 
@@ -120,7 +122,7 @@ def _arrays(folder: Path) -> object:
 
 
 def _bags(folder: Path) -> object:
-    return [load_trajectory(folder / "database"), load_trajectory(folder / "poses.mcap")]
+    return [read_bag(folder / "database", None), load_trajectory(folder / "poses.mcap")]
 
 
 def _rigs(folder: Path) -> object:

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 from urllib.parse import quote
 
+from filters.contract.foreign_text import first_line
 from stereo_slam_env.files.bag_records import BagTooLarge, check_mcap, check_ros1
 from stereo_slam_env.files.message_definitions import check_definitions
 from stereo_slam_env.files.opening import open_regular, read_bytes
@@ -93,7 +94,7 @@ def _checked_folder(folder: Path, stack: ExitStack) -> Path:
     except FileNotFoundError:
         raise
     except (KeyError, TypeError, AttributeError, ValueError) as error:
-        raise ValueError(f"{file} is no description of a bag ({error}): copy it again") from error
+        raise ValueError(f"{file} is no description of a bag ({first_line(error)}): copy it again") from error
     if topics > MOST_TOPICS or len(names) > MOST_TOPICS:
         raise BagTooLarge(f"{file} has {topics} topics in {len(names)} files: more than {MOST_TOPICS} are refused")
     for topic in about["topics_with_message_count"]:
@@ -185,9 +186,9 @@ def _check_database(path: Path, size: int, *, packed_messages: bool) -> None:
     except sqlite3.OperationalError as error:
         if "interrupted" in str(error):
             raise BagTooLarge(f"{path} has more rows than it can hold: it is damaged, copy it again") from error
-        raise ValueError(f"{path} is damaged, or no bag ({error}): copy it again") from error
+        raise ValueError(f"{path} is damaged, or no bag ({first_line(error)}): copy it again") from error
     except sqlite3.Error as error:
-        raise ValueError(f"{path} is damaged, or no bag ({error}): copy it again") from error
+        raise ValueError(f"{path} is damaged, or no bag ({first_line(error)}): copy it again") from error
 
 
 def _check_schema(path: Path, database: sqlite3.Connection) -> None:

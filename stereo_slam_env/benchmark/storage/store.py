@@ -258,6 +258,7 @@ class RunDirectory:
             return None
         with damage_named(path):
             about: dict[str, Any] = read_json(path, inside=self._root)
+            _ = about["name"].encode(), about.get("code")
             return about
 
     def audits(self) -> dict[str, ReferenceAudit]:

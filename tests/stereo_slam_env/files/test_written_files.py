@@ -285,6 +285,7 @@ CHANGES = {"unlink", "rmtree", "rmdir", "rename", "write_text", "write_bytes", "
 CHANGES |= {f"os.{name}" for name in ("replace", "remove", "truncate")} | {"shutil.move", "sqlite3.connect", "np.save"}
 WHY = {
     "stereo_slam_env/files/folders.py": "this is the place",
+    "stereo_slam_env/files/bags.py": "files unpacked into a temporary folder",
     "stereo_slam_env/benchmark/storage/tables.py": "an unfinished file of ours, beside which SQLite keeps a journal",
     "stereo_slam_env/benchmark/storage/store.py": "recordings and bounds in a run of ours, by their names",
     "stereo_slam_env/benchmark/running/isolation.py": "an end of a pipe, by its number",
