@@ -6,8 +6,7 @@ The size that a frame or a chunk states is not believed: a frame of a few blocks
 from __future__ import annotations
 
 import struct
-from importlib import import_module
-from importlib.util import find_spec
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -78,15 +77,22 @@ def lz4_bound(data: bytes | memoryview) -> int:
 
 def zstandard() -> Any:
     """The module of Zstandard that comes with Python, or with `rosbags`."""
-    names = ("compression.zstd", "backports.zstd", "zstandard")
-    return import_module(next(name for name in names if find_spec(name.partition(".")[0]) and find_spec(name)))
+    if sys.version_info >= (3, 14):
+        from compression import zstd
+    else:
+        from backports import zstd
+    return zstd
 
 
 def unpacked(packing: str, content: bytes) -> bytes:
     """Content of a chunk, whose size was bounded before."""
     if packing == "zstd":
         return bytes(zstandard().decompress(content))
-    return bytes(import_module("lz4.frame").decompress(content)) if packing == "lz4" else content
+    if packing == "lz4":
+        from lz4 import frame
+
+        return bytes(frame.decompress(content))
+    return content
 
 
 def require_bounded_zstd(path: Path, data: bytes) -> None:

