@@ -26,7 +26,9 @@ def holds_run(out: Path, *, of: str = "scenario") -> bool:
 
     Other programs have files of these names, too. A `ValueError` says that one is no JSON.
     """
-    return isinstance(_content(out / STUDY).get("cells"), list) or {of, "versions"} <= _content(out / SETTINGS).keys()
+    settings = _content(out / SETTINGS)
+    known = isinstance(settings.get(of), dict) and ("kind" in settings[of] or "versions" in settings)
+    return known or isinstance(_content(out / STUDY).get("cells"), list)
 
 
 def _content(path: Path) -> dict[str, Any]:

@@ -338,10 +338,9 @@ def read_study(out: Path) -> StudyDirectory:
     path = out / STUDY
     if not path.exists():
         return StudyDirectory(out, Study.of(_scenario_in(out)))
+    _require_run(out, path)
+    require_links_inside(out, only=_WRITTEN)  # what is written would land elsewhere, too
     with damage_named(path):
-        if not holds_run(out):
-            raise ValueError(why_no_run(out))
-        require_links_inside(out, only=_WRITTEN)  # what is written would land elsewhere, too
         return StudyDirectory(out, Study.from_dict(read_json(path)))
 
 
@@ -361,11 +360,18 @@ def root_of(out: Path) -> Path:
 
 def _scenario_in(out: Path) -> Scenario:
     path = out / SETTINGS
+    _require_run(out, path)
+    require_links_inside(root_of(out), only=_WRITTEN)
     try:
         with damage_named(path):
-            if not holds_run(out):
-                raise ValueError(why_no_run(out))
-            require_links_inside(root_of(out), only=_WRITTEN)
             return Scenario.from_dict(read_json(path)["scenario"])
     except FileNotFoundError as error:
         raise ValueError(why_no_run(out)) from error
+
+
+def _require_run(out: Path, path: Path) -> None:
+    """Raise a `ValueError` where `out` holds no run, or its file `path` is no JSON."""
+    with damage_named(path):
+        is_run = out.is_dir() and holds_run(out)
+    if not is_run:
+        raise ValueError(why_no_run(out))
