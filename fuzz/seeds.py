@@ -330,13 +330,14 @@ def finished() -> Files:
 
 
 def training() -> Files:
-    """A learning curve."""
+    """A learning curve, and what it is of."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / "learning_curve.csv"
         LearningCurve(path).add(
             10, 1.0, 2.0, PolicyEvaluation(*(float(k) for k in range(len(dataclasses.fields(PolicyEvaluation)))))
         )
-        return {"learning_curve.csv": path.read_bytes()}
+        about = json.dumps({"task": {"name": "a"}, "settings": {"seed": 0}})
+        return {"learning_curve.csv": path.read_bytes(), "run.json": about.encode()}
 
 
 @cache

@@ -1,29 +1,40 @@
-"""What is fuzzed: every reader of files, with a valid folder to begin with.
+"""The list of all readers of files: what is fuzzed, and attacked by special files, links, bombs and limits.
 
-To add a reader: a function in `seeds` that makes its files, and a line in `targets`.
+To add a reader: a function in `seeds` that makes its files, and a line in `targets`, with a valid folder to begin with.
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
 from fuzz import seeds
+from fuzz import seeds_of_others as others
 from stereo_slam_env.benchmark import compare
+from stereo_slam_env.benchmark.gate import gate
+from stereo_slam_env.benchmark.packets import packet_of, read_packet, require_no_other
 from stereo_slam_env.benchmark.scenarios.study import load_study
 from stereo_slam_env.benchmark.storage.run_archive import load_provenance, load_run
 from stereo_slam_env.benchmark.storage.store import read_study
 from stereo_slam_env.benchmark.storage.tables import results_of
 from stereo_slam_env.datasets import load, open_image_sequence
+from stereo_slam_env.evaluation.body_frames import read_body
 from stereo_slam_env.evaluation.drift_model import DriftModel, claim
 from stereo_slam_env.evaluation.trajectory_score import evaluate_trajectory
+from stereo_slam_env.files.readers import read_arrays
 from stereo_slam_env.policies.network import Network
 from stereo_slam_env.recording.archive import load_recording
+from stereo_slam_env.recording.trajectory_bags import read_bag
 from stereo_slam_env.recording.trajectory_files import load_trajectory
-from stereo_slam_env.training.ppo import LearningCurve
+from stereo_slam_env.report.leaderboard import leaderboard
+from stereo_slam_env.sensing.rigs import calibration_of
+from stereo_slam_env.training.ppo import LearningCurve, require_own_training
+from stereo_slam_env.world.own_bodies import obj_mesh, urdf_solids
 from stereo_slam_env.world.routes import kitti_route
+from stereo_slam_env.world.scene import Material
 
 Read = Callable[[Path], object]
 
@@ -40,43 +51,97 @@ class Target:
     """Reads that folder; only a `ValueError` of one line may come out of it."""
     follows_links: bool = False
     """Whether what is read was named by the user, one file, so that it may be a link to anywhere."""
+    calls: tuple[str, ...] = ()
+    """Public functions and commands that read such files by the functions that `read` calls."""
+
+
+_LOAD = ("datasets.load", "sources.DatasetSource", "stereo-slam replay", "stereo-slam convert")
+_IMAGES = ("datasets.open_image_sequence", "datasets.open_for_front_end", "datasets.holds_images", "datasets.layout_of")
+_TRAJECTORIES = ("trajectory_score.evaluate_trajectory", "trajectory_files.load_trajectory", "stereo-slam evaluate")
+_CLAIMS = ("drift_calibration.calibrate", "DriftModel.read", "stereo-slam calibrate", "stereo-slam claim")
+_STUDIES = ("campaign.run_benchmark", "study.load_study", "study.preset_study", "stereo-slam bench")
+_HAND_IN = ("stereo-slam verify", "stereo-slam gate")
+_RUNS = ("comparison.compare", "stereo-slam report", "stereo-slam submit", "stereo-slam gate", "settings.holds_run")
 
 
 @cache
 def targets() -> tuple[Target, ...]:
-    """All of them."""
+    """The list of all readers; `tests/fuzz/test_readers.py` fails for one that is not on it."""
     return (
-        Target("kitti07_tracks", seeds.kitti07(), load),
-        Target("kitti00_stereo_tracks", seeds.kitti00(), load),
-        Target("starry_night", seeds.starry_night(), load),
-        Target("kitti06_stereo51", seeds.kitti06(), _pairs),
+        Target("kitti07_tracks", seeds.kitti07(), load, calls=_LOAD),
+        Target("kitti00_stereo_tracks", seeds.kitti00(), load, calls=_LOAD),
+        Target("starry_night", seeds.starry_night(), load, calls=_LOAD),
+        Target("kitti06_stereo51", seeds.kitti06(), _pairs, calls=_IMAGES),
         Target("kitti_odometry", seeds.kitti_odometry(), lambda folder: _pairs(folder / "sequences" / "07")),
         Target("kitti_raw", seeds.kitti_raw(), _pairs),
-        Target("karlsruhe", seeds.karlsruhe(), _pairs),
+        Target("karlsruhe", seeds.karlsruhe(), _pairs, calls=("stereo-slam paper",)),
         Target("euroc", seeds.euroc(), _pairs),
-        Target("recording", seeds.recording(), lambda folder: load_recording(folder / "drive.npz"), True),
+        Target("tartanair", others.tartanair(), _pairs),
+        Target("vslam_lab", others.vslam_lab(), _pairs),
+        Target("stereo_folder", others.stereo_folder(), _pairs),
+        Target("bag_of_images", others.bag_of_images(), lambda folder: _pairs(folder / "images.mcap"), True),
+        Target("bags", others.bags(), _bags, True),
+        Target("rigs", others.rigs(), _rigs, True),
+        Target("recording", seeds.recording(), _recording, True, ("archive.load_recording",)),
         Target("run", seeds.run(), _run, True),
-        Target("trajectories", seeds.trajectories(), _score, True),
-        Target("layouts", seeds.layouts(), _layouts, True),
+        Target("trajectories", seeds.trajectories(), _score, True, _TRAJECTORIES),
+        Target("layouts", seeds.layouts(), _layouts, True, _CLAIMS),
+        Target("body", others.body(), lambda folder: read_body(folder / "body.json"), True),
+        Target("bodies", others.bodies(), _bodies, True, ("own_bodies.obj_mesh", "own_bodies.urdf_solids")),
         Target("route", seeds.route(), lambda folder: kitti_route(folder / "poses.txt"), True),
         Target("network", seeds.network(), lambda folder: Network.load(folder / "network.npz"), True),
-        Target("scenario", seeds.scenario(), _scenarios, True),
-        Target("results", seeds.results(), _results),
-        Target("finished", seeds.finished(), _finished),
-        Target("training", seeds.training(), _training, True),
+        Target("scenario", seeds.scenario(), _scenarios, True, _STUDIES),
+        Target("packet", others.packets(), _packet, True, _HAND_IN),
+        Target("results", seeds.results(), _results, calls=_RUNS),
+        Target("finished", seeds.finished(), _finished, calls=(*_RUNS, "drive.revisit", "stereo-slam view")),
+        Target("training", seeds.training(), _training, calls=("ppo.LearningCurve", "ppo.train", "stereo-slam train")),
+        Target("arrays", seeds.network(), _arrays, True, ("readers.read_arrays",)),
     )
 
 
 def _finished(folder: Path) -> object:
-    """What `report` and the next start of the same run read of a finished one."""
+    """What `report`, `submit` and the next start of the same run read of a finished one."""
     (directory,) = read_study(folder).cells
     compare(folder, folder)
+    packet_of(folder)
     return results_of(directory), directory.missing(), directory.recording_content(0)
 
 
 def _training(folder: Path) -> object:
-    """What a training that goes on reads."""
+    """What a training that goes on reads, but for its state, which needs a network."""
+    require_own_training(folder, json.loads(seeds.training()["run.json"]))
     return LearningCurve(folder / "learning_curve.csv").rows
+
+
+def _recording(folder: Path) -> object:
+    return load_recording(folder / "drive.npz")
+
+
+def _arrays(folder: Path) -> object:
+    return read_arrays(folder / "network.npz")
+
+
+def _bags(folder: Path) -> object:
+    return [read_bag(folder / "database", None), load_trajectory(folder / "poses.mcap")]
+
+
+def _rigs(folder: Path) -> object:
+    """Every file as a rig, on its own."""
+    names = ("camchain.yaml", "opencv.yml", "orb.yaml", "orb.json", "info/left.yaml")
+    size = {"width": seeds.CAMERA.width, "height": seeds.CAMERA.height}
+    return [calibration_of({"name": str(folder / name), **size}) for name in (*names, "calib.txt")]
+
+
+def _bodies(folder: Path) -> object:
+    material = Material((0.5, 0.5, 0.5))
+    return urdf_solids(folder / "robot.urdf", material), obj_mesh(folder / "mesh.obj", material)
+
+
+def _packet(folder: Path) -> object:
+    """What `verify`, `gate` and the leaderboard read, and what `submit` would replace."""
+    packet = read_packet(folder / "packet.json")
+    require_no_other(folder / "packet.json")
+    return leaderboard({"packet.json": packet}), gate([packet], [packet])
 
 
 def _pairs(folder: Path) -> object:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import datetime
 import inspect
 import json
-import sys
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -228,10 +227,8 @@ def listed(option: str, text: str) -> list[str | dict[str, Any]]:
 
 
 def _table(option: str, text: str) -> dict[str, Any]:
-    if sys.version_info >= (3, 11):
-        import tomllib
-    else:
-        import tomli as tomllib
+    from stereo_slam_env.files.readers import parse_toml
+
     try:
         table: dict[str, Any] = json.loads(text)
     except (json.JSONDecodeError, RecursionError):
@@ -239,8 +236,8 @@ def _table(option: str, text: str) -> dict[str, Any]:
     else:
         return table
     try:
-        table = tomllib.loads(f"table = {text}")["table"]
-    except tomllib.TOMLDecodeError as error:
+        table = parse_toml(f"table = {text}")["table"]
+    except ValueError as error:
         usual = '{name = "hybrid", options = {gate = 0.9}}'
         raise ValueError(f"{option} must be names, or tables such as {usual}, got {text}: {error}") from None
     return table

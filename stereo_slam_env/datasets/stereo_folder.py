@@ -12,7 +12,6 @@ Raw images are rectified by the rig.
 from __future__ import annotations
 
 import re
-import sys
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -30,7 +29,7 @@ from stereo_slam_env.datasets.restated import Recalibrated, WithTruth
 from stereo_slam_env.datasets.sequence import Choice, ImageFiles, RecordedSequence
 from stereo_slam_env.evaluation.body_frames import read_body
 from stereo_slam_env.files.paths import require_inside
-from stereo_slam_env.files.readers import read_table, read_text
+from stereo_slam_env.files.readers import parse_toml, read_table, read_text
 from stereo_slam_env.recording.recording import NO_REFERENCE, ImageSequence
 from stereo_slam_env.sensing.rigs import Rig, calibration_of
 
@@ -77,13 +76,10 @@ def open_sequence(path: Path, choice: Choice, *, rig: Rig | None = None, use_tru
 
 
 def _about(path: Path) -> Mapping[str, Any]:
-    if sys.version_info >= (3, 11):
-        import tomllib
-    else:
-        import tomli as tomllib
+    text = read_text(path)
     try:
-        about: dict[str, Any] = tomllib.loads(read_text(path))
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        about = parse_toml(text)
+    except ValueError as error:
         raise ValueError(f"{path} is no TOML ({first_line(error)}): correct it") from error
     require_known(f"{path} has no entry", about, _KEYS)
     if ("rate_hz" in about) == ("times" in about):

@@ -11,11 +11,15 @@ from xml.etree.ElementTree import Element
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from filters.contract.foreign_text import first_line
 from filters.contract.validation import finite_array, positive
 from filters.geometry.arrays import FloatArray, IntArray
 from stereo_slam_env.files.readers import read_text
 from stereo_slam_env.world.scene import Box, Cylinder, Material, Primitive, Sphere, TriangleMesh
 
+MOST_TEXT = 5_000_000
+"""bytes of a URDF file."""
+MOST_LINKS = 2_000
 _UPRIGHT = 1e-9
 _CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
 _SIDES = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
@@ -32,7 +36,7 @@ def urdf_solids(
     Parameters
     ----------
     path : str or Path
-        The file. Meshes are OBJ files, their names relative to it.
+        The file. Meshes are OBJ files in its folder, their names relative to it.
     material : Material
         Look of all of them.
     position : (3,) tuple
@@ -47,9 +51,15 @@ def urdf_solids(
     """
     file = Path(path)
     try:
-        robot = ElementTree.fromstring(read_text(file))
-    except ElementTree.ParseError as error:
-        raise ValueError(f"{file} is no URDF: {error}") from None
+        text = read_text(file, most_bytes=MOST_TEXT)
+    except FileNotFoundError:
+        raise ValueError(f"there is no file {file}") from None
+    if "<!" in text.replace("<!--", ""):  # entities of entities say in a line what fills the memory
+        raise ValueError(f"{file} has declarations (<!DOCTYPE ...>), which are not read: remove them")
+    try:
+        robot = ElementTree.fromstring(text)
+    except (ElementTree.ParseError, ValueError) as error:
+        raise ValueError(f"{file} is no URDF: {first_line(error)}") from None
     at = Rotation.from_euler("z", yaw).as_matrix(), finite_array("position", position, (3,))
     try:
         links = _placed_links(robot, at)
@@ -77,7 +87,7 @@ def obj_mesh(
     ValueError
         The file cannot be read, or has no triangles.
     """
-    vertices, triangles = _read_obj(Path(path))
+    vertices, triangles = _read_obj(Path(path), None)
     R = Rotation.from_euler("z", yaw).as_matrix()
     placed = positive("scale", scale) * vertices @ R.T + finite_array("position", position, (3,))
     return TriangleMesh(placed, triangles, material)
@@ -85,6 +95,8 @@ def obj_mesh(
 
 def _placed_links(robot: Element, root: Placing) -> dict[str, Placing]:
     """Where each link is."""
+    if len(robot.findall("link")) > MOST_LINKS:
+        raise ValueError(f"a robot of more than {MOST_LINKS} links is refused")
     joints = {joint.find("child").attrib["link"]: joint for joint in robot.iterfind("joint")}  # type: ignore[union-attr]
     placed = {link.attrib["name"]: root for link in robot.iterfind("link") if link.attrib["name"] not in joints}
     waiting = dict(joints)
@@ -137,18 +149,18 @@ def _solid(file: Path, geometry: Element, at: Placing, material: Material) -> Pr
         sides = np.array([[side[:3], (side[0], side[2], side[3])] for side in _SIDES]).reshape(-1, 3)
         return TriangleMesh((_CORNERS * size) @ R.T + place, sides, material)
     if geometry.tag == "mesh":
-        vertices, triangles = _read_obj(file.parent / geometry.attrib["filename"])
+        vertices, triangles = _read_obj(file.parent / geometry.attrib["filename"], file.parent)
         scale = _numbers(geometry.attrib.get("scale", "1 1 1"), 3)
         return TriangleMesh((vertices * scale) @ R.T + place, triangles, material)
     raise ValueError(f"{file} has a {geometry.tag}: shapes must be box, cylinder, sphere or mesh")
 
 
-def _read_obj(path: Path) -> tuple[FloatArray, IntArray]:
+def _read_obj(path: Path, inside: Path | None) -> tuple[FloatArray, IntArray]:
     """Vertices (V, 3) and triangles (T, 3) of an OBJ file; polygons are split."""
     if path.suffix.lower() != ".obj":
         raise ValueError(f"{path} must be an OBJ file: convert it")
     try:
-        lines = [line.split() for line in read_text(path).splitlines()]
+        lines = [line.split() for line in read_text(path, inside=inside).splitlines()]
     except FileNotFoundError:
         raise ValueError(f"there is no file {path}") from None
     try:
@@ -159,7 +171,7 @@ def _read_obj(path: Path) -> tuple[FloatArray, IntArray]:
             raise ValueError
         if indices.min() < 0 or indices.max() >= len(vertices):
             raise ValueError
-    except ValueError:
+    except (ValueError, OverflowError):
         raise ValueError(f"{path} is no OBJ file with vertices and faces between them") from None
     return vertices, indices
 

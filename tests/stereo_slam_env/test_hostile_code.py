@@ -33,7 +33,7 @@ MAY_IMPORT = {
     # Work and answers between a process and the children of its own server.
     "stereo_slam_env/benchmark/running/isolation.py": {"pickle", "cloudpickle"},
     "stereo_slam_env/benchmark/running/process_server.py": {"pickle", "cloudpickle"},
-    "stereo_slam_env/sensing/rig_files.py": {"yaml"},  # `safe_load`, which makes plain data only
+    "stereo_slam_env/files/yaml_files.py": {"yaml"},  # a safe loader, which makes plain data only
 }
 FORBIDDEN_CALLS = {
     *("eval", "exec", "__import__", "os.system", "os.popen", "joblib.load", "pd.read_pickle", "np.load"),

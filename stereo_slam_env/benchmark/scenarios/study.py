@@ -13,7 +13,6 @@ import itertools
 import json
 import math
 import re
-import sys
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
@@ -26,12 +25,7 @@ from filters.contract.known_names import did_you_mean, require_known
 from stereo_slam_env.benchmark.recordings.source import checked
 from stereo_slam_env.benchmark.scenarios.scenario import KEYS, FilterChoice, Label, Scenario
 from stereo_slam_env.files.paths import is_there, require_inside
-from stereo_slam_env.files.readers import read_text
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
+from stereo_slam_env.files.readers import parse_toml, read_text
 
 MOST_CELLS = 10_000
 MOST_TRIALS = 1_000_000
@@ -132,10 +126,24 @@ class Study:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Study:
-        """A study from its JSON form."""
-        cells = (Cell(c["name"], c["factors"], Scenario.from_dict(c["scenario"])) for c in data["cells"])
-        crossed = data["factorial"]
-        return cls(data["name"], tuple(cells), crossed and {key: tuple(levels) for key, levels in crossed.items()})
+        """A study from its JSON form; a `ValueError` names an impossible value, or says that it is too large."""
+        if len(data["cells"]) > MOST_CELLS:
+            raise ValueError(f"cells must be at most {MOST_CELLS}, got {len(data['cells'])}")
+        trials = sum(_entries(c["scenario"], "seeds", "filters", "policies") for c in data["cells"])
+        if trials > MOST_TRIALS:
+            raise ValueError(f"filters x seeds come to more than {MOST_TRIALS} trials: ask for fewer")
+        cells = (
+            Cell(c["name"], checked("factors", c["factors"], dict[str, Any]), Scenario.from_dict(c["scenario"]))
+            for c in data["cells"]
+        )
+        name = checked("name", data["name"], str)
+        crossed = checked("factorial", data["factorial"], dict[str, list[Any]] | None)
+        return cls(name, tuple(cells), crossed and {key: tuple(levels) for key, levels in crossed.items()})
+
+
+def _entries(scenario: Mapping[str, Any], *keys: str) -> int:
+    """Product of the lengths of lists."""
+    return math.prod(len(scenario.get(key) or (0,)) for key in keys)
 
 
 def factorial_label(levels: Mapping[str, Any]) -> str:
@@ -177,7 +185,7 @@ def preset(name: str) -> Scenario:
 
 @cache
 def _presets() -> Mapping[str, Mapping[str, Any]]:
-    return tomllib.loads(_PRESETS.read_text(encoding="utf-8"))
+    return parse_toml(_PRESETS.read_text(encoding="utf-8"))
 
 
 def load_study(path: str | Path, *, data: str | Path | None = None, allow_code: bool = False) -> Study:
@@ -200,7 +208,7 @@ def load_study(path: str | Path, *, data: str | Path | None = None, allow_code: 
     path = Path(path)
     try:
         text = read_text(path, most_bytes=MOST_BYTES)
-        tables = json.loads(text) if path.suffix == ".json" else tomllib.loads(text)
+        tables = json.loads(text) if path.suffix == ".json" else parse_toml(text)
     except FileNotFoundError as error:
         raise ValueError(f"scenario file {path} does not exist") from error
     except (OSError, ValueError, RecursionError) as error:

@@ -120,11 +120,28 @@ FOREIGN = {
     *("np.load", "np.loadtxt", "np.genfromtxt", "np.fromfile", "np.memmap", "cv2.imread", "cv2.VideoCapture"),
     *("cv2.FileStorage", "Image.open", "json.load", "tomllib.load", "torch.load", "sqlite3.connect"),
     *("zipfile.ZipFile", "zipfile.Path", "io.open", "gzip.open", "tarfile.open", "h5py.File", "pd.read_csv"),
+    *(
+        "yaml.load",
+        "yaml.safe_load",
+        "yaml.parse",
+        "YAML",
+        "tomllib.loads",
+        "ElementTree.parse",
+        "AnyReader",
+        "bz2.open",
+    ),
 }
 OWN = {
     "stereo_slam_env/__init__.py": {"ours.read_bytes": "the package's own source"},
     "stereo_slam_env/files/opening.py": {"os.open": "this is it", "os.fdopen": "this is it"},
+    "stereo_slam_env/files/yaml_files.py": {"yaml.parse": "this is it"},
+    "stereo_slam_env/files/bags.py": {
+        "AnyReader": "this is it",
+        "sqlite3.connect": "of a file that has been opened, for reading",
+        "zstandard().open": "of a file that has been opened",
+    },
     "stereo_slam_env/files/readers.py": {
+        "tomllib.loads": "this is it",
         "np.loadtxt": "of a text that has been read",
         "zipfile.ZipFile": "of a file that has been opened",
         "archive.open": "a part of an archive that has been opened",
@@ -188,7 +205,14 @@ def test_no_exception_is_left_over():
     "source",
     [
         *("open(p)", "p.open('rb')", "p.open()", "p.read_text()", "Path(p).read_bytes()", "numpy.load(p)"),
-        *("cv2.imread(str(p))", "Image.open(p)", "sqlite3.connect(p)", "with zipfile.ZipFile(p) as z: pass"),
+        *(
+            "cv2.imread(str(p))",
+            "Image.open(p)",
+            "sqlite3.connect(p)",
+            "yaml.safe_load(t)",
+            "AnyReader([p])",
+            "with zipfile.ZipFile(p) as z: pass",
+        ),
     ],
 )
 def test_the_search_sees(source):
