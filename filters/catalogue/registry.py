@@ -16,7 +16,7 @@ from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
 from filters.catalogue.presets import PRESETS
-from filters.contract.foreign_text import first_line, type_name
+from filters.contract.foreign_text import error_line
 from filters.contract.known_names import did_you_mean
 from filters.contract.noise import StereoNoise
 from filters.contract.stereo_filter import StereoFilter
@@ -107,9 +107,12 @@ def load_factory(kind: str, entry_point: EntryPoint) -> Any:
     """What an entry point names, of any kind of plug-in; raises a `ValueError` that names the kind and the plug-in."""
     try:
         factory = entry_point.load()
-    except Exception as error:  # whatever a stranger's module does at import must not take the run down
-        why = f"{type_name(error)}: {first_line(error)}"
-        raise ValueError(f"{kind} {entry_point.name!r} ({entry_point.value}) cannot be loaded: {why}") from error
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # whatever a stranger's module does at import must not take the run down
+        raise ValueError(
+            f"{kind} {entry_point.name!r} ({entry_point.value}) cannot be loaded: {error_line(error)}"
+        ) from None
     if not callable(factory):
         raise ValueError(f"{kind} {entry_point.name!r} ({entry_point.value}) is not callable")
     return factory

@@ -7,9 +7,13 @@ when it is asked for its message. Whatever is shown or stored of them goes throu
 from __future__ import annotations
 
 import re
+from html import escape
+from typing import Any
 
 MOST_CHARACTERS = 2000
 """Longer lines are cut."""
+_MOST_READ = 100_000
+_NAME: Any = vars(type)["__name__"]
 _CONTROLS = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
 
 
@@ -23,12 +27,18 @@ def without_controls(document: str) -> str:
     return _CONTROLS.sub("\N{REPLACEMENT CHARACTER}", document)
 
 
+def markdown(text: str) -> str:
+    """The text for a line or a cell of a table in Markdown: no markup in it is one."""
+    return re.sub(r"([\\|\[\]`])", r"\\\1", escape(" ".join(plain(text).split()), quote=False))
+
+
 def first_line(error: BaseException, *, empty: str | None = None) -> str:
     """First line of an exception's message, plain; of an empty one `empty`, or its type."""
     try:
-        lines = str(error).strip().splitlines()
-    except Exception:  # its own __str__ may raise anything
-        lines = ["its message cannot be read"]
+        text = str.__getitem__(str(error), slice(_MOST_READ))  # its own __str__ may return a text of a class of its own
+    except BaseException:  # ... or raise anything
+        text = "its message cannot be read"
+    lines = text.strip().splitlines()
     if not lines:
         return type_name(error) if empty is None else empty
     return plain(lines[0][:MOST_CHARACTERS])
@@ -36,4 +46,10 @@ def first_line(error: BaseException, *, empty: str | None = None) -> str:
 
 def type_name(error: BaseException) -> str:
     """Name of an exception's type, plain."""
-    return plain(type(error).__name__[:MOST_CHARACTERS])
+    name: str = _NAME.__get__(type(error))  # a metaclass may give `__name__` a meaning of its own
+    return plain(name[:MOST_CHARACTERS])
+
+
+def error_line(error: BaseException) -> str:
+    """Type and message of an exception in a line."""
+    return f"{type_name(error)}: {first_line(error, empty='no message')}"

@@ -35,7 +35,6 @@ from stereo_slam_env.benchmark.storage.store import (
     StudyDirectory,
     open_study,
     prepared_study,
-    root_of,
 )
 from stereo_slam_env.benchmark.storage.tables import CellResult, write_results
 from stereo_slam_env.evaluation.body_frames import read_body
@@ -170,7 +169,7 @@ def run_checked(
     write_report: ReportWriter | None = None,
 ) -> BenchmarkResult:
     """Run a study that `check_study` has passed, in a directory of `prepared_study`; as `run_benchmark`."""
-    with claimed_folder(root_of(directory.out)), _terminated_like_interrupted():
+    with claimed_folder(directory.root), _terminated_like_interrupted():
         directory = open_study(directory.out, directory.study)
         _run_missing(directory.cells, backend, progress or (lambda done, total: None))
         results = write_results(directory)
@@ -240,7 +239,9 @@ def check_filters(scenario: Scenario) -> None:
             make_with_common_options(choice.name, camera, noise, choice.options, scenario.common_options)
         except ValueError:
             raise
-        except Exception as error:  # a third-party constructor may raise anything; the run will record it
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # a third-party constructor may raise anything; the run will record it
             _log.info("filter %s cannot be made: %s", choice.label, first_line(error))
 
 

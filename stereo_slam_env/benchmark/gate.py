@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from filters.contract.foreign_text import markdown
 from filters.geometry.arrays import FloatArray
 from stereo_slam_env.benchmark.statistics.differences import (
     Difference,
@@ -81,11 +82,11 @@ class Gate:
     def as_markdown(self) -> str:
         """Headline and a table, for a pull request."""
         heads = ["| filter | measure | baseline | now | change | |", "|---|---|--:|--:|--:|---|"]
-        lines = [f"**{self.headline}**", "", *heads]
+        lines = [f"**{markdown(self.headline)}**", "", *heads]
         for row in self.rows:
             before, after = ("–" if value is None else f"{value:.4g}" for value in (row.before, row.after))
             change = "–" if row.change_percent is None else f"{signed(row.change_percent, 1)} %"
-            name = row.filter_name.replace("|", r"\|")
+            name = markdown(row.filter_name)
             mark = "**worse**: " if row.failed else ""
             lines.append(f"| {name} | {row.measure} | {before} | {after} | {change} | {mark}{row.words} |")
         lines += [

@@ -2,27 +2,37 @@
 
 A packet is JSON: the study with its seeds, versions and digest of the code, a SHA-256 of the measurements of every
 recording, the figures of every trial, and in sentences what is missing in them. Nothing in it has to be believed:
-`verify` runs a part again, chosen by the packet's own digest, and compares measurements and figures.
+`verify` runs a part again, which it draws at random, and compares measurements, figures and claims.
 """
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import secrets
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from filters.contract.known_names import require_known
+import numpy as np
+
+from filters.contract.foreign_text import first_line, plain
 from stereo_slam_env.benchmark.campaign import Progress, check_study, run_checked
+from stereo_slam_env.benchmark.packet_form import (
+    CLAIMED,
+    KEPT,
+    MOST_BYTES,
+    checked_packet,
+    columns_of,
+    missing_in,
+    with_trials,
+)
 from stereo_slam_env.benchmark.running.backends import Backend
-from stereo_slam_env.benchmark.scenarios.scenario import Scenario
+from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, Scenario
 from stereo_slam_env.benchmark.scenarios.study import Study
 from stereo_slam_env.benchmark.storage.code_identity import code_digest
 from stereo_slam_env.benchmark.storage.settings import SETTINGS
-from stereo_slam_env.benchmark.storage.store import prepared_study, read_study, root_of
+from stereo_slam_env.benchmark.storage.store import prepared_study, read_study
 from stereo_slam_env.benchmark.storage.tables import CellResult, results_of
 from stereo_slam_env.evaluation.results import FilterRun
 from stereo_slam_env.evaluation.run_trajectories import estimate_of, reference_of
@@ -30,47 +40,41 @@ from stereo_slam_env.evaluation.trajectory_score import evaluate_trajectory
 from stereo_slam_env.files.json_files import write_json
 from stereo_slam_env.files.readers import read_json
 
-FORMAT = "stereo-slam packet 2"
+_FORMATS = "stereo-slam packet "
+FORMAT = f"{_FORMATS}2"
 DATA = "{data}"
 """What stands for the folder of real recordings, which is another one elsewhere."""
-KEPT = (
-    *("frames", "path_m", "position_rmse_m", "rotation_rmse_deg", "ate_rigid_m", "end_drift_percent"),
-    *("pose_anees", "position_anees", "rotation_anees", "window_nees_1s", "window_nees_10s", "nis"),
-    *("frames_not_scored", "diverged", "failure", "ms_per_frame"),
-)
-"""Figures of a trial that a packet has."""
 _OF_THE_MACHINE = ("ms_per_frame", "failure")
 """Those that are not compared by `verify`."""
 SAME = 1e-3
 """Relative difference up to which figures agree: other processors round otherwise, and filters magnify it."""
-_CLAIMS = 10
-"""Recordings whose claims are scored."""
 
 
 def packet_of(run: Path) -> dict[str, Any]:
     """The packet of a finished run directory; raises as `results_of`."""
     directory = read_study(run)
-    results = [results_of(cell) for cell in directory.cells]
     study = directory.study.with_scenarios(lambda scenario: _moved(scenario, to=None))
+    cells = [_cell(result, result.recordings[:CLAIMED]) for result in map(results_of, directory.cells)]
+    asked = zip(cells, study.cells, strict=True)
     return {
         "format": FORMAT,
         "study": study.as_dict(),
-        "versions": read_json(directory.cells[0].out / SETTINGS, inside=root_of(run))["versions"],
-        "cells": [_cell(result) for result in results],
-        "missing": [sentence for result in results for sentence in _missing(result)],
+        "versions": read_json(directory.cells[0].out / SETTINGS, inside=directory.root)["versions"],
+        "cells": cells,
+        "missing": [sentence for cell, of_study in asked for sentence in missing_in(cell, of_study.scenario)],
     }
 
 
-def _cell(result: CellResult) -> dict[str, Any]:
-    """Recordings and trials of one cell."""
+def _cell(result: CellResult, claimed: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Recordings and trials of one cell, with the claims on some of the recordings."""
     runs = {(run.filter_name, run.recording_name, run.seed): run for run in result.runs}
     plugins = result.directory.plugin_code()
-    first = {(about["name"], about["seed"]) for about in result.recordings[:_CLAIMS]}
+    keys = {(about["name"], about["seed"]) for about in claimed}
     trials = {}
     for label, figures in result.figures.items():
         trials[label] = [
             {"recording": key[0], "seed": key[1], **{name: _short(row.get(name)) for name in KEPT}}
-            | _claim(runs.get((label, *key)) if key in first else None)
+            | _claim(runs.get((label, *key)) if key in keys else None)
             for key, row in figures.of_run.items()
         ]
     return {
@@ -110,27 +114,6 @@ def _short(value: Any) -> Any:
     return float(f"{value:.6g}") if isinstance(value, float) else value
 
 
-def _missing(result: CellResult) -> Iterator[str]:
-    """What a reader would look for in vain, in sentences."""
-    name = result.cell.name
-    kinds = {about.get("reference", {}).get("kind") for about in result.recordings}
-    if kinds & {"none", "odometry"}:
-        yield f"{name}: recordings without an independent truth have no NEES"
-    if "unknown" in kinds:
-        yield f"{name}: where the truth comes from is not known"
-    for choice in result.directory.scenario.competitors:
-        rows = list(result.figures[choice.label].of_run.values())
-        failed = [row["failure"] for row in rows if row["failure"]]
-        if failed:
-            yield f"{name}: {choice.label} failed in {len(failed)} of {len(rows)} runs ({failed[0]})"
-        unscored = sum(row["frames_not_scored"] or 0 for row in rows)
-        if unscored:
-            yield f"{name}: {unscored} frames of {choice.label} have no NEES"
-    outside = [choice.label for choice in result.directory.scenario.competitors if choice.is_outside]
-    if outside:
-        yield f"{name}: from outside, and not run again: {', '.join(outside)}"
-
-
 def _moved(scenario: Scenario, to: Path | None) -> Scenario:
     """The scenario with the folder of its real recording, and of trajectories, replaced by `DATA`; or back."""
     path = scenario.source.options.get("path")
@@ -147,8 +130,19 @@ def _moved(scenario: Scenario, to: Path | None) -> Scenario:
 
 
 def write_packet(path: Path, packet: Mapping[str, Any]) -> None:
-    """Write a packet, as compact JSON: trials by columns, so that a figure is named once, not in every trial."""
-    write_json(path, {**packet, "cells": _with_trials(packet["cells"], _columns)}, indent=None)
+    """Write a packet, as compact JSON: trials by columns, so that a figure is named once, not in every trial.
+
+    A `ValueError` says that something else has this name.
+    """
+    require_no_other(path)
+    write_json(path, {**packet, "cells": with_trials(packet["cells"], columns_of)}, indent=None)
+
+
+def require_no_other(path: Path) -> None:
+    """Raise a `ValueError` where a path is that of anything but a packet."""
+    content = read_json(path) if path.exists() else {"format": FORMAT}
+    if not isinstance(content, dict) or not str(content.get("format")).startswith(_FORMATS):
+        raise ValueError(f"{path} is there and is no packet: choose another name by --out")
 
 
 def read_packet(path: Path) -> dict[str, Any]:
@@ -160,50 +154,18 @@ def read_packet(path: Path) -> dict[str, Any]:
         The file is missing, no packet, or damaged: one line that names it.
     """
     try:
-        content = read_json(path)
+        content = read_json(path, most_bytes=MOST_BYTES)
     except FileNotFoundError as error:
         raise ValueError(f"{path} does not exist: give what `stereo-slam submit` wrote") from error
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise ValueError(f"{path} is no packet of results ({FORMAT}): write one with `stereo-slam submit RUN`")
     try:
-        require_known(f"{path} has no key", content, ("format", "study", "versions", "cells", "missing"))
-        content = {**content, "cells": _with_trials(content["cells"], _rows)}
-        names = [cell.name for cell in Study.from_dict(content["study"]).cells]
-        if names != [cell["name"] for cell in content["cells"]]:
-            raise ValueError("its cells are not those of its study")
-        for cell in content["cells"]:
-            if not cell["recordings"] or not all(
-                isinstance(one["stream_sha256"], str | dict) for one in cell["recordings"]
-            ):
-                raise ValueError(f"cell {cell['name']} has no recordings")
-            _ = cell["code_of_others"].items()
-            for rows in cell["trials"].values():
-                for row in rows:
-                    _ = row["recording"], row["seed"], [float(row[name] or 0.0) for name in KEPT if name != "failure"]
-    except (KeyError, TypeError, AttributeError) as error:
-        said = f"{type(error).__name__}: {error}"
+        return checked_packet(content)
+    except (KeyError, TypeError, AttributeError, ArithmeticError, RecursionError) as error:
+        said = f"{type(error).__name__}: {first_line(error)}"
         raise ValueError(f"{path} is a damaged packet ({said}): submit the run again") from error
     except ValueError as error:
-        raise ValueError(f"{path} is a damaged packet: {error}") from error
-    return content
-
-
-def _with_trials(cells: Sequence[Mapping[str, Any]], form: Callable[[Any], Any]) -> list[dict[str, Any]]:
-    """The cells with the trials of every filter in another form."""
-    return [{**cell, "trials": {label: form(trials) for label, trials in cell["trials"].items()}} for cell in cells]
-
-
-def _columns(rows: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:
-    """Trials by columns; one in which nothing is known is left out."""
-    names = dict.fromkeys(name for row in rows for name, value in row.items() if value is not None)
-    return {name: [row.get(name) for row in rows] for name in names}
-
-
-def _rows(columns: Mapping[str, Sequence[Any]]) -> list[dict[str, Any]]:
-    """Trials as `_cell` makes them, of columns; raises ValueError where those differ in length."""
-    known = (dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True))
-    rows = [{"recording": None, "seed": None, **dict.fromkeys(KEPT), **row} for row in known]
-    return [{name: value for name, value in row.items() if name != "claim" or value is not None} for row in rows]
+        raise ValueError(f"{path} is a damaged packet: {first_line(error)}") from error
 
 
 @dataclass(frozen=True)
@@ -225,11 +187,13 @@ class Verified:
     largest: float
     """Largest relative difference of a figure; infinity where one is known on one side only."""
     differences: tuple[str, ...]
-    """Those beyond `SAME`, each in words."""
+    """Those beyond `SAME`, and of measurements, each in words."""
+    draw: int
+    """Seed of what was drawn."""
 
     @property
     def agrees(self) -> bool:
-        """Whether every figure agrees."""
+        """Whether measurements and every figure agree."""
         return not self.differences
 
     @property
@@ -238,8 +202,9 @@ class Verified:
         streams = "the same measurements to the last bit" if self.same_streams else "other measurements"
         code = "the same code" if self.same_code else "other code"
         if self.other_plugins:
-            code += f" and other code of {', '.join(self.other_plugins)}"
-        text = f"{self.trials} of {self.of} trials were run again, by {code}, on {streams}: "
+            code += plain(f" and other code of {', '.join(self.other_plugins)}")
+        drawn = "" if self.trials == self.of else f" (--draw {self.draw})"
+        text = f"{self.trials} of {self.of} trials were run again{drawn}, by {code}, on {streams}: "
         if self.agrees:
             return text + (
                 "they agree exactly." if not self.largest else f"they agree to {self.largest:.1e} of a figure."
@@ -263,6 +228,7 @@ def verify(
     everything: bool = False,
     data: Path | None = None,
     jobs: int = 2,
+    draw: int | None = None,
     progress: Progress | None = None,
 ) -> Verified:
     """Run a part of a packet again and compare.
@@ -274,13 +240,15 @@ def verify(
     out : Path
         Run directory of the repetition.
     seeds, cells : int
-        How many recordings of how many cells are run again, chosen by the digest of the packet.
+        How many recordings of how many cells are run again, drawn at random.
     everything : bool
         Run all of it again.
     data : Path, optional
         Folder that holds the real recordings.
     jobs : int
         Trials at a time.
+    draw : int, optional
+        Seed of what is drawn, to draw the same again; None: nobody can know it before.
     progress : callable, optional
         As of `run_benchmark`.
 
@@ -290,32 +258,48 @@ def verify(
         The study cannot be run here: a recording or a filter is missing, or its source is code of somebody else.
     """
     study = Study.from_dict(packet["study"])
-    picked = _picked(packet, study, len(study.cells) if everything else cells)
+    draw = secrets.randbits(32) if draw is None else draw
+    rng = np.random.default_rng(draw)
+    told = {cell["name"]: cell for cell in packet["cells"]}
+    own = [cell for cell in study.cells if not all(choice.is_outside for choice in cell.scenario.filters)]
+    if not own:
+        raise ValueError("all of its systems are from outside: there is nothing to run again")
+    picked = own if everything else _some(rng, own, cells)
     chosen = []
     for cell in picked:
         scenario = _here(cell.scenario, data)
-        own = tuple(choice for choice in scenario.filters if not choice.is_outside)
-        wanted = scenario.seeds if everything or not scenario.source.seeded else _some(packet, scenario.seeds, seeds)
-        chosen.append(replace(cell, scenario=replace(scenario, filters=own, seeds=wanted)))
+        filters = tuple(choice for choice in scenario.filters if not choice.is_outside)
+        wanted = scenario.seeds if everything or not scenario.source.seeded else _some(rng, scenario.seeds, seeds)
+        chosen.append(replace(cell, scenario=_limited(scenario, filters, wanted)))
     part = Study(study.name, tuple(chosen))
     check_study(part)
     run_checked(prepared_study(out, part), Backend("processes", jobs, None), progress)
-    found = packet_of(out)
     differences, largest, trials, same_streams = [], 0.0, 0, True
     other_plugins: dict[str, None] = {}
-    told = {cell["name"]: cell for cell in packet["cells"]}
-    for again in found["cells"]:
-        before = told[again["name"] if again["name"] in told else picked[0].name]
-        streams = {(one["name"], one["seed"]): one["stream_sha256"] for one in before["recordings"]}
-        same_streams &= all(streams.get((o["name"], o["seed"])) == o["stream_sha256"] for o in again["recordings"])
+    for cell, directory in zip(picked, read_study(out).cells, strict=True):
+        before, result = told[cell.name], results_of(directory)
+        again = _cell(result, result.recordings)
+        known_recordings = {(one["name"], one["seed"]): one for one in before["recordings"]}
+        claimed = [(one["name"], one["seed"]) for one in before["recordings"][: min(CLAIMED, cell.scenario.kept_seeds)]]
+        for one in again["recordings"]:
+            was = known_recordings.get((one["name"], one["seed"]), {})
+            same = _same_streams(was.get("stream_sha256"), one["stream_sha256"])
+            same_streams &= same
+            if not same or any(was.get(key) != one[key] for key in ("frames", "reference")):
+                differences.append(f"{one['name']} has other measurements here")
         for label, rows in again["trials"].items():
             if before["code_of_others"].get(label) != again["code_of_others"].get(label):
                 other_plugins[label] = None
             known = {(row["recording"], row["seed"]): row for row in before["trials"].get(label, ())}
             for row in rows:
                 trials += 1
+                key = row["recording"], row["seed"]
                 where = f"{label} on {row['recording']}" + ("" if row["seed"] is None else f", seed {row['seed']}")
-                for name, gap, words in _gaps(known.get((row["recording"], row["seed"]), {}), row):
+                of_row = known.get(key, {})
+                gaps = [*_gaps(of_row, row)]
+                rounded = any(gap for _, gap, _ in gaps)
+                gaps += _claim_gaps(of_row, row, expected=key in claimed, rounded=rounded)
+                for name, gap, words in gaps:
                     largest = max(largest, gap)
                     if gap > SAME:
                         differences.append(f"{name} of {where}: {words}")
@@ -328,8 +312,28 @@ def verify(
         same_code=packet["versions"].get("code") == code_digest(),
         other_plugins=tuple(other_plugins),
         largest=largest,
-        differences=tuple(differences),
+        differences=tuple(map(plain, differences)),
+        draw=draw,
     )
+
+
+def _limited(scenario: Scenario, filters: tuple[FilterChoice, ...], seeds: tuple[int, ...]) -> Scenario:
+    """The part of a scenario that is run again: its time series are kept, and its limits of time are no longer ones."""
+    return replace(
+        scenario,
+        filters=filters,
+        seeds=seeds,
+        kept_seeds=max(scenario.kept_seeds, len(seeds)),
+        frame_time_limit=min(scenario.frame_time_limit, Scenario.frame_time_limit),
+        recording_time_limit=min(scenario.recording_time_limit, Scenario.recording_time_limit),
+    )
+
+
+def _same_streams(before: Any, again: Any) -> bool:
+    """Whether digests of measurements are the same; those of systems from outside are not made again."""
+    if isinstance(before, Mapping) and isinstance(again, Mapping):
+        return all(before.get(label) == digest for label, digest in again.items())
+    return bool(before == again)
 
 
 def _gaps(before: Mapping[str, Any], again: Mapping[str, Any]) -> Iterator[tuple[str, float, str]]:
@@ -341,8 +345,34 @@ def _gaps(before: Mapping[str, Any], again: Mapping[str, Any]) -> Iterator[tuple
         if a is None or b is None:
             yield name, 0.0 if a is b else math.inf, f"{a} in the packet, {b} here"
         else:
-            gap = abs(a - b) / max(abs(a), abs(b)) if a != b else 0.0
-            yield name, gap if math.isfinite(gap) else math.inf, f"{a:.6g} in the packet, {b:.6g} here"
+            yield name, _gap(a, b, 0.0), f"{a:.6g} in the packet, {b:.6g} here"
+
+
+def _claim_gaps(
+    before: Mapping[str, Any], again: Mapping[str, Any], *, expected: bool, rounded: bool
+) -> Iterator[tuple[str, float, str]]:
+    """Differences of the claim of a trial: a packet has one where one can be made, of its first recordings.
+
+    Where figures are `rounded` otherwise, a share of frames may have one more or less.
+    """
+    a, b = before.get("claim"), again.get("claim")
+    if a is None and not expected:
+        return
+    if a is None or b is None or a["gauge"] != b["gauge"]:
+        if a is not b:
+            yield "claim", math.inf, f"{a and a['gauge']} in the packet, {b and b['gauge']} here"
+        return
+    frame = 1.5 / max(again["frames"] or 1, 1) if rounded else 0.0
+    yield "coverage_90", _gap(a["coverage_90"], b["coverage_90"], frame), f"{a['coverage_90']}, {b['coverage_90']} here"
+    for name, least in (("scale_gap", 0.0), ("log_score", 1.0)):
+        gap = abs(a[name] - b[name]) / max(abs(a[name]), abs(b[name]), least) if a[name] != b[name] else 0.0
+        yield name, gap, f"{a[name]:.6g} in the packet, {b[name]:.6g} here"
+
+
+def _gap(a: float, b: float, allowed: float) -> float:
+    """Relative difference, infinity where there is none; one within what is `allowed` is 0."""
+    gap = abs(a - b) / max(abs(a), abs(b)) if abs(a - b) > allowed else 0.0
+    return gap if math.isfinite(gap) else math.inf
 
 
 def _here(scenario: Scenario, data: Path | None) -> Scenario:
@@ -356,15 +386,7 @@ def _here(scenario: Scenario, data: Path | None) -> Scenario:
     return scenario
 
 
-def _digest(packet: Mapping[str, Any]) -> int:
-    return int(hashlib.sha256(json.dumps(packet["cells"], sort_keys=True).encode()).hexdigest(), 16)
-
-
-def _picked(packet: Mapping[str, Any], study: Study, count: int) -> list[Any]:
-    """So many cells, chosen by the digest of the results: nobody can choose beforehand which are checked."""
-    return list(_some(packet, study.cells, count))
-
-
-def _some(packet: Mapping[str, Any], items: Sequence[Any], count: int) -> tuple[Any, ...]:
-    start, step = _digest(packet) % len(items), max(1, len(items) // max(count, 1))
-    return tuple(items[(start + k * step) % len(items)] for k in range(min(count, len(items))))
+def _some(rng: np.random.Generator, items: Sequence[Any], count: int) -> tuple[Any, ...]:
+    """So many of the items, drawn at random, in their order."""
+    picked = rng.choice(len(items), min(count, len(items)), replace=False)
+    return tuple(items[k] for k in sorted(picked.tolist()))

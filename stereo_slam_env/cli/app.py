@@ -154,7 +154,7 @@ def report(
     ] = False,
 ) -> None:
     """Write tables and report of a finished run again; with a second run, say what changed significantly."""
-    from stereo_slam_env.benchmark.storage.store import read_study, root_of
+    from stereo_slam_env.benchmark.storage.store import read_study
     from stereo_slam_env.benchmark.storage.tables import write_results
     from stereo_slam_env.files.folders import claimed_folder
     from stereo_slam_env.report.benchmark_report import write_report_of
@@ -164,7 +164,7 @@ def report(
         _compare(directory, after, out)
         return
     study = read_study(directory)
-    with claimed_folder(root_of(study.out)):
+    with claimed_folder(study.root):
         results = write_results(study)
         if trajectories:
             study.write_trajectories()

@@ -73,7 +73,7 @@ def evaluate(
     from stereo_slam_env.evaluation.gauges import AlignmentKind
     from stereo_slam_env.evaluation.trajectory_runs import score_runs
     from stereo_slam_env.evaluation.trajectory_score import SCHEMA, evaluate_trajectory
-    from stereo_slam_env.files.folders import require_writable
+    from stereo_slam_env.files.folders import own_files, require_writable
     from stereo_slam_env.files.json_files import write_json
     from stereo_slam_env.recording.trajectory_files import load_trajectory
     from stereo_slam_env.report.trajectory_table import show_runs_score, show_trajectory_scores
@@ -128,7 +128,7 @@ def evaluate(
         if verdict is not None:
             typer.echo(verdict.words)
     if out is not None:
-        out.mkdir(parents=True, exist_ok=True)
+        own_files(out, ["score.json", "report.html"])
         write_json(out / "score.json", figures)
         from stereo_slam_env.report.trajectory_report import write_trajectory_report
 

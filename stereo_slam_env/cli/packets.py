@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from filters.contract.foreign_text import plain
 from stereo_slam_env.cli.parts import JobsOption, JsonOption, console, show_json
 
 if TYPE_CHECKING:
@@ -21,17 +22,18 @@ def submit(
     ] = None,
 ) -> None:
     """Make a small packet of a run, to be handed in: study, versions, digests of the recordings, figures."""
-    from stereo_slam_env.benchmark.packets import packet_of, write_packet
+    from stereo_slam_env.benchmark.packets import packet_of, require_no_other, write_packet
     from stereo_slam_env.files.folders import require_writable
 
     path = Path(f"{run.resolve().name}.json") if out is None else out
     if path.suffix != ".json":
         raise ValueError(f"--out must end in .json, got {path}")
     require_writable(path.parent)
+    require_no_other(path)
     packet = packet_of(run)
     write_packet(path, packet)
     for sentence in packet["missing"]:
-        typer.echo(f"missing: {sentence}")
+        typer.echo(f"missing: {plain(sentence)}")
     typer.echo(f"packet: {path.resolve()} ({path.stat().st_size / 1000.0:.0f} kB)")
 
 
@@ -44,6 +46,10 @@ def verify(
         Path | None, typer.Option("--data", help="Folder of the real recordings.", envvar="STEREO_SLAM_DATA")
     ] = None,
     jobs: JobsOption = 2,
+    draw: Annotated[
+        int | None,
+        typer.Option("--draw", help="Draw the part of an earlier check.", show_default="random", min=0),
+    ] = None,
     out: Annotated[
         Path | None, typer.Option("--out", help="Keep the repetition there.", show_default="not kept")
     ] = None,
@@ -64,13 +70,14 @@ def verify(
             everything=everything,
             data=data,
             jobs=jobs,
+            draw=draw,
             progress=progress,
         )
     if as_json:
         show_json(found.as_dict())
     else:
         for sentence in content["missing"]:
-            typer.echo(f"note: {sentence}")
+            typer.echo(f"note: {plain(sentence)}")
         typer.echo(found.words)
     if not found.agrees:
         raise typer.Exit(1)

@@ -85,7 +85,7 @@ def render_scene(
     import gymnasium as gym
     import numpy as np
 
-    from stereo_slam_env.files.folders import require_writable
+    from stereo_slam_env.files.folders import require_writable, write_atomically
 
     if out.suffix.lower() != ".png":
         raise ValueError(f"--out must be a file name ending in .png, got {str(out)!r}")
@@ -101,8 +101,8 @@ def render_scene(
     finally:
         env.close()
     out.parent.mkdir(parents=True, exist_ok=True)
-    if not cv2.imwrite(str(out), image[..., ::-1]):
-        raise OSError(f"{out} cannot be written")
+    picture = bytes(cv2.imencode(".png", image[..., ::-1])[1])
+    write_atomically(out, lambda stream: stream.write(picture))
     typer.echo(str(out.resolve()))
 
 

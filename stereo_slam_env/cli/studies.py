@@ -123,12 +123,11 @@ def faults(
 
 
 def _write_matrix(out: Path, matrix: FaultMatrix) -> None:
-    from stereo_slam_env.files.folders import write_atomically
+    from stereo_slam_env.files.folders import own_files, write_text
 
-    figures = json.dumps(matrix.as_dict(), indent=1) + "\n"
-    out.mkdir(parents=True, exist_ok=True)
-    write_atomically(out / "faults.json", lambda file: file.write(figures.encode()))
-    write_atomically(out / "faults.md", lambda file: file.write(matrix.as_markdown().encode()))
+    own_files(out, ("faults.json", "faults.md"))
+    write_text(out / "faults.json", json.dumps(matrix.as_dict(), indent=1) + "\n")
+    write_text(out / "faults.md", matrix.as_markdown())
 
 
 def _show_matrix(matrix: FaultMatrix) -> None:

@@ -13,7 +13,7 @@ from filters import StereoNoise
 from filters.catalogue.common_options import make_with_common_options
 from filters.catalogue.registry import FilterFactory, label_of
 from filters.checks.consistency import nees
-from filters.contract.foreign_text import first_line, type_name
+from filters.contract.foreign_text import error_line, first_line
 from filters.contract.update_report import UpdateReport
 from filters.geometry.arrays import FloatArray, IntArray
 from filters.motions.model import POSE_SIZE, POSITION, ROTATION
@@ -115,9 +115,11 @@ def run_filter(
             failure = log.fault()
         except ContractBroken as error:
             failure = log.fault() or str(error)
-        except Exception as error:  # a stranger's filter may raise anything; the comparison goes on without it
+        except (KeyboardInterrupt, SystemExit):  # of the user, unless in a process of its own (`tasks`)
+            raise
+        except BaseException as error:  # a stranger's filter may raise anything; the comparison goes on without it
             where = f"frame {frame_number}" if frame_number >= 0 else "start"
-            failure = log.fault() or f"{where}: {type_name(error)}: {first_line(error, empty='no message')}"
+            failure = log.fault() or f"{where}: {error_line(error)}"
         memory = peak_memory_mb() - memory
         if scores is not None and failure is None:
             log.add_windows(scores.series)

@@ -4,20 +4,25 @@ from __future__ import annotations
 
 import errno
 import os
+from collections.abc import Collection
 from pathlib import Path
 
 _LONGEST_NAME = 255
 """bytes; common file systems take no longer one."""
 
 
-def require_links_inside(folder: Path) -> None:
+def require_links_inside(folder: Path, *, only: Collection[str] | None = None) -> None:
     """Refuse a folder with links that lead out of it: a `ValueError` names the first one.
+
+    Of what is in the folder itself, `only` these names are looked at, and what is below them.
 
     What is in a folder can be reached by names without ".." only through links, and every link below it is looked at;
     so whatever a reader then opens by such names is inside. The folder itself may be given as a link.
     """
     root = folder.resolve()
     for here, folders, files in os.walk(root):
+        if only is not None and Path(here) == root:
+            folders[:], files[:] = ([name for name in names if name in only] for names in (folders, files))
         for name in (*folders, *files):
             path = Path(here, name)
             if path.is_symlink():

@@ -38,6 +38,8 @@ _PIECE, _MOST_HEADER = 1 << 20, 1 << 17
 _MOST_DIRECTORY = 10_000_000
 _END_OF_ZIP = 22
 """bytes: of a zip archive's last record."""
+_END_OF_LONG_ZIP = 76
+"""bytes before that: of the record with 64 bits, and of its place."""
 _LEAST_VOLUME = 1e-6
 """Determinant; that of a rotation is 1."""
 
@@ -77,8 +79,8 @@ def read_text(path: Path, *, errors: str = "strict", most_bytes: int = MOST_TEXT
         raise ValueError(f"{path} is no text in UTF-8 (byte {error.start}): save it as such") from error
 
 
-def read_json(path: Path, *, inside: Path | None = None) -> Any:
-    """Read JSON; `inside` as of `open_regular`.
+def read_json(path: Path, *, most_bytes: int = MOST_TEXT, inside: Path | None = None) -> Any:
+    """Read JSON; `most_bytes` and `inside` as of `open_regular`.
 
     Raises
     ------
@@ -87,9 +89,10 @@ def read_json(path: Path, *, inside: Path | None = None) -> Any:
     ValueError
         As `read_text`, or it is no JSON: one line.
     """
+    text = read_text(path, most_bytes=most_bytes, inside=inside)
     try:
-        return json.loads(read_text(path, inside=inside))
-    except (json.JSONDecodeError, RecursionError) as error:
+        return json.loads(text)
+    except (ValueError, RecursionError) as error:  # ValueError: numbers of too many digits, too
         raise ValueError(f"{path} is no JSON ({first_line(error)}): write it again") from error
 
 
@@ -245,12 +248,36 @@ def read_arrays(
         raise DamagedArchive(first_line(error)) from error
 
 
+def require_plain_zip(stream: BinaryIO) -> None:
+    """Refuse, before a library opens it, what is no zip archive or one with packed parts; ends at the beginning.
+
+    Raises
+    ------
+    DamagedArchive
+        It is no archive, or has parts that are packed, or that are longer than the archive.
+    """
+    try:
+        _require_short_directory(stream, long=True)
+        parts = zipfile.ZipFile(stream).infolist()
+        packed = any(part.compress_type != zipfile.ZIP_STORED for part in parts)
+        if packed or sum(part.file_size for part in parts) > _size(stream):
+            raise DamagedArchive("its parts are packed, which this program does not do")
+    except DamagedArchive:
+        raise
+    except _DAMAGE as error:
+        raise DamagedArchive(first_line(error)) from error
+    stream.seek(0)
+
+
 def _opened(source: str | Path | bytes, inside: Path | None) -> BinaryIO:
     return io.BytesIO(source) if isinstance(source, bytes) else open_regular(source, inside=inside)
 
 
-def _require_short_directory(stream: BinaryIO) -> None:
-    """Refuse an archive whose table of contents, which `zipfile` reads whole, is longer than that of any recording."""
+def _require_short_directory(stream: BinaryIO, *, long: bool = False) -> None:
+    """Refuse an archive whose table of contents, which `zipfile` reads whole, is longer than that of any recording.
+
+    `long` archives, whose sizes have 64 bits, are what PyTorch writes.
+    """
     size = stream.seek(0, os.SEEK_END)
     stream.seek(max(size - _END_OF_ZIP - (1 << 16), 0))
     tail = stream.read()
@@ -260,7 +287,10 @@ def _require_short_directory(stream: BinaryIO) -> None:
     if at < 0 or len(tail) < at + _END_OF_ZIP:
         raise DamagedArchive("it is no zip archive, or cut off")
     (length,) = struct.unpack_from("<L", tail, at + 12)
-    if length > _MOST_DIRECTORY or tail[max(at - 20, 0) : at][:4] == b"PK\6\7":
+    is_long = tail[max(at - 20, 0) : at][:4] == b"PK\6\7"
+    if is_long and long and at >= _END_OF_LONG_ZIP:
+        (length,) = struct.unpack_from("<Q", tail, at - _END_OF_LONG_ZIP + 40)
+    if length > _MOST_DIRECTORY or (is_long and not long):
         raise DamagedArchive("its table of contents is longer than that of a recording")
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from filters.contract.foreign_text import first_line, type_name
+from filters.contract.foreign_text import error_line
 from filters.geometry.poses import Pose
 from stereo_slam_env.envs.recorder import recording_of
 from stereo_slam_env.envs.stereo_env import StereoEnv
@@ -115,9 +115,10 @@ def run_episode(
             observation, _, terminated, truncated, _ = env.step(action)
             keep()
             over = terminated or truncated
-    except Exception as error:  # a stranger's policy may raise anything; the comparison goes on without it
-        what = f"{type_name(error)}: {first_line(error, empty='no message')}"
-        failure = f"frame {len(collected) - 1}: {asked}: {what}"
+    except (KeyboardInterrupt, SystemExit):  # of the user, unless in a process of its own
+        raise
+    except BaseException as error:  # a stranger's policy may raise anything; the comparison goes on without it
+        failure = f"frame {len(collected) - 1}: {asked}: {error_line(error)}"
         if not collected or core.frame is not collected[-1]:
             keep()  # what the filter in the loop did not survive
     straight_ahead = np.zeros(core.action_space.shape or (), dtype=np.float32)

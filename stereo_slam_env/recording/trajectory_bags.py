@@ -16,6 +16,7 @@ from filters.contract.extras import require_module
 from filters.contract.foreign_text import first_line, plain
 from filters.geometry.arrays import IntArray
 from filters.motions.model import POSE_SIZE
+from stereo_slam_env.files.bags import open_bag
 from stereo_slam_env.files.opening import require_regular
 from stereo_slam_env.recording.times import message_times, require_rate
 from stereo_slam_env.recording.trajectory import Trajectory
@@ -136,15 +137,12 @@ def _of_transforms(path: Path, topic: str, pair: str, links: dict[str, Link]) ->
 @contextmanager
 def opened_bag(path: Path) -> Iterator[Any]:
     """The reader of a bag; whatever it or a message raises is damage, in one line."""
-    from rosbags.highlevel import AnyReader
-    from rosbags.typesys import Stores, get_typestore
-
     inside = path if path.is_dir() else None
     try:
         for file in [path] if inside is None else sorted(path.iterdir()):
             if not file.is_dir():
                 require_regular(file, inside=inside)  # the library would wait for a pipe
-        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+        with open_bag(path) as reader:
             yield reader
     except ValueError:
         raise

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import t
 
+from filters.contract.foreign_text import markdown
 from filters.geometry.arrays import FloatArray
 from stereo_slam_env.benchmark.packets import read_packet
 from stereo_slam_env.evaluation.figures import FIGURES
@@ -41,20 +42,21 @@ def _section(name: str, packet: Mapping[str, Any]) -> str:
     rows = []
     for cell in cells:
         found = sorted((_row(label, trials) for label, trials in cell["trials"].items()), key=lambda row: row[:2])
-        rows += [columns if len(cells) == 1 else [cell["name"], *columns] for _, _, columns in found]
+        rows += [columns if len(cells) == 1 else [markdown(cell["name"]), *columns] for _, _, columns in found]
     if len(cells) > 1:
         heads = ("cell", *heads)
     marks = "|---" * (len(heads) - numbers) + "|" + "--:|" * numbers
     table = "\n".join(["| " + " | ".join(heads) + " |", marks, *("| " + " | ".join(row) + " |" for row in rows)])
-    return f"## {packet['study']['name']}\n\n{_about(name, packet)}\n\n{table}\n"
+    return f"## {markdown(packet['study']['name'])}\n\n{_about(name, packet)}\n\n{table}\n"
 
 
 def _about(name: str, packet: Mapping[str, Any]) -> str:
     """Where it comes from, and what is missing, in lines of Markdown."""
     cells = packet["cells"]
-    kinds = sorted({str(one["reference"]) for cell in cells for one in cell["recordings"]})
-    lines = [f"`stereo-slam verify results/{name}` runs a part of it again. Truth: {', '.join(kinds)}."]
-    missing = [each if len(cells) > 1 else each.partition(": ")[2] for each in packet["missing"]]
+    kinds = sorted({markdown(str(one["reference"])) for cell in cells for one in cell["recordings"]})
+    lines = [f"`stereo-slam verify results/{markdown(name)}` runs a part of it again. Truth: {', '.join(kinds)}."]
+    said = map(markdown, packet["missing"])
+    missing = [each if len(cells) > 1 else each.partition(": ")[2] for each in said]
     if missing:
         lines.append("\n".join(textwrap.wrap(f"Missing: {'; '.join(missing)}.", 100, break_on_hyphens=False)))
     return "\n\n".join(lines)
@@ -68,7 +70,7 @@ def _row(label: str, trials: Sequence[Mapping[str, Any]]) -> tuple[tuple[bool, f
     errors = [trial["position_rmse_m"] for trial in trials if trial["position_rmse_m"] is not None]
     nees = [trial["pose_anees"] / 6.0 for trial in trials if trial["pose_anees"] is not None]
     cells = [
-        label,
+        markdown(label),
         str(len(trials)),
         f"{np.sqrt(np.mean(np.square(errors))):.3g}" if errors else _UNKNOWN,
         _short(np.mean(nees)) if nees else _UNKNOWN,

@@ -17,7 +17,8 @@ from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup, escape
 
 from filters.contract.foreign_text import without_controls
-from stereo_slam_env.files.folders import write_atomically
+from stereo_slam_env.benchmark.storage.settings import holds_run
+from stereo_slam_env.files.folders import own_files, remove_own_files, write_text
 from stereo_slam_env.report.charts.drawing import Chart
 from stereo_slam_env.report.charts.saving import save_all
 from stereo_slam_env.report.charts.style import in_page_colours
@@ -70,10 +71,11 @@ def _contents(body: str) -> Markup:
 def write_page(path: Path, *, title: str, subtitle: str, parts: Sequence[Markup]) -> Path:
     """Write a page, whole or not at all, with these parts one below the other, in a folder that is made.
 
-    Returns its path.
+    Returns its path; a `ValueError` says that another page is there.
     """
+    own_files(path.parent, [path.name])
     page = html_page(title=title, subtitle=subtitle, body=Markup("\n").join(parts))
-    write_atomically(path, lambda stream: stream.write(page.encode()))
+    write_text(path, page)
     return path
 
 
@@ -106,6 +108,7 @@ def figure_blocks(charts: Mapping[str, tuple[Chart, str]], folder: Path) -> dict
         By name, a `<figure>` with the drawing inline, and the chart that takes its place where there is JavaScript.
     """
     folder.mkdir(parents=True, exist_ok=True)
+    own_files(folder.parent, [f"{folder.name}/{name}{ending}" for name in charts for ending in (".png", ".svg")])
     pictures = [(chart, (folder / f"{name}.png", folder / f"{name}.svg")) for name, (chart, _) in charts.items()]
     blocks = {}
     for (name, (chart, description)), svg in zip(charts.items(), save_all(pictures), strict=True):
@@ -148,11 +151,14 @@ def inline_svg(svg: str, name: str, description: str) -> Markup:
 
 
 def clean_figures(out: Path) -> Path:
-    """The folder of the figures, without those of an earlier report, nor its tables."""
+    """The folder of the figures, without those of an earlier report, nor its tables.
+
+    A `ValueError` says that the folder of the report holds another page.
+    """
     folder = out / FIGURES
     folder.mkdir(parents=True, exist_ok=True)
-    for stale in (*folder.glob("*.png"), *folder.glob("*.svg"), *(out / TABLES).glob("*.tex")):
-        stale.unlink()
+    own_files(out, ["report.html"], is_run=holds_run(out))
+    remove_own_files(out, (FIGURES, TABLES))
     return folder
 
 
@@ -183,5 +189,5 @@ def _vega() -> str:
     script = vl_convert.javascript_bundle("window.vegaEmbed = vegaEmbed;").replace("</script", "<\\/script")
     script = f"(() => {{{script}}})();"  # its names stay its own
     with suppress(OSError):
-        write_atomically(_KEPT_LIBRARY, lambda stream: stream.write(script.encode()))
+        write_text(_KEPT_LIBRARY, script)
     return script

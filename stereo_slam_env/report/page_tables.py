@@ -11,7 +11,7 @@ import numpy as np
 from markupsafe import Markup
 
 from stereo_slam_env.evaluation.figures import UNKNOWN
-from stereo_slam_env.files.folders import write_atomically
+from stereo_slam_env.files.folders import own_files, write_text
 from stereo_slam_env.report.latex import latex_table
 from stereo_slam_env.report.page import part
 
@@ -111,9 +111,9 @@ def table(
         alignment = "".join("r" if column.kind == "number" and i else "l" for i, column in enumerate(columns))
         heads = [[column.heading for column in columns], [column.unit for column in columns]]
         body = [[f"{cell.text} ({cell.note})" if cell.note else cell.text for cell in row] for row in placed]
-        text = latex_table(alignment, [head for head in heads if any(head)], body).encode()
-        latex.parent.mkdir(parents=True, exist_ok=True)
-        write_atomically(latex, lambda stream: stream.write(text))
+        text = latex_table(alignment, [head for head in heads if any(head)], body)
+        own_files(latex.parent.parent, [f"{latex.parent.name}/{latex.name}"])
+        write_text(latex, text)
     return part("table", columns, placed, look, f"{latex.parent.name}/{latex.name}" if latex is not None else "")
 
 

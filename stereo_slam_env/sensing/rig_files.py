@@ -20,6 +20,7 @@ from filters.geometry.arrays import FloatArray
 from stereo_slam_env.files.opening import open_regular
 from stereo_slam_env.files.paths import is_there
 from stereo_slam_env.files.readers import read_json, read_text
+from stereo_slam_env.files.yaml_files import parse_yaml
 from stereo_slam_env.sensing.lenses import (
     Lens,
     LensModel,
@@ -149,17 +150,14 @@ def _with_partner(file: Path, right: str | Path | None, table: dict[str, Any]) -
 
 def _table(path: Path) -> dict[str, Any]:
     """Content of a YAML or JSON file; what OpenCV writes beyond YAML is taken out."""
-    import yaml
-
     if path.suffix == ".json":
         found = read_json(path)
     else:
         text = re.sub(r"^%YAML.*$|!!opencv-\w+", "", read_text(path, most_bytes=MOST_BYTES), flags=re.MULTILINE)
         try:
-            found = yaml.safe_load(text)
-        except (yaml.YAMLError, ValueError, TypeError, RecursionError) as error:
-            why = " ".join(str(error).split()) if isinstance(error, yaml.YAMLError) else first_line(error)
-            raise ValueError(f"{path} is no YAML ({plain(why)[:200]}): take the calibration again") from error
+            found = parse_yaml(text)
+        except ValueError as error:
+            raise ValueError(f"{path} is no YAML that is read ({error}): take the calibration again") from error
     if not isinstance(found, dict):
         raise ValueError(f"{path} holds no entries 'name: value': take the calibration again")
     return {str(key): value for key, value in found.items()}

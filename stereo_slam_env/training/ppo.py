@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import json
 import logging
 import platform
@@ -20,12 +21,14 @@ import numpy as np
 from filters.contract.extras import require_module
 from filters.contract.foreign_text import first_line
 from filters.contract.known_names import require_known
-from filters.contract.validation import positive
+from filters.contract.validation import positive, whole_number
 from filters.geometry.arrays import FloatArray
-from stereo_slam_env.files.folders import claimed_folder, write_atomically
+from stereo_slam_env.files.folders import claimed_folder, is_occupied, write_atomically, write_text
+from stereo_slam_env.files.json_files import json_text, write_json
 from stereo_slam_env.files.opening import open_regular
 from stereo_slam_env.files.package_versions import commit, version_of
-from stereo_slam_env.files.readers import read_json, read_text
+from stereo_slam_env.files.paths import require_links_inside
+from stereo_slam_env.files.readers import read_json, read_text, require_plain_zip
 from stereo_slam_env.policies.network import Network
 from stereo_slam_env.training.registered_task import EpisodeOutcome, RegisteredTask
 from stereo_slam_env.training.settings import VALIDATION_SEEDS, PPOSettings
@@ -48,6 +51,11 @@ DIAGNOSTICS = {
     "explained_variance": "train/explained_variance",
 }
 """Columns of the learning curve, and what the logger of stable-baselines3 calls them; NaN before the first update."""
+ABOUT, STATE = "run.json", "state.pt"
+_WRITTEN = (ABOUT, STATE, "learning_curve.csv", "policy.npz", "tensorboard")
+"""Entries of the directory of a training."""
+_ROUNDED = 1e-5
+"""Relative: numbers of a learning curve have six digits."""
 _OBSERVATION_CLIP = 5.0
 _PACKAGES = ("stereo-slam-env", "numpy", "numba", "gymnasium", "torch", "stable-baselines3")
 
@@ -81,9 +89,13 @@ class LearningCurve:
         self.rows: list[dict[str, float]] = []
         if file.exists():
             try:
-                rows = csv.DictReader(read_text(file).splitlines())
+                rows = csv.DictReader(read_text(file, inside=file.parent).splitlines())
+                if "decisions" not in (rows.fieldnames or ()):
+                    raise ValueError("it has no column decisions")
                 self.rows = [{name: float(value) for name, value in row.items()} for row in rows]
-            except (TypeError, ValueError, csv.Error) as error:
+                if not np.isfinite([(row["decisions"], row["seconds"], merit(row)) for row in self.rows]).all():
+                    raise ValueError("decisions, seconds and results must be finite")
+            except (KeyError, TypeError, ValueError, csv.Error) as error:
                 raise ValueError(
                     f"{file} is no learning curve ({first_line(error)}): give another directory"
                 ) from error
@@ -92,6 +104,10 @@ class LearningCurve:
     def seconds(self) -> float:
         """Time of the training so far, s."""
         return self.rows[-1]["seconds"] if self.rows else 0.0
+
+    def cut(self, decisions: int) -> None:
+        """Drop rows after so many decisions: of looks after which the state of the training was not saved."""
+        self.rows = [row for row in self.rows if row["decisions"] <= decisions * (1.0 + _ROUNDED)]
 
     @property
     def best(self) -> dict[str, float]:
@@ -113,10 +129,11 @@ class LearningCurve:
         row |= {"decisions_per_second": speed, **{name: diagnostics.get(name, np.nan) for name in DIAGNOSTICS}}
         self.rows.append(row)
         best = self.best is row
-        with self._file.open("w", encoding="utf-8", newline="") as stream:
-            writer = csv.DictWriter(stream, list(row))
-            writer.writeheader()
-            writer.writerows({name: f"{value:.6g}" for name, value in row.items()} for row in self.rows)
+        stream = io.StringIO(newline="")
+        writer = csv.DictWriter(stream, list(dict.fromkeys(name for each in self.rows for name in each)), restval="nan")
+        writer.writeheader()
+        writer.writerows({name: f"{value:.6g}" for name, value in each.items()} for each in self.rows)
+        write_text(self._file, stream.getvalue())
         return best
 
 
@@ -159,29 +176,34 @@ def train(
     ImportError
         The extra rl is missing.
     ValueError
-        `out` holds a run of something else, or is in use by another process.
+        `out` holds something else or another training, is damaged, or is in use by another process.
     """
     require_module("stable_baselines3", "rl")
     import torch
 
-    _claim(out, task, settings)
+    about = _about(task, settings)
+    require_own_training(out, about)
+    more = None if minutes is None else 60.0 * positive("minutes", minutes)
     torch.set_num_threads(1)
-    curve = LearningCurve(out / "learning_curve.csv")
-    began = time.monotonic() - curve.seconds
-    limit = None if minutes is None else curve.seconds + 60.0 * positive("minutes", minutes)
     with claimed_folder(out), _learner(task, settings, out) as (model, scaling):
+        require_own_training(out, about)
+        curve = LearningCurve(out / "learning_curve.csv")
+        curve.cut(model.num_timesteps if (out / STATE).exists() else -1)
+        began = time.monotonic() - curve.seconds
+        limit = None if more is None else curve.seconds + more
+        write_json(out / ABOUT, about)
         seeds, said = VALIDATION_SEEDS[: settings.validation], ""
         found: dict[str, float] = {}
 
         def look() -> str:
             """Evaluate the network, keep it if it is the best so far, and save the state of the training."""
-            about = {"task": asdict(task), "settings": asdict(settings), "decisions": model.num_timesteps}
-            network = network_of(model, scaling, about, task.choices)
+            made_by = {"task": asdict(task), "settings": asdict(settings), "decisions": model.num_timesteps}
+            network = network_of(model, scaling, made_by, task.choices)
             results = evaluate(network, task, seeds, threads=settings.threads)
             returns = [episode["r"] for episode in model.ep_info_buffer or ()] or [np.nan]
             if curve.add(model.num_timesteps, time.monotonic() - began, float(np.mean(returns)), results, found):
                 network.save(out / "policy.npz")
-            _save_state(out / "state.pt", model, scaling)
+            _save_state(out / STATE, model, scaling)
             words = task.words(results)
             _log.info("%d decisions: %s", model.num_timesteps, words)
             return words
@@ -202,23 +224,34 @@ def train(
     return out / "policy.npz"
 
 
-def _claim(out: Path, task: Task, settings: PPOSettings) -> None:
-    """Write task and settings, or check that those of the run in `out` are the same but for its length and threads."""
+def _about(task: Task, settings: PPOSettings) -> dict[str, Any]:
+    """Content of `run.json`."""
     versions = {name: version_of(name) for name in _PACKAGES} | {"python": platform.python_version()}
     made_with = {"task": asdict(task), "settings": asdict(settings), "versions": versions, "commit": commit()}
-    about = json.loads(json.dumps(made_with))
-    file = out / "run.json"
-    if file.exists():
-        there = read_json(file)
-        for part in ("task", "settings"):
-            for key, value in about[part].items():
-                if key not in ("decisions", "threads") and there.get(part, {}).get(key) != value:
-                    raise ValueError(
-                        f"{out} holds a run with {key} = {there.get(part, {}).get(key)!r}, not {value!r}: "
-                        "give another directory"
-                    )
-    out.mkdir(parents=True, exist_ok=True)
-    write_atomically(file, lambda stream: stream.write(json.dumps(about, indent=2).encode()))
+    about: dict[str, Any] = json.loads(json_text(made_with))
+    return about
+
+
+def require_own_training(out: Path, about: Mapping[str, Any]) -> None:
+    """Raise a `ValueError` where `out` holds anything but this training, be it with another length or threads."""
+    if out.exists() and not out.is_dir():
+        raise ValueError(f"output {out} is a file: give a directory")
+    if not out.is_dir() or not is_occupied(out):
+        return
+    try:
+        before = read_json(out / ABOUT, inside=out)
+    except FileNotFoundError:
+        before = None
+    parts = ("task", "settings")
+    if not isinstance(before, dict) or not all(isinstance(before.get(part), dict) for part in parts):
+        raise ValueError(f"output {out} is not empty and holds no training: choose another directory")
+    require_links_inside(out, only=_WRITTEN)
+    for part in parts:
+        for key, value in about[part].items():
+            if key not in ("decisions", "threads") and before[part].get(key) != value:
+                raise ValueError(
+                    f"{out} holds a run with {key} = {before[part].get(key)!r}, not {value!r}: give another directory"
+                )
 
 
 @contextmanager
@@ -250,8 +283,8 @@ def _learner(task: Task, settings: PPOSettings, out: Path) -> Iterator[tuple[PPO
         )
         if settings.initial_bias:
             _bias(model, settings.initial_bias)
-        if (out / "state.pt").exists():
-            _load_state(out / "state.pt", model, scaling)
+        if (out / STATE).exists():
+            _load_state(out / STATE, model, scaling)
         yield model, scaling
     finally:
         scaling.close()
@@ -330,16 +363,19 @@ def _save_state(file: Path, model: PPO, scaling: VecNormalize) -> None:
 def _load_state(file: Path, model: PPO, scaling: VecNormalize) -> None:
     import torch
 
-    with open_regular(file) as stream:
+    with open_regular(file, inside=file.parent) as stream:
         try:
+            require_plain_zip(stream)
             state = torch.load(stream, weights_only=True)
+            model.policy.load_state_dict(state["policy"])
+            model.policy.optimizer.load_state_dict(state["optimizer"])
+            model.num_timesteps = whole_number("decisions", state["decisions"], 0)
+            for key, rms in _moments(scaling).items():
+                mean, variance = (np.asarray(values, dtype=np.float64) for values in state["moments"][key][:2])
+                if mean.shape != np.shape(rms.mean) or variance.shape != np.shape(rms.var):
+                    raise ValueError(f"the moments of {key!r} have the shape {mean.shape}")
+                rms.mean, rms.var, rms.count = mean, variance, float(state["moments"][key][2])
         except Exception as error:  # of PyTorch, pickle or zip, as the damage is
             raise ValueError(
-                f"{file} is no state of a training ({first_line(error)}): give another directory"
+                f"{file} is no state of this training ({first_line(error)}): give another directory"
             ) from error
-    model.policy.load_state_dict(state["policy"])
-    model.policy.optimizer.load_state_dict(state["optimizer"])
-    model.num_timesteps = state["decisions"]
-    for key, rms in _moments(scaling).items():
-        mean, variance, rms.count = state["moments"][key]
-        rms.mean, rms.var = np.asarray(mean), np.asarray(variance)

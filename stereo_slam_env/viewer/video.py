@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from filters.contract.validation import positive
+from stereo_slam_env.files.folders import unfinished_name
 from stereo_slam_env.files.paths import checked_file
 from stereo_slam_env.rendering.drawing import even_sides
 from stereo_slam_env.rendering.images import Image
@@ -39,7 +40,7 @@ class Recorder:
 
     def __init__(self, path: str | Path, fps: float = 10.0) -> None:
         self.path, self._fps = checked_file("video file", path, ".mp4"), positive("fps", fps)
-        self._partial = self.path.with_name(f".{self.path.stem}.{os.getpid()}{_PARTIAL}")
+        self._partial = Path(f"{unfinished_name(self.path)}{self.path.suffix}")
         self._writer: cv2.VideoWriter | None = None
         self._size: tuple[int, int] | None = None
         self.pictures = 0

@@ -30,7 +30,7 @@ from typing import NoReturn
 
 import cloudpickle
 
-from filters.contract.foreign_text import first_line
+from filters.contract.foreign_text import error_line
 
 Send = Callable[[str, object], None]
 """Sends a kind of message, and its content."""
@@ -238,8 +238,7 @@ def _packed(kind: str, content: object) -> bytes:
         packed: bytes = cloudpickle.dumps((kind, content))
         if kind == "error":
             pickle.loads(packed)  # an error of a class with arguments of its own can be written, but not read
-    except Exception as error:
-        what = content if isinstance(content, Exception) else error
-        told = f"the answer cannot be sent: {type(what).__name__}: {first_line(what)}"
-        packed = pickle.dumps(("error", RuntimeError(told)))
+    except BaseException as error:
+        what = content if isinstance(content, BaseException) else error
+        packed = pickle.dumps(("error", RuntimeError(f"the answer cannot be sent: {error_line(what)}")))
     return packed

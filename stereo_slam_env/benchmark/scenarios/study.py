@@ -132,10 +132,24 @@ class Study:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Study:
-        """A study from its JSON form."""
-        cells = (Cell(c["name"], c["factors"], Scenario.from_dict(c["scenario"])) for c in data["cells"])
-        crossed = data["factorial"]
-        return cls(data["name"], tuple(cells), crossed and {key: tuple(levels) for key, levels in crossed.items()})
+        """A study from its JSON form; a `ValueError` names an impossible value, or says that it is too large."""
+        if len(data["cells"]) > MOST_CELLS:
+            raise ValueError(f"cells must be at most {MOST_CELLS}, got {len(data['cells'])}")
+        trials = sum(_entries(c["scenario"], "seeds", "filters", "policies") for c in data["cells"])
+        if trials > MOST_TRIALS:
+            raise ValueError(f"filters x seeds come to more than {MOST_TRIALS} trials: ask for fewer")
+        cells = (
+            Cell(c["name"], checked("factors", c["factors"], dict[str, Any]), Scenario.from_dict(c["scenario"]))
+            for c in data["cells"]
+        )
+        name = checked("name", data["name"], str)
+        crossed = checked("factorial", data["factorial"], dict[str, list[Any]] | None)
+        return cls(name, tuple(cells), crossed and {key: tuple(levels) for key, levels in crossed.items()})
+
+
+def _entries(scenario: Mapping[str, Any], *keys: str) -> int:
+    """Product of the lengths of lists."""
+    return math.prod(len(scenario.get(key) or (0,)) for key in keys)
 
 
 def factorial_label(levels: Mapping[str, Any]) -> str:

@@ -1,6 +1,7 @@
-"""Identity of the code of a filter, a policy or a source of recordings that somebody else wrote.
+"""Identity of the code of filters, policies, parts and sources of recordings that somebody else wrote.
 
-A digest of what its result hangs on, besides options and the packages of this project:
+Whatever a scenario names counts, in any of its fields: filters, policies, parts, front ends and sources by their entry
+points, and "module:name". A digest of what a result hangs on, besides options and the packages of this project:
 
 - of an installed distribution: its version, the record of its files, and its code as it lies there;
 - of a project of the user, in place or installed as editable: all code of the top-level package (or script) that
@@ -19,20 +20,20 @@ import hashlib
 import importlib.machinery
 import importlib.util
 import inspect
+import re
 import sys
 import sysconfig
 import types
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from functools import lru_cache, partial
-from importlib.metadata import Distribution, EntryPoint, packages_distributions
+from importlib.metadata import Distribution, EntryPoint, entry_points, packages_distributions
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from filters.catalogue.registry import plugin_of as filter_plugin
+from filters.contract.foreign_text import error_line
 from stereo_slam_env.benchmark.recordings.source import Source
-from stereo_slam_env.benchmark.recordings.sources import FactorySource
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice
 from stereo_slam_env.benchmark.storage.code_identity import PACKAGES, digest_of, meaning, source_files
 from stereo_slam_env.files.opening import read_bytes
@@ -40,20 +41,24 @@ from stereo_slam_env.recording.trajectory_bags import bag_and_topic
 
 _CODE = tuple({*importlib.machinery.all_suffixes()} - {*importlib.machinery.BYTECODE_SUFFIXES})
 _INSTALLED = tuple({Path(sysconfig.get_path(name)).resolve() for name in ("purelib", "platlib")})
+_GROUPS = "stereo_slam."
+"""Begins the groups of entry points of every kind of plug-in."""
+_UNNAMED = ("stereo_slam.recordings", "stereo_slam.scenes")
+"""Groups whose entries are asked by their contents, not by their names: layouts, and registrations of scenes."""
+_MODULE = re.compile(r"([A-Za-z_]\w*)(?:\.\w+)*:\S+")
+_ENVIRONMENT = re.compile(r"[\w./-]+-v\d+")
 _NOT_THEIRS = {*PACKAGES, *sys.stdlib_module_names}
 
 
 def digest_of_choice(choice: FilterChoice) -> str | None:
-    """Digest of the code of a competitor, its filter and its policy, or of its files; None where all of it is ours."""
+    """Digest of the code of a competitor, or of its files; None where all of it is ours.
+
+    That is the code of its filter and its policy, and of every part that their options name.
+    """
     if choice.is_outside:
         return _digest_of_files(choice)
-    points = [filter_plugin(choice.name)]
-    if choice.policy is not None:
-        from stereo_slam_env.policies.registry import plugin_of as policy_plugin
-
-        points.append(policy_plugin(choice.policy.name))
-    theirs = [plugin_digest(_found(point.load), point) for point in points if point is not None]
-    return "-".join(digest for digest in theirs if digest is not None) or None
+    policy = {} if choice.policy is None else choice.policy.as_dict()
+    return "-".join(_digests_of_names([choice.as_dict(), policy])) or None
 
 
 def _digest_of_files(choice: FilterChoice) -> str:
@@ -68,19 +73,67 @@ def _digest_of_files(choice: FilterChoice) -> str:
     return digest.hexdigest()[:16]
 
 
-def digest_of_source(source: Source) -> str | None:
-    """Digest of the code that makes the recordings, which is not run for that; None where all of it is ours."""
-    module = source.call.partition(":")[0] if isinstance(source, FactorySource) else type(source).__module__
-    found = {} if _top(module) in _NOT_THEIRS else _package(_top(module), None)
-    return digest_of(found) if found else None
+def digest_of_source(source: Source, *others: Any) -> str | None:
+    """Digest of the code that makes the recordings; None where all of it is ours.
+
+    `others` are fields of the scenario that have a share in them, as plain data. Functions and environments that are
+    named with their module are not imported for that.
+    """
+    module = type(source).__module__
+    of_class = {} if _top(module) in _NOT_THEIRS else _package(_top(module), None)
+    named = _digests_of_names([source.kind, source.options, *others], asked_by_all=_UNNAMED)
+    return "-".join([*([digest_of(of_class)] if of_class else []), *named]) or None
+
+
+def _digests_of_names(data: Any, asked_by_all: Collection[str] = ()) -> list[str]:
+    """Digests of the code of others that plain data names, wherever in it, and of the groups `asked_by_all`."""
+    names = dict.fromkeys(_texts(data))
+    groups = sorted(group for group in entry_points().groups if group.startswith(_GROUPS))
+    installed = [point for group in groups for point in entry_points(group=group)]
+    points = [point for point in installed if point.name in names or point.group in asked_by_all]
+    order = {name: number for number, name in enumerate(names)}
+    points.sort(key=lambda point: (order.get(point.name, len(order)), point.group, point.name, point.value))
+    digests = [plugin_digest(_found(point.load), point) for point in points]
+    for top in dict.fromkeys(filter(None, map(_named_module, names))):
+        found = {} if top in _NOT_THEIRS else _package(top, None)
+        digests.append(digest_of(found) if found else None)
+    return list(dict.fromkeys(digest for digest in digests if digest is not None))
+
+
+def _texts(data: Any) -> Iterator[str]:
+    """Every text in plain data, keys too."""
+    if isinstance(data, str):
+        yield data
+    elif isinstance(data, Mapping):
+        for key, value in data.items():
+            yield from _texts(key)
+            yield from _texts(value)
+    elif isinstance(data, list | tuple):
+        for value in data:
+            yield from _texts(value)
+
+
+def _named_module(text: str) -> str | None:
+    """Top-level name of the module in "module:name", or of a registered environment of that id."""
+    match = _MODULE.fullmatch(text)
+    if match is None and _ENVIRONMENT.fullmatch(text):
+        from gymnasium.envs.registration import registry
+
+        target = registry[text].entry_point if text in registry else None
+        match = _MODULE.fullmatch(target) if isinstance(target, str) else None
+        if callable(target):
+            return _top(target.__module__)
+    return None if match is None else match[1]
 
 
 def _found(load: Callable[[], Any]) -> Any:
     """What is loaded; where that cannot be done, the reason, which is the result then."""
     try:
         return load()
-    except Exception as error:  # whatever a stranger's module does at import
-        return f"{type(error).__name__}: {error}"
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # whatever a stranger's module does at import
+        return error_line(error)
 
 
 def plugin_digest(factory: Callable[..., Any] | str, point: EntryPoint | None = None) -> str | None:

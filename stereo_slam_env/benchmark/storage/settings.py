@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from stereo_slam_env.files.folders import is_occupied
+from stereo_slam_env.files.readers import read_json
 
 SETTINGS, STUDY = "settings.json", "study.json"
 
@@ -16,8 +17,21 @@ def refuse_foreign(out: Path) -> None:
     """Raise a `ValueError` where `out` holds something that is no run."""
     if out.exists() and not out.is_dir():
         raise ValueError(f"output {out} is a file: give a directory")
-    if out.is_dir() and not any((out / name).exists() for name in (SETTINGS, STUDY)) and is_occupied(out):
+    if out.is_dir() and not holds_run(out) and is_occupied(out):
         raise ValueError(f"output {out} is not empty and holds no run: choose another directory")
+
+
+def holds_run(out: Path, *, of: str = "scenario") -> bool:
+    """Whether a directory holds a study or settings of ours; `of` is what the settings are of.
+
+    Other programs have files of these names, too. A `ValueError` says that one is no JSON.
+    """
+    return isinstance(_content(out / STUDY).get("cells"), list) or {of, "versions"} <= _content(out / SETTINGS).keys()
+
+
+def _content(path: Path) -> dict[str, Any]:
+    content = read_json(path) if path.exists() else None
+    return content if isinstance(content, dict) else {}
 
 
 def why_no_run(out: Path) -> str:

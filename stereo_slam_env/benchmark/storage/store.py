@@ -30,6 +30,7 @@ from stereo_slam_env.benchmark.storage.run_trajectory_files import seed_name, wr
 from stereo_slam_env.benchmark.storage.settings import (
     SETTINGS,
     STUDY,
+    holds_run,
     refuse_foreign,
     refuse_other_settings,
     why_no_run,
@@ -50,17 +51,24 @@ from stereo_slam_env.files.readers import read_json
 
 VERSION = 2
 CELLS = "cells"
+_OF_COMPETITORS = ("filters", "policies", "name")
+"""Keys of a scenario that have no share in its recordings."""
+_WRITTEN = (
+    *(SETTINGS, STUDY, "summary.json", "summary.csv", "trials.sqlite", "report.html", "comparison.html", CELLS),
+    *("trials", "bounds", "recordings", "trajectories", "figures", "tables"),
+)
+"""Entries of a run directory; anything else in it is the user's."""
 
 
 class RunDirectory:
     """Directory of one cell, as `StudyDirectory.cells` has it."""
 
-    def __init__(self, out: Path, cell: Cell) -> None:
+    def __init__(self, out: Path, cell: Cell, root: Path) -> None:
         self.out = out
         self.cell = cell
         self.scenario = cell.scenario
         self.seeds = cell.scenario.recording_seeds
-        self._root = root_of(out)
+        self._root = root
         self._recordings = self._root / "recordings"
         self._kept = frozenset(self.seeds[: cell.scenario.kept_seeds])
         self._found_code: dict[str | None, str | None] | None = None
@@ -114,7 +122,8 @@ class RunDirectory:
         To know them, filters are imported: nobody who only reads a run asks for them.
         """
         if self._found_code is None:
-            source = digest_of_source(self.scenario.source)
+            own = {key: value for key, value in self.scenario.as_dict().items() if key not in _OF_COMPETITORS}
+            source = digest_of_source(self.scenario.source, own)
             self._found_code = {None: source}
             for choice in self.scenario.competitors:
                 theirs = " ".join(filter(None, (source, digest_of_choice(choice))))
@@ -271,14 +280,18 @@ class RunDirectory:
 class StudyDirectory:
     """Run directory `out` of a study. `open_study` starts or resumes one, `read_study` reads one.
 
-    `cells` has a `RunDirectory` for each cell; that of a study of one scenario is `out` itself.
+    `cells` has a `RunDirectory` for each cell; that of a study of one scenario is `out` itself. `root` is the directory
+    that the run shares with others: of a cell that of its grid.
     """
 
     def __init__(self, out: Path, study: Study) -> None:
         self.out = out
         self.study = study
+        self.root = out if study.is_grid else root_of(out)
         places = [out / CELLS / cell.name if study.is_grid else out for cell in study.cells]
-        self.cells = tuple(map(RunDirectory, places, study.cells))
+        self.cells = tuple(
+            RunDirectory(place, cell, self.root) for place, cell in zip(places, study.cells, strict=True)
+        )
 
     def write_trajectories(self) -> None:
         """Write the trajectories of all recordings that are kept."""
@@ -324,23 +337,34 @@ def read_study(out: Path) -> StudyDirectory:
     path = out / STUDY
     if not path.exists():
         return StudyDirectory(out, Study.of(_scenario_in(out)))
-    require_links_inside(root_of(out))  # what is written would land elsewhere, too
     with damage_named(path):
+        if not holds_run(out):
+            raise ValueError(why_no_run(out))
+        require_links_inside(out, only=_WRITTEN)  # what is written would land elsewhere, too
         return StudyDirectory(out, Study.from_dict(read_json(path)))
 
 
 def root_of(out: Path) -> Path:
-    """The directory that a run shares with others: of a cell that of its grid, else its own."""
-    return out.parent.parent if out.parent.name == CELLS else out
+    """The directory that a run shares with others: of a cell that of its grid, whose study names it, else its own."""
+    grid = out.absolute().parents[1:2]
+    if out.absolute().parent.name != CELLS or not grid:
+        return out
+    try:
+        names = [cell["name"] for cell in read_json(grid[0] / STUDY)["cells"]]
+    except (OSError, ValueError, KeyError, TypeError):
+        return out
+    if out.absolute().name not in names:
+        return out
+    return out.parent.parent if len(out.parts) > 1 else grid[0]
 
 
 def _scenario_in(out: Path) -> Scenario:
-    if not out.is_dir():
-        raise ValueError(why_no_run(out))
     path = out / SETTINGS
     try:
-        require_links_inside(root_of(out))
         with damage_named(path):
+            if not holds_run(out):
+                raise ValueError(why_no_run(out))
+            require_links_inside(root_of(out), only=_WRITTEN)
             return Scenario.from_dict(read_json(path)["scenario"])
     except FileNotFoundError as error:
         raise ValueError(why_no_run(out)) from error

@@ -143,7 +143,6 @@ def write_trial_table(path: Path, results: Sequence[CellResult]) -> None:
         ("series", "text", "", "time series of the trial (npz), relative to this file"),
     ]
     unfinished = unfinished_name(path)
-    unfinished.unlink(missing_ok=True)
     try:
         with closing(sqlite3.connect(unfinished)) as database, database:
             declared = ", ".join(f"{_quoted(name)} {_TYPES[kind]}" for name, kind, _, _ in columns)

@@ -10,14 +10,16 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import IO, Any, TypeVar
 
 import numpy as np
 import vl_convert
 from numpy.typing import ArrayLike
 
 from filters.geometry.arrays import FloatArray, IntArray
+from stereo_slam_env.files.folders import write_atomically, write_text
 from stereo_slam_env.report.charts.axes import Axis, short, spread_out
 from stereo_slam_env.report.charts.series import last_known, peak, thinned
 from stereo_slam_env.report.charts.style import INK, MUTED, PAPER, Limit, dash_of, shape_of, shared_limit
@@ -299,13 +301,18 @@ class Chart:
         white = on_white(svg)
         for path in paths:
             if path.suffix == ".png":
-                path.write_bytes(vl_convert.svg_to_png(white, scale=PNG_SCALE))
+                picture = vl_convert.svg_to_png(white, scale=PNG_SCALE)
+                write_atomically(path, partial(_write, picture))
             else:
-                path.write_text(white, encoding="utf-8")
+                write_text(path, white)
         return svg
 
     def _repr_mimebundle_(self, **_: Any) -> dict[str, Spec]:
         return {"application/vnd.vegalite.v6+json": self.spec}
+
+
+def _write(content: bytes, stream: IO[bytes]) -> None:
+    stream.write(content)
 
 
 def limit_of(curves: Iterable[Curve], spread: float = 10.0) -> Limit:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import hashlib
+import io
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -15,8 +16,16 @@ from typing import Any
 import numpy as np
 
 from stereo_slam_env import run_benchmark
-from stereo_slam_env.benchmark import Backend, versions
-from stereo_slam_env.files import claimed_folder, is_occupied, read_arrays, write_atomically, write_json
+from stereo_slam_env.benchmark import Backend, holds_run, versions
+from stereo_slam_env.files import (
+    claimed_folder,
+    is_occupied,
+    own_files,
+    read_arrays,
+    write_atomically,
+    write_json,
+    write_text,
+)
 from stereo_slam_env.studies.paper import convergence, karlsruhe, landmark_uncertainty, long_drive, speed
 from stereo_slam_env.studies.paper.claims import Arrays, Claim, ClaimFinding, ClaimVerdict, Interval, Range
 
@@ -110,10 +119,11 @@ def run_paper(
     sequences = {} if karlsruhe_path is None else karlsruhe.sequences(karlsruhe_path)
     if out.exists() and not out.is_dir():
         raise ValueError(f"output {out} is a file: give a directory")
-    if out.is_dir() and is_occupied(out) and not (out / SETTINGS).exists():
+    if out.is_dir() and is_occupied(out) and not holds_run(out, of="settings"):
         raise ValueError(f"output {out} is not empty and holds no run of the paper: choose another directory")
     with claimed_folder(out):
         about = {"version": VERSION, "settings": asdict(settings), "versions": versions()}
+        own_files(out, (RESULT, ROWS, "report.html"), is_run=True)
         write_json(out / SETTINGS, about)
 
         drives = long_drive.study(settings.drive_seeds, settings.drive_frames)
@@ -204,13 +214,14 @@ def _finding(finding: ClaimFinding) -> dict[str, Any]:
 def _write_rows(path: Path, claims: Sequence[Claim]) -> None:
     """One row a finding."""
     heads = ("key", "section", "claim", "statement", "condition", "measured", "low", "high", "asked", "verdict", "says")
-    with path.open("w", encoding="utf-8", newline="") as file:
-        rows = csv.writer(file, lineterminator="\n")
-        rows.writerow((*heads, "evidence"))
-        for claim in claims:
-            said = claim.sentence
-            for found in claim.findings:
-                condition = ", ".join(f"{factor}: {level}" for factor, level in found.condition.items())
-                about = said.key, said.section, said.claim, said.statement, condition
-                verdict = found.asked, found.verdict.value, claim.says, said.evidence
-                rows.writerow((*about, *vars(found.measured).values(), *verdict))
+    file = io.StringIO(newline="")
+    rows = csv.writer(file, lineterminator="\n")
+    rows.writerow((*heads, "evidence"))
+    for claim in claims:
+        said = claim.sentence
+        for found in claim.findings:
+            condition = ", ".join(f"{factor}: {level}" for factor, level in found.condition.items())
+            about = said.key, said.section, said.claim, said.statement, condition
+            verdict = found.asked, found.verdict.value, claim.says, said.evidence
+            rows.writerow((*about, *vars(found.measured).values(), *verdict))
+    write_text(path, file.getvalue())

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from stereo_slam_env.evaluation import mean_band, share_inside
+from stereo_slam_env.files import write_text
 from stereo_slam_env.report import Chart, Column, TableCell, Tone, figure_block, html_page, number, table
 from stereo_slam_env.studies.paper import convergence, figures, karlsruhe, landmark_uncertainty, long_drive, speed
 from stereo_slam_env.studies.paper.claims import (
@@ -81,7 +82,7 @@ def write_report(
         f"{settings.drive_frames} frames for each noise."
     )
     path = out / "report.html"
-    path.write_text(html_page(title="The paper, judged", subtitle=subtitle, body="\n".join(sections)), encoding="utf-8")
+    write_text(path, html_page(title="The paper, judged", subtitle=subtitle, body="\n".join(sections)))
     return path
 
 

@@ -7,9 +7,12 @@ from dataclasses import replace
 import pytest
 
 from stereo_slam_env.benchmark import preset, run_benchmark
-from stereo_slam_env.benchmark.gate import gate
+from stereo_slam_env.benchmark.gate import Gate, gate
+from stereo_slam_env.benchmark.packet_form import checked_packet, columns_of, missing_in, with_trials
 from stereo_slam_env.benchmark.packets import packet_of, read_packet, verify, write_packet
+from stereo_slam_env.benchmark.scenarios.study import Study
 from stereo_slam_env.cli import app as cli
+from stereo_slam_env.report.leaderboard import leaderboard
 
 
 @pytest.fixture(scope="module")
@@ -45,12 +48,8 @@ def test_a_packet_has_the_study_the_digests_of_the_recordings_and_the_figures(ru
 
 def test_a_packet_on_disk_names_each_figure_once_and_is_the_same_when_read(packet, tmp_path):
     path = tmp_path / "packet.json"
-    rows = [{**row, "seed": seed} for seed in range(100) for row in packet["cells"][0]["trials"]["shared-anchor"][:1]]
-    many = {**packet, "cells": [{**packet["cells"][0], "trials": {"shared-anchor": rows}}]}
-    write_packet(path, many)
-    assert path.read_text().count("position_rmse_m") == 1
-    assert read_packet(path) == many
     write_packet(path, packet)
+    assert path.read_text().count("position_rmse_m") == 1
     assert path.stat().st_size < 4_000
     assert read_packet(path) == packet
 
@@ -85,15 +84,167 @@ def test_policies_measure_something_else_each_and_are_repeated_as_well(tmp_path)
     assert not verify(other, tmp_path / "other", jobs=1).same_streams
 
 
-def test_which_recordings_are_repeated_hangs_on_the_results(packet, tmp_path):
-    """So that nobody can know, before a figure is made, whether it will be checked."""
-    picked = set()
-    for k in range(4):
-        other = changed(packet, 1.0 + 1e-9 * k)
-        out = tmp_path / str(k)
-        verify(other, out, seeds=1, jobs=1)
-        picked.add(json.loads((out / "settings.json").read_text())["scenario"]["seeds"][0])
-    assert len(picked) > 1
+def test_which_recordings_are_repeated_nobody_can_know(packet, tmp_path):
+    """Not before, and not from the packet: a forger would turn a figure until honest trials are drawn."""
+
+    def drawn(packet, name, **options):
+        found = verify(packet, tmp_path / name, seeds=1, jobs=1, **options)
+        return found.draw, json.loads((tmp_path / name / "settings.json").read_text())["scenario"]["seeds"]
+
+    turned = changed(packet, 1.5, "ms_per_frame")
+    of_draw = {draw: drawn(packet, f"a{draw}", draw=draw)[1] for draw in (0, 1, 2)}
+    assert len({tuple(seeds) for seeds in of_draw.values()}) > 1
+    assert drawn(turned, "b", draw=2)[1] == of_draw[2]
+    draws = [drawn(packet, f"c{k}")[0] for k in range(2)]
+    assert draws[0] != draws[1]
+    assert "(--draw 2)" in verify(packet, tmp_path / "a2", seeds=1, jobs=1, draw=2).words
+
+
+def forged(packet, change):
+    """A packet after a change of its cell."""
+    other = copy.deepcopy(packet)
+    change(other["cells"][0], other)
+    return other
+
+
+def rows_of(cell):
+    return cell["trials"]["shared-anchor"]
+
+
+OTHER = "has other measurements here"
+CONTRADICTIONS = {
+    "each row many times": lambda cell, _: cell["trials"].update({"shared-anchor": 20 * rows_of(cell)}),
+    "a row twice, another one not": lambda cell, _: rows_of(cell).__setitem__(1, dict(rows_of(cell)[0])),
+    "a row is missing": lambda cell, _: rows_of(cell).pop(),
+    "another system": lambda cell, _: cell["trials"].update({"<script>alert(1)</script>": rows_of(cell)}),
+    "no system": lambda cell, _: cell["trials"].clear(),
+    "the system has another name": lambda cell, _: cell["trials"].update(best=cell["trials"].pop("shared-anchor")),
+    "another seed": lambda cell, _: rows_of(cell)[0].update(seed=77),
+    "another recording": lambda cell, _: rows_of(cell)[0].update(recording="mine"),
+    "recordings and trials of another seed": lambda cell, _: [
+        one.update(seed=77) for one in (cell["recordings"][0], rows_of(cell)[0])
+    ],
+    "a recording twice": lambda cell, _: cell["recordings"].append(cell["recordings"][0]),
+    "recordings in another order": lambda cell, _: cell["recordings"].reverse(),
+    "measurements of another system": lambda cell, _: cell["recordings"][0].update(stream_sha256={"best": 64 * "0"}),
+    "code of another system": lambda cell, _: cell["code_of_others"].update(best="0"),
+    "nothing is missing": lambda cell, _: rows_of(cell)[0].update(failure="it crashed"),
+    "something is missing": lambda cell, packet: packet.update(missing=["one: nothing"]),
+    "the truth is none": lambda cell, _: cell["recordings"][0].update(reference="none"),
+}
+DAMAGE = {
+    "a figure is a text": lambda cell, _: rows_of(cell)[0].update(nis="1"),
+    "a figure is a list": lambda cell, _: rows_of(cell)[0].update(nis=[1.0]),
+    "a figure is not finite": lambda cell, _: rows_of(cell)[0].update(nis=float("nan")),
+    "a figure is infinite": lambda cell, _: rows_of(cell)[0].update(path_m=float("inf")),
+    "a figure has too many digits": lambda cell, _: rows_of(cell)[0].update(nis=10**400),
+    "another figure": lambda cell, _: rows_of(cell)[0].update(best=1.0),
+    "diverged": lambda cell, _: rows_of(cell)[0].update(diverged="no"),
+    "a claim is a number": lambda cell, _: rows_of(cell)[0].update(claim=1.0),
+    "a claim lacks a figure": lambda cell, _: rows_of(cell)[0]["claim"].pop("log_score"),
+    "a negative scale": lambda cell, _: rows_of(cell)[0]["claim"].update(scale_gap=-1.0),
+    "a coverage of 2": lambda cell, _: rows_of(cell)[0]["claim"].update(coverage_90=2.0),
+    "a name is a list": lambda cell, _: cell["recordings"][0].update(name=[]),
+    "a seed is a dict": lambda cell, _: cell["recordings"][0].update(seed={}),
+    "no digest": lambda cell, _: cell["recordings"][0].update(stream_sha256="x"),
+    "a digest is a number": lambda cell, _: cell["recordings"][0].update(stream_sha256=3),
+    "no recordings": lambda cell, _: cell.pop("recordings"),
+    "code of others is a list": lambda cell, _: cell.update(code_of_others=[]),
+    "a key of its own": lambda cell, _: cell.update(more=1),
+    "missing is a number": lambda cell, packet: packet.update(missing=3),
+    "missing has a number": lambda cell, packet: packet.update(missing=[3]),
+    "versions is a list": lambda cell, packet: packet.update(versions=[]),
+    "versions has a list": lambda cell, packet: packet["versions"].update(code=[]),
+    "the study is a list": lambda cell, packet: packet.update(study=[]),
+    "the study has a name of its own": lambda cell, packet: packet["study"].update(name=["x"]),
+    "factors are a number": lambda cell, packet: packet["study"]["cells"][0].update(factors=3),
+    "filters are a number": lambda cell, packet: packet["study"]["cells"][0]["scenario"].update(filters=3),
+    "too many seeds": lambda cell, packet: packet["study"]["cells"][0]["scenario"].update(seeds=[*range(1_000_001)]),
+    "too many cells": lambda cell, packet: packet["study"].update(cells=10_001 * [{"scenario": {}}]),
+    "too many frames": lambda cell, packet: packet["study"]["cells"][0]["scenario"].update(frames=10**9),
+}
+
+
+@pytest.mark.parametrize("change", [*CONTRADICTIONS, *DAMAGE])
+def test_what_the_study_does_not_say_is_refused_in_a_line(packet, tmp_path, capsys, change):
+    other = forged(packet, {**CONTRADICTIONS, **DAMAGE}[change])
+    (tmp_path / "p.json").write_text(json.dumps({**other, "cells": with_trials(other["cells"], columns_of)}))
+    for command in (["verify"], ["gate", str(tmp_path / "p.json")]):
+        assert cli.main([*command, str(tmp_path / "p.json")]) == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        assert "p.json is a damaged packet" in line
+
+
+def test_claims_beyond_the_first_ten_recordings_are_refused(packet):
+    other = copy.deepcopy(packet)
+    cell, scenario = other["cells"][0], other["study"]["cells"][0]["scenario"]
+    scenario["seeds"] = [*range(12)]
+    cell["recordings"] = [{**cell["recordings"][0], "seed": k} for k in range(12)]
+    row = rows_of(cell)[0]
+    cell["trials"]["shared-anchor"] = [
+        {**row, "recording": cell["recordings"][0]["name"], "seed": k} for k in range(12)
+    ]
+    with pytest.raises(ValueError, match="has claims of shared-anchor beyond the first 10 recordings"):
+        checked_packet({**other, "cells": with_trials(other["cells"], columns_of)})
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda cell, _: [row["claim"].update(scale_gap=1.0) for row in rows_of(cell)], "scale_gap of shared-anchor"),
+        (
+            lambda cell, _: [row["claim"].update(coverage_90=0.5) for row in rows_of(cell)],
+            "coverage_90 of shared-anchor",
+        ),
+        (lambda cell, _: [row["claim"].update(log_score=-99.0) for row in rows_of(cell)], "log_score of shared-anchor"),
+        (lambda cell, _: [row["claim"].update(gauge="start") for row in rows_of(cell)], "claim of shared-anchor"),
+        (lambda cell, _: [row.pop("claim") for row in rows_of(cell)], "claim of shared-anchor"),
+        (
+            lambda cell, _: [one.update(stream_sha256=64 * "0") for one in cell["recordings"]],
+            OTHER,
+        ),
+        (lambda cell, _: [one.update(frames=500) for one in cell["recordings"]], OTHER),
+        (lambda cell, _: [one.update(reference="ins") for one in cell["recordings"]], OTHER),
+    ],
+    ids=["scale_gap", "coverage", "log_score", "gauge", "no claim", "streams", "frames", "reference"],
+)
+def test_what_was_made_up_is_found(packet, tmp_path, capsys, change, said):
+    write_packet(tmp_path / "p.json", forged(packet, change))
+    assert cli.main(["verify", str(tmp_path / "p.json"), "--seeds", "1", "--jobs", "1"]) == 1
+    assert said in " ".join(capsys.readouterr().out.split())
+
+
+def test_limits_of_time_are_not_those_of_the_packet(packet, tmp_path):
+    other = copy.deepcopy(packet)
+    other["study"]["cells"][0]["scenario"].update(frame_time_limit=1e6, recording_time_limit=1e6, kept_seeds=1)
+    verify(other, tmp_path, seeds=1, jobs=1)
+    scenario = json.loads((tmp_path / "settings.json").read_text())["scenario"]
+    assert (scenario["frame_time_limit"], scenario["recording_time_limit"]) == (60.0, 600.0)
+
+
+def test_what_a_packet_says_is_no_markup_and_moves_no_cursor(packet, capsys, tmp_path):
+    def hostile(cell, packet):
+        text = "\x1b[2J<script>|[a](javascript:b)`"
+        for row in rows_of(cell):
+            row["failure"] = text
+        for k, one in enumerate(cell["recordings"]):
+            one.update(name=f"{text}{k}", reference=text)
+            rows_of(cell)[k]["recording"] = f"{text}{k}"
+        packet["study"]["name"] = text
+        packet["missing"] = list(missing_in(cell, Study.from_dict(packet["study"]).cells[0].scenario))
+
+    other = forged(packet, hostile)
+    write_packet(tmp_path / "p.json", other)
+    page = leaderboard({"p.json": read_packet(tmp_path / "p.json")})
+    cli.main(["verify", str(tmp_path / "p.json"), "--seeds", "1", "--jobs", "1"])
+    cli.main(["gate", str(tmp_path / "p.json"), str(tmp_path / "p.json")])
+    said = page + capsys.readouterr().out
+    assert "\x1b" not in said
+    assert "<script>" not in page
+    assert "a](java" not in page
+    assert "|[a]" not in page
+    row = gate([packet_like([1.0])], [packet_like([2.0])]).rows[0]
+    assert "<b>" not in Gate((replace(row, filter_name="<b>\x1b|"),), ("<b>\x1b is missing",)).as_markdown()
 
 
 def test_a_packet_that_is_none_is_refused_in_one_line(packet, tmp_path):

@@ -15,7 +15,7 @@ import pytest
 
 from stereo_slam_env.benchmark.storage.run_archive import load_run
 from stereo_slam_env.cli import app as cli
-from stereo_slam_env.files.folders import CLAIM, claimed_folder, is_occupied
+from stereo_slam_env.files.folders import CLAIM, claimed_folder, is_occupied, unfinished_name
 
 ROOT = Path(__file__).resolve().parents[3]
 BENCH = ("bench", "--preset", "reference-turn", "--seeds", "2", "--frames", "4", "--jobs", "1")
@@ -109,13 +109,14 @@ def test_a_folder_in_use_is_refused_until_its_owner_is_done(tmp_path):
     assert [path.name for path in (tmp_path / "run").iterdir()] == [CLAIM]
 
 
-def test_a_killed_owner_has_no_claim_and_leaves_nothing_half_written(tmp_path):
+def test_a_killed_owner_has_no_claim_and_leaves_nothing_half_written(tmp_path, monkeypatch):
     owner, _ = in_another_process(hold, tmp_path)
     os.kill(owner.pid, signal.SIGKILL)
     owner.join(LIMIT)
     (tmp_path / "trials").mkdir()
-    for name in (f".euclidean.npz.{owner.pid}.part", f".trials.sqlite.{owner.pid}.part-journal"):
-        (tmp_path / "trials" / name).write_bytes(b"half")
+    monkeypatch.setattr(os, "getpid", lambda: owner.pid)
+    for name, more in (("euclidean.npz", ""), ("trials.sqlite", "-journal")):
+        Path(f"{unfinished_name(tmp_path / 'trials' / name)}{more}").write_bytes(b"half")
     with claimed_folder(tmp_path):
         assert list((tmp_path / "trials").iterdir()) == []
 

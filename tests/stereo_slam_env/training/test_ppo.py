@@ -2,8 +2,11 @@
 
 import csv
 import dataclasses
+import io
 import json
+import shutil
 import sys
+import zipfile
 
 import gymnasium as gym
 import numpy as np
@@ -11,6 +14,7 @@ import pytest
 
 from filters.contract import extras
 from stereo_slam_env.cli import app as cli
+from stereo_slam_env.files.folders import claimed_folder
 from stereo_slam_env.policies import make_policy
 from stereo_slam_env.policies.network import Network
 from stereo_slam_env.policies.scores import normalised_score
@@ -304,3 +308,128 @@ def test_importing_the_package_does_not_import_torch():
 def test_wrong_settings_get_one_clear_line(wrong, message):
     with pytest.raises(ValueError, match=message):
         PPOSettings(**wrong)
+
+
+# ---- folders of a training -------------------------------------------------------------------------------------------
+
+
+def content(folder):
+    return {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file() and path.name != ".lock"}
+
+
+@pytest.mark.parametrize("name", ["thesis.tex", "learning_curve.csv", "state.pt", "run.json", "policy.npz"])
+def test_the_folder_of_a_stranger_is_refused_and_left_as_it_is(quick, tmp_path, name):
+    (tmp_path / name).write_text('{"task": "mine"}')
+    before = content(tmp_path)
+    with pytest.raises(ValueError, match="is not empty and holds no training: choose another directory"):
+        train(TASK, SETTINGS, tmp_path)
+    assert content(tmp_path) == before
+    assert not (tmp_path / ".lock").exists()
+
+
+def test_a_training_that_is_refused_leaves_nothing(quick, tmp_path):
+    with pytest.raises(ValueError, match="initial_bias must have"):
+        train(TASK, dataclasses.replace(SETTINGS, initial_bias=(1.0, 2.0, 3.0)), tmp_path / "run")
+    with pytest.raises(ValueError, match="minutes"):
+        train(TASK, SETTINGS, tmp_path / "run", minutes=-1.0)
+    assert content(tmp_path / "run") == {}
+    with claimed_folder(tmp_path / "run"), pytest.raises(ValueError, match="is in use by another process"):
+        train(TASK, SETTINGS, tmp_path / "run")
+    assert content(tmp_path / "run") == {}
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    pytest.importorskip("stable_baselines3", reason="needs the extra rl")
+    out = tmp_path_factory.mktemp("training") / "run"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(ppo, "evaluate", lambda *_, **__: PolicyEvaluation(0.5, -40.0, 0.2, 9.0, 1.0))
+        train(TASK, dataclasses.replace(SETTINGS, decisions=20), out)
+    return out
+
+
+def packed(content):
+    """The same archive, packed: a kilobyte may then hold a gigabyte."""
+    stream = io.BytesIO()
+    with zipfile.ZipFile(io.BytesIO(content)) as old, zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED) as new:
+        for name in old.namelist():
+            new.writestr(name, old.read(name))
+    return stream.getvalue()
+
+
+def with_state(content, **changes):
+    import torch
+
+    stream = io.BytesIO()
+    torch.save({**torch.load(io.BytesIO(content), weights_only=True), **changes}, stream)
+    return stream.getvalue()
+
+
+STATES = {
+    "no archive": lambda old: b"x",
+    "cut off": lambda old: old[:-200],
+    "packed": packed,
+    "without decisions": lambda old: with_state(old, decisions=None),
+    "decisions": lambda old: with_state(old, decisions=-3),
+    "policy": lambda old: with_state(old, policy={}),
+    "optimizer": lambda old: with_state(old, optimizer={"state": 3}),
+    "no moments": lambda old: with_state(old, moments={}),
+    "moments": lambda old: with_state(old, moments={"": ([1.0, 2.0], [1.0], 3.0)}),
+}
+
+
+@pytest.mark.parametrize("change", STATES)
+def test_a_damaged_state_is_one_line_and_stays(quick, trained, tmp_path, change):
+    shutil.copytree(trained, tmp_path / "run")
+    state = tmp_path / "run" / "state.pt"
+    state.write_bytes(STATES[change](state.read_bytes()))
+    before = content(tmp_path / "run")
+    with pytest.raises(ValueError, match=r"\A[^\n]*state\.pt is no state of this training [^\n]*\Z"):
+        train(TASK, SETTINGS, tmp_path / "run")
+    assert content(tmp_path / "run") == before
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["decisions,seconds\n0,1\n", "a,b\n1,2\n", "decisions,seconds,final_position_error_m\nnan,1,2\n", "\0", "a\n1,2"],
+)
+def test_a_damaged_curve_is_one_line(quick, trained, tmp_path, text):
+    shutil.copytree(trained, tmp_path / "run")
+    (tmp_path / "run" / "learning_curve.csv").write_text(text)
+    with pytest.raises(ValueError, match=r"\A[^\n]*learning_curve\.csv is no learning curve [^\n]*\Z"):
+        train(TASK, SETTINGS, tmp_path / "run")
+
+
+@pytest.mark.parametrize("name", ["run.json", "learning_curve.csv", "state.pt", "policy.npz", "tensorboard"])
+def test_links_out_of_a_training_are_refused(quick, trained, tmp_path, name):
+    shutil.copytree(trained, tmp_path / "run")
+    theirs = tmp_path / "theirs"
+    if name == "tensorboard":
+        shutil.rmtree(tmp_path / "run" / name, ignore_errors=True)
+        theirs.mkdir()
+    else:
+        (tmp_path / "run" / name).rename(theirs)
+    before = None if theirs.is_dir() else theirs.read_bytes()
+    (tmp_path / "run" / name).symlink_to(theirs)
+    with pytest.raises(ValueError, match="is a link out of its folder"):
+        train(TASK, SETTINGS, tmp_path / "run")
+    assert (list(theirs.iterdir()) == []) if before is None else theirs.read_bytes() == before
+
+
+def test_a_curve_that_is_a_link_is_replaced(tmp_path):
+    (tmp_path / "theirs").mkdir()
+    (tmp_path / "theirs" / "data.csv").write_text("mine")
+    curve = LearningCurve(tmp_path / "learning_curve.csv")
+    (tmp_path / "learning_curve.csv").symlink_to(tmp_path / "theirs" / "data.csv")
+    curve.add(0, 1.0, 0.0, PolicyEvaluation(0.5, -40.0, 0.2, 9.0, 1.0))
+    assert (tmp_path / "theirs" / "data.csv").read_text() == "mine"
+    assert len(LearningCurve(tmp_path / "learning_curve.csv").rows) == 1
+
+
+def test_a_look_whose_state_was_not_saved_is_repeated(quick, trained, tmp_path, monkeypatch):
+    shutil.copytree(trained, tmp_path / "run")
+    curve = LearningCurve(tmp_path / "run" / "learning_curve.csv")
+    curve.add(40, 9.0, 0.0, PolicyEvaluation(0.5, -40.0, 0.2, 0.1, 1.0))  # killed before `state.pt`
+    train(TASK, SETTINGS, tmp_path / "run")
+    assert [float(row["decisions"]) for row in rows(tmp_path / "run")] == [0, 20, 40]
+    assert float(rows(tmp_path / "run")[-1]["final_position_error_m"]) != 0.1

@@ -16,9 +16,11 @@ import pytest
 from filters import InverseDepthStereoEKF
 from stereo_slam_env.benchmark import compare
 from stereo_slam_env.benchmark.recordings.sources import FactorySource, ReferenceSource
-from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, PolicyChoice
+from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, PolicyChoice, Scenario
+from stereo_slam_env.benchmark.scenarios.study import Study
 from stereo_slam_env.benchmark.storage.code_identity import code_digest
 from stereo_slam_env.benchmark.storage.plugin_code import digest_of_choice, digest_of_source, plugin_digest
+from stereo_slam_env.benchmark.storage.store import RunDirectory
 
 ROOT = Path(__file__).resolve().parents[4]
 
@@ -195,6 +197,107 @@ def test_ours_have_no_code_of_their_own():
     sweep = FilterChoice("sweep", "inverse-depth", policy=PolicyChoice("sweep", "sweep"))
     assert digest_of_choice(sweep) is None
     assert digest_of_source(ReferenceSource("short_turn")) is None
+
+
+# ---- whatever a scenario names --------------------------------------------------------------------------------------
+
+
+PART = """class Part:
+    \"\"\"A part.\"\"\"
+    LEVEL = 1.0
+"""
+NAMED = {
+    **{f"stereo_slam.{slot}": {slot: "mine"} for slot in ("landmarks", "measurements", "motions", "errors", "updates")},
+    "stereo_slam.filters": {"of": {"filter": "mine"}},
+    "stereo_slam.policies": {"list": [1, {"deep": ["mine"]}]},
+}
+
+
+@pytest.fixture
+def named(tmp_path, monkeypatch):
+    """A package that is named by an entry point of any group, and can be named with its module."""
+
+    def installed(group):
+        install(tmp_path / "site", {group: "mine = lab_filter.part:Part"}, **{"lab_filter.part": PART})
+        monkeypatch.syspath_prepend(str(tmp_path / "site"))
+        return tmp_path / "site" / "lab_filter" / "part.py"
+
+    yield installed
+    for name in [name for name in sys.modules if name.partition(".")[0] == "lab_filter"]:
+        del sys.modules[name]
+
+
+@pytest.mark.parametrize("group", NAMED)
+def test_a_part_that_an_option_names_counts(named, group):
+    file, choice = named(group), FilterChoice("a", "inverse-depth", NAMED[group])
+    before = digest_of_choice(choice)
+    assert before is not None
+    edit(file, "1.0", "2.0")
+    assert digest_of_choice(choice) != before
+    of_policy = FilterChoice("a", "inverse-depth", policy=PolicyChoice("sweep", "sweep", NAMED[group]))
+    assert digest_of_choice(of_policy) is not None
+    assert digest_of_choice(FilterChoice("a", "inverse-depth", {"landmark": "euclidean"})) is None
+
+
+@pytest.mark.parametrize(
+    ("group", "options", "corruptions"),
+    [
+        ("stereo_slam.front_ends", {"front_end": {"name": "mine"}}, ()),
+        ("stereo_slam.sources", {"of": "mine"}, ()),
+        ("stereo_slam.anything", {}, ({"kind": "mine"},)),
+        ("stereo_slam.recordings", {}, ()),
+        ("stereo_slam.scenes", {}, ()),
+    ],
+)
+def test_what_makes_a_recording_counts(named, group, options, corruptions):
+    file, source = named(group), FactorySource("os:getcwd", options)
+    before = digest_of_source(source, corruptions)
+    assert before is not None
+    edit(file, "1.0", "2.0")
+    assert digest_of_source(source, corruptions) != before
+
+
+@pytest.mark.parametrize("text", ["lab_filter.part:Part", "lab_filter:Env-v0"])
+def test_a_module_that_is_named_counts_and_is_not_imported(named, text):
+    file = named("other.group")
+    edit(file, "class", "raise SystemExit(3)\n\n\nclass")
+    digests = [digest_of_choice(FilterChoice("a", "inverse-depth", {"of": {"call": text}}))]
+    digests += [digest_of_source(FactorySource(text)), digest_of_source(FactorySource("os:getcwd", {"deep": [text]}))]
+    assert None not in digests
+    edit(file, "1.0", "2.0")
+    again = [digest_of_choice(FilterChoice("a", "inverse-depth", {"of": {"call": text}}))]
+    again += [digest_of_source(FactorySource(text)), digest_of_source(FactorySource("os:getcwd", {"deep": [text]}))]
+    assert all(one != other for one, other in zip(digests, again, strict=True))
+
+
+def test_a_registered_environment_counts(named):
+    import gymnasium
+
+    file = named("other.group")
+    gymnasium.register("Lab/Mine-v0", "lab_filter.part:Part")
+    try:
+        source = FactorySource("os:getcwd", {"environment": "Lab/Mine-v0"})
+        before = digest_of_source(source)
+        assert before is not None
+        edit(file, "1.0", "2.0")
+        assert digest_of_source(source) != before
+    finally:
+        del gymnasium.registry["Lab/Mine-v0"]
+
+
+def test_an_edited_part_and_front_end_leave_no_result_in_the_folder(named, tmp_path):
+    scenario = Scenario(
+        "one",
+        FactorySource("os:getcwd", {"front_end": "mine"}),
+        (FilterChoice("a", "inverse-depth", {"landmark": "mine"}),),
+    )
+    file = named("stereo_slam.landmarks")
+    directory = RunDirectory(tmp_path / "run", Study.of(scenario).cells[0], tmp_path / "run")
+    plugins = dict(directory._plugins)
+    edit(file, "1.0", "2.0")
+    directory._found_code = None
+    assert directory._plugins["a"] != plugins["a"]
+    assert directory._plugins[None] != plugins[None]
 
 
 # ---- other places of code --------------------------------------------------------------------------------------------
