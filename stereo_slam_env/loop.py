@@ -21,12 +21,11 @@ from filters import (
     StereoNoise,
     StereoObservation,
     UpdateReport,
-    jacobian,
     make_filter,
     nees,
 )
 from filters.catalogue.registry import FilterFactory, label_of
-from filters.geometry import rotations
+from filters.checks.pose_errors import blind_pose_error, error_jacobian
 from filters.geometry.arrays import FloatArray
 from stereo_slam_env.recording.recording import SIMULATION, Frame, Recording, Reference, require_frames
 
@@ -82,8 +81,11 @@ class Moment:
 
     @cached_property
     def pose_error(self) -> tuple[FloatArray, FloatArray] | None:
-        """Error (6,) in the filter's own definition and its claimed covariance (6, 6); None without truth."""
-        return None if self.truth is None else self.slam.pose_error(self.truth.position, self.truth.orientation)
+        """Error (6,) in the filter's own definition and its claimed covariance (6, 6); None without truth.
+
+        The filter is not shown the truth: see `filters.checks.pose_errors`.
+        """
+        return None if self.truth is None else blind_pose_error(self.slam, self.truth.position, self.truth.orientation)
 
     @cached_property
     def scored_error(self) -> tuple[FloatArray, FloatArray] | None:
@@ -121,17 +123,6 @@ class Moment:
     def position_error(self) -> float:
         """Distance to the true position, m; NaN without truth."""
         return float("nan") if self.truth is None else float(np.linalg.norm(self.truth.position - self.pose.position))
-
-
-def error_jacobian(slam: StereoFilter) -> FloatArray:
-    """J (6, 6) that takes small pose errors as of `PoseBelief` to those of the filter's own definition."""
-    pose = slam.pose
-
-    def error(delta: FloatArray) -> FloatArray:
-        turned = rotations.multiply(pose.orientation, rotations.exp_quaternion(delta[3:]))
-        return slam.pose_error(pose.position + delta[:3], turned)[0]
-
-    return jacobian(error, 6)
 
 
 class FilterLoop:

@@ -1,8 +1,11 @@
-"""Simulated drives for `check_filter`, with the camera and the noise of the filter that is checked."""
+"""Simulated drives for `check_filter`, with the camera and the noise that the filter is handed."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,6 +15,7 @@ from filters.contract.inertial import InertialSamples, InertialUnit
 from filters.contract.noise import StereoNoise
 from filters.contract.observation import StereoObservation
 from filters.contract.odometry import BodyVelocity
+from filters.contract.start import Start
 from filters.contract.stereo_filter import StereoFilter
 from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray, IntArray
@@ -31,46 +35,99 @@ _HEADING, _HEADING_PERIOD = 0.5, 8.0
 _SPEED_CHANGE, _SPEED_PERIOD = 1.5, 6.0
 
 
+START_COVARIANCE = np.diag(np.repeat([1e-6, 1e-6, 0.5, 0.05], 3) ** 2)
+START = Start(linear_velocity=np.array([0.0, 0.0, SPEED]), covariance=START_COVARIANCE)
+"""Start of the drives: at the origin of W, looking along z."""
+
+
+def predict_step(
+    stereo_filter: StereoFilter, dt: float, odometry: BodyVelocity, inertial: InertialSamples | None
+) -> None:
+    """Predict a step, with odometry or inertial samples only if the filter refuses to go without."""
+    try:
+        stereo_filter.predict(dt)
+    except ValueError as error:
+        if "odometry" in str(error):
+            stereo_filter.predict(dt, odometry)
+        elif "inertial" in str(error):
+            stereo_filter.predict(dt, inertial=inertial)
+        else:
+            raise
+
+
 @dataclass(frozen=True, eq=False)
 class StraightDrive:
-    """Straight ahead at `SPEED` past points spread over the view; measurements with the filter's own noise."""
+    """Straight ahead at `SPEED` past points spread over the view; measurements with the noise that a filter is told."""
 
     camera: StereoCamera
     noise: StereoNoise
-    points: FloatArray
+    points_c: FloatArray
+    """(N, 3), m: in the camera frame at the start."""
     seed: int
+    start: Start
+    steps: Sequence[float]
+    """Seconds from frame to frame, again and again."""
 
     @classmethod
-    def past(cls, stereo_filter: StereoFilter, seed: int = 0, count: int = 30) -> StraightDrive:
-        """A drive for this filter past `count` points."""
+    def simulated(
+        cls,
+        camera: StereoCamera,
+        noise: StereoNoise,
+        seed: int = 0,
+        start: Start = START,
+        steps: Sequence[float] = (DT,),
+    ) -> StraightDrive:
+        """The drive of that seed for this rig, past 30 points."""
         rng = np.random.default_rng(seed)
-        camera = stereo_filter.camera
-        u = rng.uniform(0.3, 0.7, count) * camera.width
-        v = rng.uniform(0.3, 0.7, count) * camera.height
-        depth = rng.uniform(15.0, 60.0, count)
+        u = rng.uniform(0.3, 0.7, 30) * camera.width
+        v = rng.uniform(0.3, 0.7, 30) * camera.height
+        depth = rng.uniform(15.0, 60.0, 30)
         uvd = np.stack([u, v, camera.disparity_constant / depth], axis=1)
-        return cls(camera, stereo_filter.noise, camera.backproject(uvd), seed)
+        return cls(camera, noise, camera.backproject(uvd), seed, start, steps)
+
+    @property
+    def orientation(self) -> FloatArray:
+        """True q^WC, all the way."""
+        return self.start.orientation
+
+    @cached_property
+    def R_wc(self) -> FloatArray:
+        """Its rotation matrix."""
+        return rotations.matrix(self.orientation)
+
+    @property
+    def points(self) -> FloatArray:
+        """(N, 3), m, in W."""
+        points_w: FloatArray = self.start.position + self.points_c @ self.R_wc.T
+        return points_w
+
+    def step(self, frame: int) -> float:
+        """Seconds from the frame before."""
+        return self.steps[(frame - 1) % len(self.steps)]
+
+    def driven(self, frame: int) -> FloatArray:
+        """Way from the start in the camera frame, m."""
+        return np.array([0.0, 0.0, SPEED * math.fsum(self.step(k) for k in range(1, frame + 1))])
 
     def position(self, frame: int) -> FloatArray:
-        """True r^WC, m; the orientation stays the one at the start."""
-        return np.array([0.0, 0.0, SPEED * DT * frame])
+        """True r^WC, m."""
+        position: FloatArray = self.start.position + self.R_wc @ self.driven(frame)
+        return position
 
-    def odometry(self, frame: int, scale: float = 1.0) -> BodyVelocity:
-        """Velocity of the step to the frame, with errors of `scale` times `ODOMETRY_SIGMAS`."""
-        rng = np.random.default_rng([self.seed, frame, 1])
-        return _odometry(np.array([0.0, 0.0, SPEED]), np.zeros(3), scale * rng.standard_normal(6))
-
-    def inertial(self, frame: int, scale: float = 1.0) -> InertialSamples:
-        """Samples of the step to the frame, with errors of `scale` times the noise of `UNIT`."""
-        rng = np.random.default_rng([self.seed, frame, 2])
-        return _samples(np.zeros((_SAMPLES, 3)), np.tile(-_GRAVITY, (_SAMPLES, 1)), rng, scale)
+    def predict(self, stereo_filter: StereoFilter, frame: int, scale: float = 1.0) -> None:
+        """Predict the step to the frame, see `predict_step`; with errors of `scale` times the noise."""
+        dt = self.step(frame)
+        rng, of_unit = (np.random.default_rng([self.seed, frame, which]) for which in (1, 2))
+        odometry = _odometry(np.array([0.0, 0.0, SPEED]), np.zeros(3), scale * rng.standard_normal(6))
+        forces = np.tile(-_GRAVITY @ self.R_wc, (_SAMPLES, 1))
+        predict_step(stereo_filter, dt, odometry, _samples(np.zeros((_SAMPLES, 3)), forces, of_unit, scale, dt))
 
     def observe(self, frame: int, scale: float = 1.0) -> StereoObservation:
         """All points, with errors of `scale` times the noise."""
         rng = np.random.default_rng([self.seed, frame])
-        errors = rng.multivariate_normal(np.zeros(3), self.noise.R, len(self.points))
-        uvd = self.camera.project(self.points - self.position(frame)) + scale * errors
-        return StereoObservation(np.arange(len(self.points)), uvd)
+        errors = rng.multivariate_normal(np.zeros(3), self.noise.R, len(self.points_c))
+        uvd = self.camera.project(self.points_c - self.driven(frame)) + scale * errors
+        return StereoObservation(np.arange(len(self.points_c)), uvd)
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,11 +207,13 @@ def _heading(times: ArrayLike) -> FloatArray:
     return headings
 
 
-def _samples(rates: FloatArray, forces: FloatArray, rng: np.random.Generator, scale: float) -> InertialSamples:
+def _samples(
+    rates: FloatArray, forces: FloatArray, rng: np.random.Generator, scale: float, dt: float = DT
+) -> InertialSamples:
     """Samples of a step in equal times, with errors of `scale` times the noise of `UNIT`."""
     densities = np.repeat([UNIT.gyro_density, UNIT.accelerometer_density], 3)
-    errors = scale * densities / np.sqrt(DT / _SAMPLES) * rng.standard_normal((_SAMPLES, 6))
-    times: FloatArray = DT / _SAMPLES * np.arange(1.0, _SAMPLES + 1.0)
+    errors = scale * densities / np.sqrt(dt / _SAMPLES) * rng.standard_normal((_SAMPLES, 6))
+    times: FloatArray = dt / _SAMPLES * np.arange(1.0, _SAMPLES + 1.0)
     return InertialSamples(times, rates + errors[:, :3], forces + errors[:, 3:], UNIT)
 
 

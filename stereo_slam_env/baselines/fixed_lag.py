@@ -1,4 +1,4 @@
-"""Fixed-lag smoothing on GTSAM's `BatchFixedLagSmoother`: a window of poses and its landmarks, solved every frame."""
+"""Fixed-lag smoothing with GTSAM: a window of poses and its landmarks, solved every frame."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class FixedLagSmoother(GuidedSmoother):
 
     References
     ----------
-    GTSAM, `BatchFixedLagSmoother`, https://gtsam.org.
+    GTSAM, https://gtsam.org.
     """
 
     _graph: FixedLagGraph
@@ -53,28 +53,24 @@ class FixedLagSmoother(GuidedSmoother):
 
 
 class FixedLagGraph(SmoothingGraph):
-    """Factors that GTSAM's smoother does not have yet, and the values of its window.
+    """Factors and values of a window of poses and the landmarks that they see.
 
-    GTSAM's stamps are numbers of poses here, so that the window does not depend on the rate of the frames.
+    What leaves the window stays as a linear factor on the rest. GTSAM's own `BatchFixedLagSmoother` would hold every
+    variable of that factor where it was then: a landmark that is 30 % off in depth from far away, and in view for a
+    hundred frames more, is linearised there for ever, until the system is singular.
     """
 
     def __init__(
         self, camera: StereoCamera, start: CameraState, P: FloatArray, tail_dof: float | None, lag: int
     ) -> None:
         self._lag = lag
-        self._stamps: dict[int, int] = {}  # by key, the last pose that each landmark of the window was seen from
-        self._solved = -1
-        self._given: list[tuple[Any, Any, dict[int, float]]] = []
+        self._last_seen: dict[int, int] = {}  # by key of a landmark, number of the pose
+        self._first = 0  # pose of the window
         super().__init__(camera, start, P, tail_dof)
-        self._smoother = self._gtsam.BatchFixedLagSmoother(lag)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> FixedLagGraph:
-        """GTSAM's smoother cannot be copied: the twin is given the same again, and has the same bits."""
         twin = super().__deepcopy__(memo)
-        twin._stamps, twin._given = dict(self._stamps), list(self._given)
-        twin._smoother = self._gtsam.BatchFixedLagSmoother(self._lag)
-        for given in self._given:
-            twin._smoother.update(*given)
+        twin._last_seen = dict(self._last_seen)
         return twin
 
     def add_sightings(self, seen: Sightings, located: Mapping[int, tuple[int, FloatArray]]) -> Sightings:
@@ -82,31 +78,42 @@ class FixedLagGraph(SmoothingGraph):
         return super().add_sightings(seen.select(seen.pose >= self.last - self._lag), located)
 
     def solve(self) -> None:
-        """Hand over what is new; GTSAM solves the window and marginalises what has left it."""
-        held = self._smoother.timestamps()
-        new, stamps = self._gtsam.Values(), {key: float(pose) for key, pose in self._stamps.items()}
-        for key in stamps:
-            if key not in held:
-                new.insert(key, self._values.atPoint3(key))
-        for k in range(self._solved + 1, self.last + 1):
-            key = self._pose_key(k)
-            new.insert(key, self._values.atPose3(key))
-            stamps[key] = float(k)
-        given = self._factors, new, stamps
-        self._smoother.update(*given)
-        self._given.append(given)
-        self._factors, self._stamps, self._solved = self._gtsam.NonlinearFactorGraph(), {}, self.last
-        self._values = self._smoother.calculateEstimate()
-        self._keys = {track: key for track, key in self._keys.items() if self._values.exists(key)}
+        """Solve the window, then marginalise what leaves it."""
+        super().solve()
+        first = self.last - self._lag
+        gone = {key for key, pose in self._last_seen.items() if pose < first}
+        self._last_seen = {key: pose for key, pose in self._last_seen.items() if key not in gone}
+        self._keys = {track: key for track, key in self._keys.items() if key not in gone}
+        gone |= {key for key in map(self._pose_key, range(self._first, first)) if self._values.exists(key)}
+        self._first = max(first, self._first)
+        if gone:
+            self._marginalise(gone)
 
     def covariance(self) -> FloatArray:
         """Covariance (12, 12) of the present state, whose velocity is that of the last move."""
         k = self.last
-        marginals = self._gtsam.Marginals(self._smoother.getFactors(), self._values)
+        marginals = self._gtsam.Marginals(self._factors, self._values)
         keys = [self._pose_key(k - 1), self._pose_key(k)]
         J = self.last_move_jacobian()
         return symmetrised(J @ marginals.jointMarginalCovariance(keys).fullMatrix() @ J.T)
 
+    def _marginalise(self, gone: set[int]) -> None:
+        """Replace the factors on variables by what they say of the others, linear at the present values (by QR)."""
+        gtsam, stay, leave = self._gtsam, self._gtsam.NonlinearFactorGraph(), self._gtsam.NonlinearFactorGraph()
+        for i in range(self._factors.size()):
+            factor = self._factors.at(i)
+            (stay if gone.isdisjoint(factor.keys()) else leave).push_back(factor)
+        ordering, at = gtsam.Ordering(), gtsam.Values()
+        for key in sorted(gone):
+            ordering.push_back(key)
+        _, said = gtsam.JacobianFactor(leave.linearize(self._values)).eliminate(ordering)
+        for key in said.keys():
+            at.insert(key, self._values.atPoint3(key) if key in self._last_seen else self._values.atPose3(key))
+        stay.push_back(gtsam.LinearContainerFactor(said, at))
+        self._factors = stay
+        for key in gone:
+            self._values.erase(key)
+
     def _add_sighting(self, key: int, pose: int, uvd: FloatArray, R: FloatArray) -> None:
         super()._add_sighting(key, pose, uvd, R)
-        self._stamps[key] = max(pose, self._stamps.get(key, 0))
+        self._last_seen[key] = max(pose, self._last_seen.get(key, 0))

@@ -10,6 +10,7 @@ from threadpoolctl import threadpool_limits
 
 from filters import StereoNoise
 from filters.catalogue.common_options import MadeFilter, make_with_common_options
+from filters.checks.pose_errors import DEFINITIONS
 from filters.engine.batch import FilterBatch, goes_in_a_batch
 from filters.geometry.arrays import FloatArray
 from stereo_slam_env.evaluation.contract import ContractBroken
@@ -18,6 +19,7 @@ from stereo_slam_env.evaluation.map_scoring import FrameMap
 from stereo_slam_env.evaluation.results import FilterRun
 from stereo_slam_env.recording.recording import Frame, Recording
 
+_POSE_ERRORS = {type(definition).pose_error for definition in DEFINITIONS}
 _LAST_STEP = 0.1
 """s, of filters whose recording has ended: nobody looks at them any more."""
 
@@ -56,6 +58,8 @@ def run_batch(
         filters = [one.filter for one in made if goes_in_a_batch(one.filter)]
         if not alike or len(filters) < len(made):
             return None
+        if any(type(slam.options.error).pose_error not in _POSE_ERRORS for slam in filters):
+            return None  # a stranger's definition, which is not to see the truth
         if not all(slam.engine.recipe.is_that_of(filters[0].engine.recipe) for slam in filters):
             return None  # noise of each recording's own may be a part of the recipe
         ready = iter(filters)

@@ -13,6 +13,7 @@ from filters import StereoNoise
 from filters.catalogue.common_options import make_with_common_options
 from filters.catalogue.registry import FilterFactory, label_of
 from filters.checks.consistency import nees
+from filters.checks.pose_errors import InconsistentPoseError
 from filters.contract.foreign_text import error_line, first_line
 from filters.contract.update_report import UpdateReport
 from filters.geometry.arrays import FloatArray, IntArray
@@ -197,8 +198,11 @@ class RunLog:
             milliseconds=1000.0 * (moment.predict_seconds + moment.update_seconds),
             state_size=getattr(moment.slam, "state_size", np.nan) - POSE_SIZE * clones,
         )
-        if moment.pose_error is None:
-            return
+        try:
+            if moment.pose_error is None:
+                return
+        except InconsistentPoseError as error:
+            raise ContractBroken(moment.number, str(error)) from error
         self.note_error(moment.number, *moment.pose_error)
         if moment.scored_error is not None:
             (_, claimed), (_, summed) = moment.pose_error, moment.scored_error

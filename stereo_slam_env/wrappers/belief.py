@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from filters.checks.consistency import nees
+from filters.checks.pose_errors import blind_pose_error
 from filters.contract.beliefs import PoseBelief
 from filters.contract.stereo_filter import StereoFilter
 from filters.contract.update_report import UpdateReport
@@ -75,7 +76,7 @@ class Belief:
 
         Infinite where the covariance is not positive definite.
         """
-        error, covariance = self.slam.pose_error(truth.position, truth.orientation)
+        error, covariance = blind_pose_error(self.slam, truth.position, truth.orientation)
         blocks = np.stack([covariance[POSITION, POSITION], covariance[ROTATION, ROTATION]])
         values = np.append(nees(error.reshape(2, 3), blocks), nees(error[None], covariance[None]))
         return np.where(np.isnan(values), np.inf, values)

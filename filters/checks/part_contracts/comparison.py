@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from filters.checks.conformance import require
 from filters.contract.variables import Variable
 from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray
@@ -22,16 +23,16 @@ TURN, SHIFT = rotations.exp(np.array([0.4, -0.7, 0.2])), np.array([3.0, -1.0, 2.
 def assert_close(what: str, got: FloatArray, wanted: FloatArray, tolerance: float = TOLERANCE) -> None:
     """Raise an `AssertionError` where they differ by more than a share of the largest entry of the row."""
     got, wanted = np.asarray(got), np.asarray(wanted)
-    assert got.shape == wanted.shape, f"{what} has shape {got.shape}, not {wanted.shape}"
+    require(got.shape == wanted.shape, f"{what} has shape {got.shape}, not {wanted.shape}")
     size = np.abs(wanted).max(axis=-1, keepdims=True, initial=0.0)
     off = np.max(np.abs(got - wanted) / np.maximum(size, 1e-3 * size.max(initial=0.0) + 1e-9), initial=0.0)
-    assert off < tolerance, f"{what} is off by {off:.2g} of its size"
+    require(off < tolerance, f"{what} is off by {off:.2g} of its size")
 
 
 def assert_refusal(error: ValueError, word: str) -> None:
     """Raise an `AssertionError` where a refusal is not one line, or does not have the word."""
-    assert word in str(error), f"a wrong {word} is refused without its name: {error}"
-    assert "\n" not in str(error), f"a wrong {word} is refused in more than one line: {error}"
+    require(word in str(error), f"a wrong {word} is refused without its name: {error}")
+    require("\n" not in str(error), f"a wrong {word} is refused in more than one line: {error}")
 
 
 def unit_directions(homogeneous: FloatArray) -> FloatArray:

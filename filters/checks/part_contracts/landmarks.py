@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
+from filters.checks.conformance import require
 from filters.checks.part_contracts.comparison import SCALES, SHIFT, TOLERANCE, TURN, assert_close, unit_directions
 from filters.checks.part_contracts.kernels import Kernels, assert_same
 from filters.geometry import differences, rotations
@@ -24,7 +27,7 @@ def _started(model: LandmarkModel, moved: bool = True) -> Started:
     others = np.column_stack([SCALES, 0.1 * rng.standard_normal((count, model.seen_size))])
     seen = np.hstack([vectors, others])[:, : model.seen_size]
     seen = seen[model.can_start(*model.apart(seen))]
-    assert len(seen), "no landmark can be started"
+    require(len(seen), "no landmark can be started")
     new = model.started(position, *model.apart(seen))
     if model.seen_size != 4:  # what can be seen may have to keep constraints, as the vectors of a line
         here = np.where(new.anchored[:, None], position, np.nan) if model.anchored else None
@@ -37,14 +40,14 @@ def _started(model: LandmarkModel, moved: bool = True) -> Started:
 def check_landmark_start(model: LandmarkModel) -> None:
     """A landmark is seen where it was started, of any number of them, none included."""
     position, anchors, seen, new = _started(model, moved=False)
-    assert new.parameters.shape == (len(seen), model.value_size), f"parameters are {new.parameters.shape}"
+    require(new.parameters.shape == (len(seen), model.value_size), f"parameters are {new.parameters.shape}")
     assert_close(
         "homogeneous",
         unit_directions(model.homogeneous(position, anchors, new.parameters)),
         unit_directions(seen),
         1e-9,
     )
-    assert new.by_seen.shape == (len(seen), model.size, model.seen_size), f"Jacobians are {new.by_seen.shape}"
+    require(new.by_seen.shape == (len(seen), model.size, model.seen_size), f"Jacobians are {new.by_seen.shape}")
     none = model.started(position, *model.apart(seen[:0])).parameters
     assert_close(
         "homogeneous of none",
@@ -61,7 +64,7 @@ def check_landmark_start_jacobians(model: LandmarkModel) -> None:
     far[:, scale : scale + 1], nearer[:, scale:] = 1e-9, nearer[:, scale:] - 2.0 * differences.STEP
     far = far[model.can_start(*model.apart(far))]
     for by in (J, *vars(model.started(position, *model.apart(far))).values()):
-        assert np.isfinite(by).all(), "a Jacobian of a start is not finite"
+        require(np.isfinite(by).all(), "a Jacobian of a start is not finite")
     at = model.can_start(*model.apart(nearer))
     seen = seen[at]
 
@@ -174,7 +177,7 @@ def check_landmark_kernels(model: LandmarkModel) -> None:
     from_origin = np.column_stack([seen[:, :3] + seen[:, 3:4] * shift, seen[:, 3:]])
     flags = np.zeros(count, dtype=np.bool_)
     values, J, able = kernels.of("start", from_origin, values=(count, v), J=(count, n, k), possible=flags)
-    assert able.all(), "possible of kernel start is false where can_start is true"
+    require(able.all(), "possible of kernel start is false where can_start is true")
     J[:, :, 3] += J[:, :, :3] @ shift
     assert_same("start", values=(values, x), J=(J, new.by_seen))
     if kernels_of(model).turn is None:
@@ -194,14 +197,15 @@ def check_landmark_kernels(model: LandmarkModel) -> None:
         return
     position, anchors, _, new = _started(model)
     x = new.parameters
-    assert anchors is not None, "only landmarks with an anchor have kernel become"
+    if anchors is None:
+        raise AssertionError("only landmarks with an anchor have kernel become")
     for scale in SCALES:  # from landmarks that are hardly known to such as are known well
         variances = np.full(x.shape, 0.1 * scale**2)
         (chosen,) = kernels.of("become", anchors - position, x, variances, becomes=np.zeros(count, dtype=np.bool_))
-        assert (chosen == model.become_points(position, anchors, x, variances)).all(), "become is not become_points"
+        require((chosen == model.become_points(position, anchors, x, variances)).all(), "become is not become_points")
 
 
-CHECKS = (
+CHECKS: tuple[Callable[..., None], ...] = (
     check_landmark_start,
     check_landmark_start_jacobians,
     check_landmark_jacobians,

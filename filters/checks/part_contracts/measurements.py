@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from filters.checks.conformance import REFERENCE_CAMERA, REFERENCE_NOISE
+from filters.checks.conformance import REFERENCE_CAMERA, REFERENCE_NOISE, require
 from filters.checks.part_contracts.comparison import SCALES, assert_close, unit_directions
 from filters.checks.part_contracts.kernels import Kernels, assert_same
 from filters.contract.observation import StereoObservation
@@ -30,8 +30,8 @@ def _points(sensor: MeasurementModel) -> tuple[FloatArray, Values]:
     if sensor.seen_size != 4:  # whatever is measured there
         points_c = sensor.backproject(c, c.project_scaled(points_c[:, :3], points_c[:, 3]), near)
     seen = sensor.in_front(points_c)
-    assert seen.shape == seen[:, None].squeeze(1).shape == (len(points_c),), f"in_front has shape {seen.shape}"
-    assert seen.any(), "in_front is true of no point"
+    require(seen.shape == seen[:, None].squeeze(1).shape == (len(points_c),), f"in_front has shape {seen.shape}")
+    require(seen.any(), "in_front is true of no point")
     return points_c[seen], near
 
 
@@ -39,8 +39,8 @@ def check_measurement_shapes(sensor: MeasurementModel) -> None:
     """Numbers have the documented shapes, of none and of a grid of points, and are finite where `in_front`."""
     points_c, values = _points(sensor)
     numbers = sensor.predict(REFERENCE_CAMERA, points_c, values)
-    assert np.isfinite(numbers).all(), "a number of a point in front is not finite"
-    assert numbers.shape == (len(points_c), sensor.size), f"predict returned {numbers.shape}"
+    require(np.isfinite(numbers).all(), "a number of a point in front is not finite")
+    require(numbers.shape == (len(points_c), sensor.size), f"predict returned {numbers.shape}")
     grid = sensor.predict(REFERENCE_CAMERA, np.stack([points_c, points_c]), values)
     assert_close("predict of a grid", grid, np.stack([numbers, numbers]), 1e-12)
     if sensor.seen_size == 4:
@@ -99,8 +99,8 @@ def check_measurement_stages(sensor: MeasurementModel) -> None:
         for v_right in (None, some[:, 3]) if sensor.size == 4 else (None,):
             for stage in sensor.stages(StereoObservation(np.arange(len(some)), some[:, :3], v_right), R):
                 assert_close("z of a stage", stage.z, some @ stage.T.T, 1e-12)
-                assert stage.R.shape == (len(some), *2 * stage.z.shape[1:]), f"R of a stage is {stage.R.shape}"
-                assert (np.linalg.eigvalsh(stage.R) > 0.0).all(), "R of a stage is not positive definite"
+                require(stage.R.shape == (len(some), *2 * stage.z.shape[1:]), f"R of a stage is {stage.R.shape}")
+                require((np.linalg.eigvalsh(stage.R) > 0.0).all(), "R of a stage is not positive definite")
 
 
 def check_measurement_kernels(sensor: MeasurementModel) -> None:
@@ -120,7 +120,7 @@ def check_measurement_kernels(sensor: MeasurementModel) -> None:
         "in_front": flags,
     }
     numbers, J, by_values, in_front = kernels.of("predict", camera, points_c, flat, **shapes)
-    assert in_front.all(), "in_front of kernel predict is false where in_front is true"
+    require(in_front.all(), "in_front of kernel predict is false where in_front is true")
     assert_same("predict", numbers=(numbers, sensor.predict(c, points_c, values)), J=(J, wanted.by_point))
     uvd = numbers[:, :3].copy()
     k = sensor.seen_size

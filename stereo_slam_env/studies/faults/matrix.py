@@ -25,6 +25,7 @@ from filters import (
     make_filter,
     shown_arrays,
 )
+from filters.contract.foreign_text import first_line, type_name
 from stereo_slam_env import FilterChoice, FilterLoop, Recording
 from stereo_slam_env.benchmark import Backend
 from stereo_slam_env.studies.faults.catalogue import FAULTS, NOMINAL, find_fault
@@ -69,12 +70,13 @@ def drive_through(recording: Recording, slam: StereoFilter, monitor: DivergenceM
                 continue
             alarm = monitor.look(moment.time - clock, moment.report, moment.pose)
             alarms += [] if alarm is None else [alarm]
-            assert moment.truth is not None, "the recording has no truth"
+            if moment.truth is None:
+                raise ValueError(f"recording {recording.name!r} has no truth at {moment.time:.3f} s")
             travelled += float(np.linalg.norm(moment.truth.position - where))
             clock, where = moment.time, moment.truth.position
             rows.append((clock, travelled, moment.position_error, moment.nees / 6.0))
     except (AssertionError, ArithmeticError) as error:
-        broken = f"at {clock:.3f} s: {error}"
+        broken = f"at {clock:.3f} s: {first_line(error)}"
     times, path, errors, nees = np.array(rows).reshape(-1, 4).T
     return Session(times, errors, path, nees, tuple(alarms), watched.refused, broken)
 
@@ -122,10 +124,11 @@ class _WatchedFilter:
         except ValueError:
             self.refused += 1
             pairs = zip(self._shown, shown_arrays(self._slam), strict=True)
-            assert all(np.array_equal(a, b, equal_nan=True) for a, b in pairs), "refused input changed the state"
+            if not all(np.array_equal(a, b, equal_nan=True) for a, b in pairs):
+                raise AssertionError("refused input changed the state") from None
             return False
         except Exception as error:  # the contract is ValueError and nothing else
-            raise AssertionError(f"raised {type(error).__name__}: {error}") from error
+            raise AssertionError(f"raised {type_name(error)}: {first_line(error)}") from error
         self._check()
         return True
 

@@ -214,10 +214,13 @@ class _DelaysAndSaysTwice(DelayedEKF):
 
 @pytest.mark.parametrize("worse", [_TrustsItsMotionTooMuch, _NeverSeesTwice, _DelayedAndWorse])
 def test_errors_ten_times_those_of_inverse_depth_are_the_only_complaint(worse: type[StereoFilter]) -> None:
+    """But for a covariance too large of those that make too little of each measurement."""
     report = check_filter(worse, raise_on_failure=False)
-    (only,) = report.failed
-    factor = float(re.search(r"position errors are ([0-9.]+) times those of inverse-depth", only)[1])
+    errors, *others = report.failed
+    factor = float(re.search(r"position errors are ([0-9.]+) times those of inverse-depth", errors)[1])
     assert factor > 8.0
+    assert all("underconfident" in line for line in others)
+    assert bool(others) == (worse is not _DelayedAndWorse)
 
 
 @pytest.mark.parametrize(

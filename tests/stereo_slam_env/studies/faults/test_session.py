@@ -70,6 +70,11 @@ class Crashes(InverseDepthStereoEKF):
         raise ZeroDivisionError("over the edge")
 
 
+class RaisesAtLength(InverseDepthStereoEKF):
+    def predict(self, dt, odometry=None):
+        raise RuntimeError("\nill-posed\n\nThrown when a system is so.")
+
+
 class Indefinite(InverseDepthStereoEKF):
     @property
     def pose(self):
@@ -88,9 +93,12 @@ class ForgetsWhenRefusing(InverseDepthStereoEKF):
     ("kind", "words"),
     [
         (Crashes, "raised ZeroDivisionError: over the edge"),
+        (RaisesAtLength, "raised RuntimeError: ill-posed"),
         (Indefinite, "is not positive definite"),
         (ForgetsWhenRefusing, "refused input changed the state"),
     ],
 )
 def test_a_filter_that_breaks_its_contract_is_found_out(drive, kind, words):
-    assert words in driven(with_fault(drive, catalogue.Reordered(0.5)), kind).broken
+    broken = driven(with_fault(drive, catalogue.Reordered(0.5)), kind).broken
+    assert words in broken
+    assert "\n" not in broken
