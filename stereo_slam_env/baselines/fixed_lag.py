@@ -107,7 +107,8 @@ class FixedLagGraph(SmoothingGraph):
         for key in sorted(gone):
             ordering.push_back(key)
         _, said = gtsam.JacobianFactor(leave.linearize(self._values)).eliminate(ordering)
-        for key in said.keys():
+        rest = said.keys()
+        for key in rest:
             at.insert(key, self._values.atPoint3(key) if key in self._last_seen else self._values.atPose3(key))
         stay.push_back(gtsam.LinearContainerFactor(said, at))
         self._factors = stay
