@@ -229,6 +229,7 @@ class CoreRows(Rows):
             "time": shown.time,
             "distance": fleet.distance.copy(),
             "collision": sensed.collision.copy(),
+            "failed": sensed.failed.copy(),
             "is_success": sensed.success.copy(),
         }
         terms = sensed.terms.copy()
