@@ -10,7 +10,7 @@ from gymnasium.wrappers.common import PassiveEnvChecker
 
 import stereo_slam_env  # noqa: F401 (registers the ids)
 from stereo_slam_env.envs.core_rows import CoreRows
-from stereo_slam_env.policies import normalised_score
+from stereo_slam_env.policies import follow_route, normalised_score
 from stereo_slam_env.policies.scores import REFERENCE_RETURNS
 from stereo_slam_env.tasks import Curriculum
 
@@ -26,9 +26,10 @@ def driven(name, steps=4, **arguments):
     observation, info = env.reset(seed=3)
     seen = [(observation, info)]
     for step in range(steps):
-        action = step % 2 if isinstance(env.action_space, gym.spaces.Discrete) else np.zeros(env.action_space.shape)
-        if name in DISCRETE[2:]:
-            action = 1
+        if isinstance(env.action_space, gym.spaces.Discrete):
+            action = 1 if name == "StereoSlam/Revisit-v0" else step % 2
+        else:
+            action = follow_route(observation, env.action_space.shape[0], speed=5.0)
         observation, _, terminated, _, info = env.step(action)
         seen.append((observation, info))
         if terminated:
