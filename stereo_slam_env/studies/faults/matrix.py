@@ -25,7 +25,6 @@ from filters import (
     make_filter,
     shown_arrays,
 )
-from filters.contract.foreign_text import first_line, type_name
 from stereo_slam_env import FilterChoice, FilterLoop, Recording
 from stereo_slam_env.benchmark import Backend
 from stereo_slam_env.studies.faults.catalogue import FAULTS, NOMINAL, find_fault
@@ -76,7 +75,7 @@ def drive_through(recording: Recording, slam: StereoFilter, monitor: DivergenceM
             clock, where = moment.time, moment.truth.position
             rows.append((clock, travelled, moment.position_error, moment.nees / 6.0))
     except (AssertionError, ArithmeticError) as error:
-        broken = f"at {clock:.3f} s: {first_line(error)}"
+        broken = f"at {clock:.3f} s: {error}".partition("\n")[0]
     times, path, errors, nees = np.array(rows).reshape(-1, 4).T
     return Session(times, errors, path, nees, tuple(alarms), watched.refused, broken)
 
@@ -128,7 +127,7 @@ class _WatchedFilter:
                 raise AssertionError("refused input changed the state") from None
             return False
         except Exception as error:  # the contract is ValueError and nothing else
-            raise AssertionError(f"raised {type_name(error)}: {first_line(error)}") from error
+            raise AssertionError(f"raised {type(error).__name__}: {str(error).strip()}") from error
         self._check()
         return True
 
