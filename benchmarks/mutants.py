@@ -74,6 +74,24 @@ ROOMS = {
     "monitor": Room(
         ("filters/monitor.py",), ("tests/filters/test_monitor.py", "tests/stereo_slam_env/evaluation/test_alarms.py")
     ),
+    "simulator": Room(
+        ("stereo_slam_env/simulator/*.py",),
+        (
+            "tests/stereo_slam_env/simulator",
+            *(f"tests/stereo_slam_env/envs/test_{name}.py" for name in ("drive", "gaze", "vector", "snapshots")),
+        ),
+        compiled=False,
+    ),
+    "sensing": Room(
+        ("stereo_slam_env/sensing/*.py",),
+        ("tests/stereo_slam_env/sensing", "tests/stereo_slam_env/studies/faults/test_catalogue.py"),
+    ),
+    "wrappers": Room(
+        ("stereo_slam_env/wrappers/*.py", "stereo_slam_env/tasks/*.py"),
+        ("tests/stereo_slam_env/wrappers", "tests/stereo_slam_env/tasks"),
+    ),
+    "datasets": Room(("stereo_slam_env/datasets/*.py",), ("tests/stereo_slam_env/datasets",)),
+    "frontend": Room(("stereo_slam_env/frontend/*.py",), ("tests/stereo_slam_env/frontend",)),
     "engine": Room(
         (
             *(

@@ -32,8 +32,10 @@ def _refuse_other_filters() -> None:
 _refuse_other_filters()
 
 
-def _register(name: str, room: str, made: str, max_episode_steps: int, **arguments: object) -> None:
-    """An id: one environment, and its vector by the name in small letters."""
+def _register(
+    name: str, room: str, made: str, max_episode_steps: int, best: float | None = None, **arguments: object
+) -> None:
+    """An id: one environment, and its vector by the name in small letters; `best` is the best mean return known."""
     if name in _gym.registry:
         return
     vectors = "stereo_slam_env.wrappers.vectors" if room.startswith("envs.") else f"stereo_slam_env.{room}"
@@ -43,22 +45,23 @@ def _register(name: str, room: str, made: str, max_episode_steps: int, **argumen
         name,
         entry_point=f"stereo_slam_env.{room}:{made}",
         max_episode_steps=max_episode_steps,
+        reward_threshold=best,
         vector_entry_point=f"{vectors}:{small}_vector",
         kwargs=arguments,
     )
 
 
-_register("StereoSlam/Drive-v0", "envs.drive", "StereoDriveEnv", 1200)
+_register("StereoSlam/Drive-v0", "envs.drive", "StereoDriveEnv", 1200, 32.7)
 _register("StereoSlam/Gaze-v0", "envs.gaze", "StereoGazeEnv", 3000)
 _register("StereoSlam/DriveGaze-v0", "envs.drive_gaze", "StereoDriveGazeEnv", 1200)
-for _task, _made, _most in (
-    ("ActiveGaze", "active_gaze", 600),
-    ("Explore", "explore", 1200),
-    ("Revisit", "revisit", 100),
-    ("ClosedLoop", "closed_loop", 1200),
-    ("Branches", "branches", 1000),
+for _task, _made, _most, _best in (
+    ("ActiveGaze", "active_gaze", 600, -0.59),
+    ("Explore", "explore", 1200, 8.34),
+    ("Revisit", "revisit", 100, 8.28),
+    ("ClosedLoop", "closed_loop", 1200, 21.5),
+    ("Branches", "branches", 1000, 22.1),
 ):
-    _register(f"StereoSlam/{_task}-v0", f"tasks.{_made}", _made, _most)
+    _register(f"StereoSlam/{_task}-v0", f"tasks.{_made}", _made, _most, _best)
     for _level in ("easy", "hard"):
         _register(f"StereoSlam/{_task}-{_level}-v0", f"tasks.{_made}", _made, _most, level=_level)
 

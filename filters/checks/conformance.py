@@ -445,12 +445,12 @@ def _has_used(report: UpdateReport, observation: StereoObservation) -> bool:
 
 
 def check_confidence(make: Make) -> None:
-    """Over twenty drives with matched noise it is neither overconfident nor underconfident."""
+    """Over twenty drives with matched noise its covariances match its errors."""
     _assert_consistent(make, [make.drive(seed) for seed in range(20)])
 
 
 def check_other_rig(make: Make) -> None:
-    """Nor is it with another camera and noise, another start and steps of several lengths."""
+    """With another camera and noise, another start and unequal steps they do, too."""
     if make.rig is None:
         return  # it brings its own
     elsewhere = Start(
@@ -494,10 +494,10 @@ def _assert_consistent(make: Make, drives: Sequence[StraightDrive]) -> None:
             said, value = f"mean {what}", float(np.mean(each))
         else:
             said, value = f"median {what}", float(np.median(each)) * 3.0 / chi_square_quantile(0.5, 3)
-        said += f" NEES is {value:.2g} per degree of freedom, expected about 1"
+        said += f" NEES / dof {value:.2g}, expected 1"
         least = LEAST_NEES_OF_FORECASTS if what == "forecast" else LEAST_NEES
-        require(value < GREATEST_NEES, f"overconfident: {said}")
-        require(value > least or not bounded_below, f"underconfident: {said}")
+        require(value < GREATEST_NEES, f"overconfident ({said})")
+        require(value > least or not bounded_below, f"underconfident ({said})")
 
 
 def _told(report: UpdateReport) -> list[int]:

@@ -204,7 +204,10 @@ class StereoFilter(ABC):
 
     @abstractmethod
     def pose_error(self, position: ArrayLike, orientation: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Error of the pose against a true one, in the filter's own error definition, for NEES.
+        """Error of the pose against another one, in the filter's own error definition, for NEES.
+
+        Runs ask for it near the estimate alone, and compute the error against the truth by the same definition:
+        `filters.checks.pose_errors`.
 
         Parameters
         ----------

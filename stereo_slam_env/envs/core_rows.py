@@ -229,13 +229,12 @@ class CoreRows(Rows):
             "time": shown.time,
             "distance": fleet.distance.copy(),
             "collision": sensed.collision.copy(),
+            "failed": sensed.failed.copy(),
             "is_success": sensed.success.copy(),
         }
-        terms = sensed.terms.copy()
         if self.simulator.rules.steered:
             info["cross_track"] = sensed.beside.copy()
-        for name, k in self._weights.items():
-            info[f"reward_{name}"] = terms[k]
+        info |= {f"reward_{name}": sensed.terms[k].copy() for name, k in self._weights.items()}
         return observation, info | self._extras(shown.v_right)
 
     def _extras(self, v_right: FloatArray) -> Arrays:

@@ -65,9 +65,10 @@ class StereoDriveEnv(StereoEnv, gym.Env[Observation, NDArray[np.float32]]):
     Scalars and arrays of fixed shape, the same keys from `reset` and `step`: `truth_position` (3,) and
     `truth_orientation` (4,) xyzw of the left camera in W; `truth_linear_velocity` (3,) in W and
     `truth_angular_velocity` (3,) in the camera frame, over the last step; `time` s; `distance` driven, m; `collision`;
-    `is_success`, whether the end of the route has been reached; where the agent drives `cross_track`, the distance from
-    the route to the side, m; `v_right` (N,), the row in the right image, and
-    `v_right_measured`; `R` (N, 3, 3), covariances of (u, v, d) in px^2, and `R_measured`; and the terms of the reward.
+    `failed`, whether the episode has ended by that, beside the lane or outside the arena; `is_success`, whether the end
+    of the route has been reached; where the agent drives `cross_track`, the distance from the route to the side, m;
+    `v_right` (N,), the row in the right image, and `v_right_measured`; `R` (N, 3, 3), covariances of (u, v, d) in px^2,
+    and `R_measured`; and the terms of the reward.
 
     ## Rewards
 

@@ -18,6 +18,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from filters.contract.start import Start
+from filters.contract.validation import finite_array
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.geometry.poses import Pose
 from stereo_slam_env.recording.recording import Frame, LandmarkTruth
@@ -335,6 +336,24 @@ class OneRow(Rows):
             np.array([frame.timestamp]),
             (values, covariance, np.array([odometry is not None])),
         )
+
+
+def checked_actions(name: str, actions: Any, space: gym.Space[Any], count: int) -> Any:
+    """Actions (B, ...), or each part of them: finite and within the space, or a `ValueError` that names them."""
+    if isinstance(space, spaces.Dict):
+        if not isinstance(actions, Mapping) or actions.keys() != space.keys():
+            raise ValueError(f"{name} must have the keys {', '.join(space)}, got {actions!r}")
+        return {key: checked_actions(name, actions[key], part, count) for key, part in space.items()}
+    if isinstance(space, spaces.Box):
+        return np.clip(finite_array(name, actions, (count, *space.shape)), space.low, space.high)
+    numbers, last = np.asarray(actions), getattr(space, "n", 1) - 1
+    whole = np.issubdtype(numbers.dtype, np.integer) and numbers.shape == (count,)
+    if not whole or numbers.min() < 0 or numbers.max() > last:
+        wanted, got = f"{count} whole numbers", numbers.tolist()
+        if name == "action":
+            wanted, got = "a whole number", got[0]
+        raise ValueError(f"{name} must be {wanted} from 0 to {last}, got {got!r}")
+    return numbers
 
 
 def state_of(env: Any) -> tuple[Any, ...]:

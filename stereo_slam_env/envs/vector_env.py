@@ -13,11 +13,11 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from filters.contract.validation import finite_array, whole_number
+from filters.contract.validation import whole_number
 from filters.geometry.arrays import BoolArray, FloatArray
 from stereo_slam_env.envs.core_rows import CoreRows
 from stereo_slam_env.envs.options import StereoOptions
-from stereo_slam_env.envs.rows import Arrays, Rows, TimeLimitRows
+from stereo_slam_env.envs.rows import Arrays, Rows, TimeLimitRows, checked_actions
 from stereo_slam_env.envs.stereo_env import row_of
 from stereo_slam_env.simulator.kept import Kept
 from stereo_slam_env.simulator.state import Sensed
@@ -52,6 +52,7 @@ class RowsVectorEnv(gym.vector.VectorEnv[Arrays, NDArray[Any], NDArray[Any]], Ke
         self.action_space = batch_space(rows.action_space, self.num_envs)
         self._begun = np.zeros(self.num_envs, dtype=np.bool_)
         self._over = np.ones(self.num_envs, dtype=np.bool_)
+        self._seeds: list[int | None] = [None] * self.num_envs
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
@@ -135,6 +136,11 @@ class RowsVectorEnv(gym.vector.VectorEnv[Arrays, NDArray[Any], NDArray[Any]], Ke
             raise RuntimeError("consistency is not recorded: give belief={} and consistency={}") from None
 
     @property
+    def np_random_seed(self) -> tuple[int | None, ...]:  # type: ignore[override]
+        """Seed of the last seeded reset of each environment, as `SyncVectorEnv` has them."""
+        return tuple(self._seeds)
+
+    @property
     def max_episode_steps(self) -> int | None:
         """The time limit; None: there is none."""
         try:
@@ -165,7 +171,10 @@ class RowsVectorEnv(gym.vector.VectorEnv[Arrays, NDArray[Any], NDArray[Any]], Ke
         return self.core.simulator.nbytes
 
     def _begin(self, chosen: BoolArray, seeds: Sequence[int | None] = (), options: Mapping[str, Any] = {}) -> None:
-        self.rows.begin(chosen, seeds or [None] * self.num_envs, options)
+        seeds = seeds or [None] * self.num_envs
+        self.rows.begin(chosen, seeds, options)
+        for b in np.flatnonzero(chosen).tolist():
+            self._seeds[b] = self._seeds[b] if seeds[b] is None else seeds[b]
         self._begun |= chosen
         self._over[chosen] = False
 
@@ -181,7 +190,7 @@ class RowsVectorEnv(gym.vector.VectorEnv[Arrays, NDArray[Any], NDArray[Any]], Ke
             raise RuntimeError("the environments are closed: make them again")
         if not self._begun.all():
             raise RuntimeError("reset the environments before the first step")
-        return _checked(actions, self.single_action_space, self.num_envs)
+        return checked_actions("actions", actions, self.single_action_space, self.num_envs)
 
 
 def limited(rows: Rows, most: int | None) -> Rows:
@@ -223,21 +232,6 @@ def core_rows(
     pool = None if scenes is None else whole_number("scenes", scenes, 1)
     count = whole_number("num_envs", num_envs, 1)
     return CoreRows(checked, count, threads=whole_number("threads", threads, 1), pool=pool, draws=mode is not None)
-
-
-def _checked(actions: Any, space: gym.Space[Any], count: int) -> Any:
-    """Actions (B, ...), or each part of them: finite and within the space, or a `ValueError`."""
-    if isinstance(space, gym.spaces.Dict):
-        if not isinstance(actions, Mapping) or actions.keys() != space.keys():
-            raise ValueError(f"actions must have the keys {', '.join(space)}, got {actions!r}")
-        return {key: _checked(actions[key], part, count) for key, part in space.items()}
-    if isinstance(space, gym.spaces.Box):
-        return np.clip(finite_array("actions", actions, (count, *space.shape)), space.low, space.high)
-    numbers, last = np.asarray(actions), getattr(space, "n", 1) - 1
-    whole = np.issubdtype(numbers.dtype, np.integer) and numbers.shape == (count,)
-    if not whole or numbers.min() < 0 or numbers.max() > last:
-        raise ValueError(f"actions must be {count} numbers from 0 to {last}, got {actions!r}")
-    return numbers
 
 
 class _PicturesOfRows(Sequence[NDArray[np.uint8]]):

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import fields, replace
 from typing import Any
 
-from stereo_slam_env.tasks.levels import of_level
+from stereo_slam_env.tasks.levels import of_level, of_world
 from stereo_slam_env.training.task import GazeTask
 from stereo_slam_env.wrappers.vectors import vector_of
 
@@ -39,23 +40,23 @@ def active_gaze(
         Arguments of `GazeTask.make_rows`: that many in rows, instead of one environment.
     **task
         Others of `GazeTask`: `filter`, `filter_options`, `reward`, `criterion`, `belief`, `nees_gate`, `resolution`,
-        `hold`, `pans`; JSON-able.
+        `hold`, `pans`; and arguments of `StereoSlam/Gaze-v0`, as in `arguments`. JSON-able.
 
     Raises
     ------
     TypeError
         There is no argument of that name.
     """
-    gaze = gaze_task(level, {**(arguments or {}), "render_mode": render_mode}, **task)
+    bare = {"render_mode": render_mode, "max_episode_steps": -1, "disable_env_checker": True}  # the task has its own
+    gaze = gaze_task(level, arguments, **task)
+    gaze = replace(gaze, arguments={**bare, **gaze.arguments})
     return gaze.make_for_learning() if many is None else gaze.make_rows(**many)
 
 
 def gaze_task(level: str = "normal", arguments: Mapping[str, Any] | None = None, **task: Any) -> GazeTask:
-    """The task of `active_gaze`; a `ValueError` where `arguments` are no mapping."""
-    given = {} if arguments is None else arguments
-    if not isinstance(given, Mapping):
-        raise ValueError(f"arguments must be a mapping of arguments of the environment, got {given!r}")
-    return GazeTask(arguments={**of_level(level, scripted=True), **given}, **task)
+    """The task of `active_gaze`, with its arguments."""
+    own = {name: task.pop(name) for name in [field.name for field in fields(GazeTask)] if name in task}
+    return GazeTask(arguments={**of_level(level, scripted=True), **of_world(arguments, task)}, **own)
 
 
 active_gaze_vector = vector_of(active_gaze)

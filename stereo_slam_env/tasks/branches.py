@@ -12,7 +12,7 @@ from gymnasium import spaces
 from filters.contract.validation import positive, whole_number
 from filters.geometry.arrays import BoolArray, FloatArray
 from stereo_slam_env.envs.rows import Arrays, Rows, RowsWrapper, Seeds, Step
-from stereo_slam_env.tasks.levels import inner_environment
+from stereo_slam_env.tasks.levels import inner_environment, of_world
 from stereo_slam_env.training.settings import FEW_DECISIONS
 from stereo_slam_env.training.task import GAZE_FILTER
 from stereo_slam_env.world.routes import through_streets
@@ -38,7 +38,7 @@ _UNPAID = {f"{term}_weight": 0.0 for term in ("progress", "tracking", "collision
 class BranchChoiceRows(RowsWrapper):
     """What `BranchChoice` does, on rows; see there."""
 
-    changes = ("_places", "_driven", "_sigmas", "_choices", "_credit", "_gained")
+    changes = ("_places", "_driven", "_sigmas", "_choices", "_credit", "_claimed", "_gained")
     training: ClassVar[Mapping[str, Any]] = {**FEW_DECISIONS, "decisions": 8_192, "evaluate_every": 4_096}
 
     def __init__(self, rows: Rows, roads: int, accuracy: float, weight: float, goal: float) -> None:
@@ -60,8 +60,8 @@ class BranchChoiceRows(RowsWrapper):
         self._driven: list[BoolArray] = [np.zeros(0, dtype=np.bool_)] * rows.count
         self._sigmas: list[FloatArray] = [np.zeros(0)] * rows.count
         """Of each road the claimed position sigma when it was first driven, m."""
-        self._credit, self._gained = np.zeros(rows.count), np.zeros(rows.count)
-        """Share of the map, and what it has brought in the last decision."""
+        self._credit, self._claimed, self._gained = np.zeros((3, rows.count))
+        """Share of the map, the same as the filter claims it, and what the first has brought in the last decision."""
 
     def begin(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
         """See `Rows`; the car stands in the middle of its first road."""
@@ -71,7 +71,8 @@ class BranchChoiceRows(RowsWrapper):
             self._choices[b] = []
             self._driven[b], self._sigmas[b] = np.zeros(streets.count, dtype=np.bool_), np.zeros(streets.count)
             self._arrive(b, streets.start)
-        self._credit[chosen], self._gained[chosen] = self._map(chosen)[chosen], 0.0
+        self._map(chosen)
+        self._gained[chosen] = 0.0
 
     def advance(self, actions: Any, going: BoolArray) -> Step:
         """See `Rows`; drive on to the middle of the road that is chosen."""
@@ -90,9 +91,9 @@ class BranchChoiceRows(RowsWrapper):
             failed |= terminated | truncated
         for b in np.flatnonzero(going).tolist():
             self._arrive(b, there[b])
-        credit = self._map(going)
-        self._gained[going] = self._weight * (credit - self._credit)[going]
-        self._credit[going] = credit[going]
+        before = self._credit.copy()
+        self._map(going)
+        self._gained[going] = self._weight * (self._credit - before)[going]
         over = going & (failed | (self._left == 0))
         return np.where(going, self._gained, 0.0), over, np.zeros(self.count, dtype=np.bool_)
 
@@ -101,9 +102,10 @@ class BranchChoiceRows(RowsWrapper):
         observation, info = self.rows.look()
         credit, roads = self._credit.copy(), np.array([int(driven.sum()) for driven in self._driven])
         added = {"branches": np.stack([self._ahead(b) for b in range(self.count)])}
-        added |= {"roads_left": self._left[:, None].astype(np.float32), "mapped": credit[:, None].astype(np.float32)}
+        shown = {"roads_left": self._left, "mapped": self._claimed}
+        added |= {key: values[:, None].astype(np.float32) for key, values in shown.items()}
         said = {"mapped": credit, "roads": roads, "reward_map": self._gained.copy()}
-        success = (credit >= self._goal) & ~np.asarray(info["collision"])
+        success = (credit >= self._goal) & ~np.asarray(info["failed"])
         return {**observation, **added}, {**info, **said, "is_success": success}
 
     @property
@@ -148,14 +150,15 @@ class BranchChoiceRows(RowsWrapper):
         clipped: FloatArray = np.minimum(known, _MOST)
         return clipped
 
-    def _map(self, which: BoolArray) -> FloatArray:
-        """The share of all landmarks that is where it is on the map, of some rows; (B,)."""
-        credit, maps = np.zeros(self.count), self._beliefs.world_maps()
+    def _map(self, which: BoolArray) -> None:
+        """Look at the maps of some rows: the share of all landmarks that is where it is, by the truth and claimed."""
+        maps = self._beliefs.world_maps()
+        sigmas = np.sqrt(np.einsum("nii->n", maps.covariances))
         for b in np.flatnonzero(which).tolist():
             mine, truth = slice(*maps.offsets[b : b + 2]), self.world.landmark_truth(b).positions
             errors = np.linalg.norm(maps.positions[mine] - truth[maps.ids[mine]], axis=1)
-            credit[b] = np.maximum(1.0 - (errors / self._accuracy) ** 2, 0.0).sum() / len(truth)
-        return credit
+            for share, each in ((self._credit, errors), (self._claimed, sigmas[mine])):
+                share[b] = np.maximum(1.0 - (each / self._accuracy) ** 2, 0.0).sum() / len(truth)
 
 
 class BranchChoice(RowWrapper):
@@ -171,8 +174,9 @@ class BranchChoice(RowWrapper):
     The observation gains `branches` (3, 5), for left, straight on and right: whether there is such a road, whether it
     has been driven, how many roads further on the nearest is that has not been driven, and that of the start, and the
     claimed standard deviation of the position there when it was first driven, m, or now where it has not been;
-    `roads_left` (1,); and `mapped` (1,), the share of the map. `info` gains `mapped`, `roads`, how many different ones
-    have been driven, and `reward_map`; `is_success` is whether the share has reached `goal` without a collision.
+    `roads_left` (1,); and `mapped` (1,), the share of the map that the filter claims, by its variances instead of
+    squared errors. `info` gains `mapped`, the true share, `roads`, how many different ones have been driven, and
+    `reward_map`; `is_success` is whether the true share has reached `goal` without a collision.
 
     Parameters
     ----------
@@ -227,6 +231,7 @@ def branches(
     weight: float = 100.0,
     goal: float = 0.2,
     many: Mapping[str, Any] | None = None,
+    **world: Any,
 ) -> Any:
     """`StereoSlam/Branches-v0`: drive through a grid of streets so that much of it is on the map, and true.
 
@@ -253,9 +258,11 @@ def branches(
         Of `BranchChoice`.
     many : mapping, optional
         `num_envs`, `scenes` and `threads`: that many in rows, instead of one environment.
+    **world
+        Arguments of `StereoSlam/Drive-v0`, as in `arguments`.
     """
     own = {"render_mode": render_mode, **_WORLD, **_UNPAID}
-    inside = inner_environment("StereoSlam/Drive-v0", level, arguments or {}, many, **own)
+    inside = inner_environment("StereoSlam/Drive-v0", level, of_world(arguments, world), many, **own)
     inside = BeliefPanorama.around(BeliefObservation.around(inside, filter=filter, options=filter_options))
     paid = {"roads": roads, "accuracy": accuracy, "weight": weight, "goal": goal}
     return SelectedKeys.around(BranchChoice.around(inside, **paid), keys=KEYS)

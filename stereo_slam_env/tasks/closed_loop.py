@@ -10,13 +10,15 @@ import gymnasium as gym
 import numpy as np
 
 from filters.contract.validation import whole_number
-from filters.geometry.arrays import BoolArray
+from filters.geometry.arrays import BoolArray, FloatArray
+from filters.geometry.poses import Pose
 from stereo_slam_env.envs.rows import Arrays, Rows, RowsWrapper, Seeds, Step
 from stereo_slam_env.policies.interface import Action
 from stereo_slam_env.policies.scores import follow_route
 from stereo_slam_env.simulator.motion import nearest_frames, routes_ahead
 from stereo_slam_env.simulator.state import ARENA
-from stereo_slam_env.tasks.levels import inner_environment
+from stereo_slam_env.tasks.levels import inner_environment, of_world
+from stereo_slam_env.world.vehicle import Head
 from stereo_slam_env.wrappers import BeliefObservation, BeliefPanorama, SelectedKeys
 from stereo_slam_env.wrappers.filter_rows import FilterRows
 from stereo_slam_env.wrappers.recorded_wrapper import RowWrapper
@@ -39,21 +41,22 @@ class RouteByEstimateRows(RowsWrapper):
         super().__init__(rows)
         self._latency = whole_number("latency", latency, 0)
         self._beliefs: FilterRows = self.needed("beliefs")
+        self._head: Head | None = self.needed("head")
         self._poses = np.zeros((self._latency + 1, rows.count, 7))
-        """The latest estimates, the newest first."""
+        """The latest estimates of the camera if the head looked straight ahead, the newest first."""
         self._nearest, self._progress = np.zeros(rows.count, dtype=np.int64), np.zeros(rows.count)
 
     def begin(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
         """See `Rows`; the start is known, so the estimate is not late yet."""
         self.rows.begin(chosen, seeds, options)
-        self._poses[:, chosen] = self._beliefs.poses[chosen]
+        self._poses[:, chosen] = self._bodies()[chosen]
         self._nearest[chosen], self._progress[chosen] = 0, 0.0
 
     def advance(self, actions: Any, going: BoolArray) -> Step:
         """See `Rows`; drive, and find the place on the route by the estimate."""
         step = self.rows.advance(actions, going)
         self._poses[1:, going] = self._poses[:-1, going]
-        self._poses[0, going] = self._beliefs.poses[going]
+        self._poses[0, going] = self._bodies()[going]
         for b in np.flatnonzero(going).tolist():
             route, place = self.world.route_of(b), self._poses[-1, b : b + 1, :3]
             at = nearest_frames(route.positions, route.arc_length, place, self._nearest[b : b + 1])
@@ -61,14 +64,30 @@ class RouteByEstimateRows(RowsWrapper):
             self._progress[b] = max(self._progress[b], route.arc_length[at[0]] / route.length)
         return step
 
+    def _bodies(self) -> FloatArray:
+        """Estimated poses without the turn of the head, (B, 7)."""
+        poses = self._beliefs.poses
+        if self._head is None:
+            return poses
+        bodies = np.empty_like(poses)
+        for b, (pose, angles) in enumerate(zip(poses, self.world.angles(), strict=True)):
+            body = self._head.body_pose(Pose(pose[:3], pose[3:]), angles)
+            bodies[b] = *body.position, *body.orientation
+        return bodies
+
     def look(self) -> tuple[Arrays, Arrays]:
         """See `Rows`."""
         observation, info = self.rows.look()
+        progress = self._progress[:, None].astype(np.float32)
+        return {**observation, "route": self.route_shown(), "progress": progress}, info
+
+    def route_shown(self) -> Any:
+        """The key `route` of all rows."""
+        ahead = []
         for b in range(self.count):
             route, pose = self.world.route_of(b), self._poses[-1, b : b + 1]
-            ahead = routes_ahead(route.positions, route.arc_length, self._nearest[b : b + 1], pose, ARENA)
-            observation["route"][b] = ahead[0]
-        return observation | {"progress": self._progress[:, None].astype(np.float32)}, info
+            ahead.append(routes_ahead(route.positions, route.arc_length, self._nearest[b : b + 1], pose, ARENA)[0])
+        return np.array(ahead)
 
 
 class RouteByEstimate(RowWrapper):
@@ -81,7 +100,7 @@ class RouteByEstimate(RowWrapper):
     Parameters
     ----------
     env : gymnasium.Env
-        In which the agent drives, its head straight ahead if it has one, with `BeliefObservation` around it.
+        In which the agent drives, with `BeliefObservation` around it.
     latency : int
         Frames.
     """
@@ -101,6 +120,7 @@ def closed_loop(
     filter_options: Mapping[str, Any] | None = None,
     latency: int | None = None,
     many: Mapping[str, Any] | None = None,
+    **world: Any,
 ) -> Any:
     """`StereoSlam/ClosedLoop-v0`: come to the end of a route that is only known relative to an estimate.
 
@@ -127,10 +147,12 @@ def closed_loop(
         Of `RouteByEstimate`; None: that of the level in `LATENCIES`.
     many : mapping, optional
         `num_envs`, `scenes` and `threads`: that many in rows, instead of one environment.
+    **world
+        Arguments of `StereoSlam/Drive-v0`, as in `arguments`.
     """
     odometry = {"odometry_sigma_linear": 0.2, "odometry_sigma_angular": 0.02}
     own = {"render_mode": render_mode, "max_landmarks": 40, "tracking_weight": 0.0, **odometry}
-    inside = inner_environment("StereoSlam/Drive-v0", level, arguments or {}, many, **own)
+    inside = inner_environment("StereoSlam/Drive-v0", level, of_world(arguments, world), many, **own)
     inside = BeliefPanorama.around(BeliefObservation.around(inside, filter=filter, options=filter_options))
     latency = LATENCIES[level] if latency is None else latency
     return SelectedKeys.around(RouteByEstimate.around(inside, latency=latency), keys=KEYS)

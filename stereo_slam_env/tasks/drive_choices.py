@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import gymnasium as gym
@@ -24,6 +25,10 @@ class DriveChoicesRows(RowsWrapper):
         self._hold, self._stop = whole_number("hold", hold, 1), whole_number("stop", stop, 2)
         pairs = [(positive("speeds", speed), pan) for speed in speeds for pan in pans]
         self._speeds, pan = np.array([(0.0, 0.0), *pairs]).T
+        try:
+            self._route = rows.inner("route_shown")  # by an estimate
+        except AttributeError:
+            self._route = partial(self.world.shown, "route")
         self._entries: int = rows.action_space.shape[0]
         self._pans = np.zeros((len(pan), self._entries), dtype=np.float32)
         self._pans[:, -2], self._pans[0, stop] = pan, 1.0
@@ -34,7 +39,7 @@ class DriveChoicesRows(RowsWrapper):
         chosen = np.asarray(actions)
         total, over, late, still = np.zeros(self.count), ~going, np.zeros_like(going), going
         for _ in range(self._hold):
-            seen = {key: self.world.shown(key) for key in ("car", "route")}
+            seen = {"car": self.world.shown("car"), "route": self._route()}
             driven = follow_route(seen, self._entries, speed=self._speeds[chosen])
             rewards, ended, cut = self.rows.advance(driven + self._pans[chosen], still)
             total, over, late = total + rewards, over | ended | cut, late | cut

@@ -13,9 +13,9 @@ from filters.contract.validation import positive
 from filters.geometry.arrays import BoolArray, FloatArray
 from stereo_slam_env.envs.rows import Arrays, Rows, RowsWrapper, Seeds, Step
 from stereo_slam_env.policies.interface import Action
-from stereo_slam_env.tasks.closed_loop import drive_slowly
+from stereo_slam_env.tasks.closed_loop import RouteByEstimate, drive_slowly
 from stereo_slam_env.tasks.drive_choices import DriveChoices
-from stereo_slam_env.tasks.levels import inner_environment
+from stereo_slam_env.tasks.levels import inner_environment, of_world
 from stereo_slam_env.training.settings import FEW_DECISIONS
 from stereo_slam_env.training.task import GAZE_FILTER
 from stereo_slam_env.world.routes import FRAME_PERIOD
@@ -37,7 +37,7 @@ _PERIOD, _PAN = 4.0, 0.7
 class CoverageRows(RowsWrapper):
     """What `Coverage` does, on rows; see there."""
 
-    changes = ("_in_reach", "_mapped", "_now", "_terms")
+    changes = ("_in_reach", "_mapped", "_claimed", "_shown", "_now", "_terms")
     training: ClassVar[Mapping[str, Any]] = {
         **FEW_DECISIONS,
         "arguments": {"choices": {}},
@@ -50,10 +50,10 @@ class CoverageRows(RowsWrapper):
     def __init__(self, rows: Rows, accuracy: float, goal: float, coverage_weight: float, path_weight: float) -> None:
         super().__init__(rows)
         self._beliefs: FilterRows = self.needed("beliefs")
-        if self.needed("options").sensor != "landmarks":
-            raise ValueError(
-                "sensor must be 'landmarks': of corners in images nobody knows how many there are to be mapped"
-            )
+        options = self.needed("options")
+        if options.sensor != "landmarks":
+            raise ValueError("sensor must be 'landmarks': image sensors have no list of true landmarks")
+        self._farthest = options.tracking.farthest
         self._accuracy, self._goal = positive("accuracy", accuracy), positive("goal", goal)
         weights = positive("coverage_weight", coverage_weight), positive("path_weight", path_weight, allow_zero=True)
         self._prices = np.array([weights[0], -weights[1]])
@@ -61,21 +61,19 @@ class CoverageRows(RowsWrapper):
         self.observation_space = spaces.Dict({**self.dict_space(), "coverage": coverage})
         self.action_space = spaces.Box(-1.0, 1.0, (rows.action_space.shape[0] + 1,), np.float32)
         self._in_reach = [np.zeros(0, dtype=np.bool_)] * rows.count
-        self._mapped = list(self._in_reach)
+        self._mapped, self._claimed = list(self._in_reach), list(self._in_reach)
+        self._shown = np.zeros((rows.count, 1), dtype=np.float32)
+        """Claimed coverage."""
         self._now, self._terms = np.zeros((rows.count, 2)), np.zeros((rows.count, 2))
         """Coverage and metres driven, and what they have brought in the last step."""
 
     def begin(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
         """See `Rows`; nothing is mapped yet."""
         self.rows.begin(chosen, seeds, options)
-        farthest = self.needed("options").tracking.farthest
         for b in np.flatnonzero(chosen).tolist():
-            places, road = (
-                self.world.landmark_truth(b).positions[:, [0, 2]],
-                self.world.route_of(b).positions[:, [0, 2]],
-            )
-            self._in_reach[b] = np.linalg.norm(places[:, None] - road, axis=-1).min(axis=1) <= farthest
-            self._mapped[b] = np.zeros(len(places), dtype=np.bool_)
+            places = self.world.landmark_truth(b).positions
+            self._in_reach[b] = self._by_the_road(b, places)
+            self._mapped[b], self._claimed[b] = np.zeros((2, len(places)), dtype=np.bool_)
         self._now[chosen] = self._looked(chosen)[chosen]
         self._terms[chosen] = 0.0
 
@@ -93,13 +91,16 @@ class CoverageRows(RowsWrapper):
         """See `Rows`."""
         observation, info = self.rows.look()
         coverage, driven = self._now.T
-        success = (coverage >= self._goal) & ~np.asarray(info["collision"])
+        success = (coverage >= self._goal) & ~np.asarray(info["failed"])
         added = {"reward_coverage": self._terms[:, 0].copy(), "reward_path": self._terms[:, 1].copy()}
         added |= {"coverage": coverage.copy(), "path_length": driven.copy(), "is_success": success}
-        return {**observation, "coverage": self._now[:, :1].astype(np.float32)}, {**info, **added}
+        return {**observation, "coverage": self._shown.copy()}, {**info, **added}
 
     def _looked(self, which: BoolArray) -> FloatArray:
-        """The share of the landmarks that is mapped, after a look at the maps of some rows, and metres; (B, 2)."""
+        """The share of the landmarks that is mapped, after a look at the maps of some rows, and metres; (B, 2).
+
+        What is shown of it is what the filter claims: with its own positions, by its own covariances.
+        """
         now = self._now.copy()
         now[:, 1] = self.world.told("distance")
         maps = self._beliefs.world_maps()
@@ -111,7 +112,16 @@ class CoverageRows(RowsWrapper):
             mapped, in_reach = self._mapped[b], self._in_reach[b]
             mapped[ids[errors < _SINCERE * self._accuracy]] = True
             now[b, 0] = mapped[in_reach].mean() if in_reach.any() else 0.0
+            claimed, new = self._claimed[b], ~self._claimed[b][ids]
+            claimed[ids[new][self._by_the_road(b, positions[new])]] = True
+            self._shown[b] = min(claimed.sum() / max(in_reach.sum(), 1), 1.0)
         return now
+
+    def _by_the_road(self, b: int, positions: FloatArray) -> BoolArray:
+        """Which positions (N, 3) are no farther from the route than the sensor sees; (N,)."""
+        road = self.world.route_of(b).positions[:, [0, 2]]
+        away: FloatArray = np.linalg.norm(positions[:, None, [0, 2]] - road, axis=-1)
+        return np.asarray(away.min(axis=1, initial=np.inf) <= self._farthest)
 
 
 class Coverage(RowWrapper):
@@ -123,8 +133,9 @@ class Coverage(RowWrapper):
     that is claimed nor a map that is forgotten pays.
 
     The action has one more entry, number 2: above 0.5 it ends the episode. The observation gains `coverage` (1,), the
-    share of the landmarks that is mapped, 0 to 1. `info` gains `coverage`, `path_length` (m), `reward_coverage` and
-    `reward_path`; `is_success` is whether the coverage has reached `goal` without a collision.
+    share that the filter claims to have mapped, 0 to 1: landmarks that it knows that well, where it believes them to be
+    so near the route. `info` gains `coverage`, the true share, `path_length` (m), `reward_coverage` and `reward_path`;
+    `is_success` is whether that has reached `goal` without a collision, and without leaving the lane.
 
     Parameters
     ----------
@@ -166,14 +177,15 @@ def explore(
     path_weight: float = 0.01,
     choices: Mapping[str, Any] | None = None,
     many: Mapping[str, Any] | None = None,
+    **world: Any,
 ) -> Any:
     """`StereoSlam/Explore-v0`: drive round a block and look about, until the map is worth no further metre.
 
     The action is `Box(-1, 1, (5,))`: acceleration, steering, stop (above 0.5), pan and tilt. The observation has
     `belief_sigmas` (6,) and `panorama` (12, 6), see `BeliefPanorama`, `head` (2,), `car` (2,), `route` (5, 2),
-    `progress` (1,) and `coverage` (1,). The reward is 20 for the whole map (`Coverage`), minus 0.01 for each metre,
-    0.05 for each second, and 10 for a collision; nothing is paid for progress along the route. The episode ends with
-    the stop, a collision, the end of the route, or after 1200 steps.
+    `progress` (1,) and `coverage` (1,), the last three by the filter's estimate. The reward is 20 for the whole map
+    (`Coverage`), minus 0.01 for each metre, 0.05 for each second, and 10 for a collision; nothing is paid for progress
+    along the route. The episode ends with the stop, a collision, the end of the route, or after 1200 steps.
 
     Parameters
     ----------
@@ -194,11 +206,14 @@ def explore(
         steers. None: it is that of above.
     many : mapping, optional
         `num_envs`, `scenes` and `threads`: that many in rows, instead of one environment.
+    **world
+        Arguments of `StereoSlam/DriveGaze-v0`, as in `arguments`.
     """
     unpaid = dict.fromkeys(("progress_weight", "tracking_weight", "goal_weight", "effort_weight"), 0.0)
     own = {"render_mode": render_mode, "route": "random-loop", "time_weight": 0.05, **unpaid}
-    inside = inner_environment("StereoSlam/DriveGaze-v0", level, arguments or {}, many, **own)
+    inside = inner_environment("StereoSlam/DriveGaze-v0", level, of_world(arguments, world), many, **own)
     inside = BeliefPanorama.around(BeliefObservation.around(inside, filter=filter, options=filter_options))
+    inside = RouteByEstimate.around(inside)
     weights = {"coverage_weight": coverage_weight, "path_weight": path_weight}
     paid = Coverage.around(inside, accuracy=accuracy, goal=goal, **weights)
     return SelectedKeys.around(paid if choices is None else DriveChoices.around(paid, **choices), keys=KEYS)

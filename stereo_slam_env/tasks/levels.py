@@ -54,6 +54,16 @@ def of_level(level: str, *, scripted: bool) -> Mapping[str, Any]:
     return {key: value for key, value in LEVELS[level].items() if scripted or key not in _TRAFFIC}
 
 
+def of_world(arguments: Mapping[str, Any] | None, others: Mapping[str, Any]) -> dict[str, Any]:
+    """Arguments of the environment inside a task, from the mapping of that name and those given beside it."""
+    given = {} if arguments is None else arguments
+    if not isinstance(given, Mapping):
+        raise ValueError(f"arguments must be a mapping of arguments of the environment, got {given!r}")
+    if twice := sorted(given.keys() & others.keys()):
+        raise ValueError(f"{twice[0]} is given twice, in arguments and beside it: leave one of them out")
+    return {**given, **others}
+
+
 def inner_environment(
     name: str, level: str, given: Mapping[str, Any], many: Mapping[str, Any] | None, **own: Any
 ) -> gym.Env[Any, Any] | Rows:

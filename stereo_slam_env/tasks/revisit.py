@@ -14,7 +14,7 @@ from filters.contract.validation import positive, whole_number
 from filters.geometry.arrays import BoolArray, FloatArray
 from stereo_slam_env.envs.rows import Arrays, Rows, RowsWrapper, Seeds, Step
 from stereo_slam_env.simulator.state import ODOMETRY_SIGMAS
-from stereo_slam_env.tasks.levels import inner_environment
+from stereo_slam_env.tasks.levels import inner_environment, of_world
 from stereo_slam_env.training.task import GAZE_FILTER
 from stereo_slam_env.world.routes import Route
 from stereo_slam_env.wrappers import BeliefObservation, BeliefPanorama, InformationGain, SelectedKeys
@@ -191,6 +191,7 @@ def revisit(
     dearest: float | None = None,
     hold: int = 10,
     many: Mapping[str, Any] | None = None,
+    **world: Any,
 ) -> Any:
     """`StereoSlam/Revisit-v0`: drive on to see the first landmarks again, or save the metres.
 
@@ -219,9 +220,11 @@ def revisit(
         Of `LoopClosure`; None: that of the level in `DEAREST`.
     many : mapping, optional
         `num_envs`, `scenes` and `threads`: that many in rows, instead of one environment.
+    **world
+        Arguments of `StereoSlam/Gaze-v0`, as in `arguments`.
     """
     own = {"render_mode": render_mode, "route": "random-loop"}
-    given = {**_ODOMETRY, **(arguments or {})}
+    given = {**_ODOMETRY, **of_world(arguments, world)}
     inside = inner_environment("StereoSlam/Gaze-v0", level, given, many, **own)
     dearest = DEAREST[level] if dearest is None else dearest
     inside = BeliefPanorama.around(BeliefObservation.around(inside, filter=filter, options=filter_options))

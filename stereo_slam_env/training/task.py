@@ -105,6 +105,7 @@ class GazeTask:
         """So many times `make_for_learning` as rows; see `wrappers.vectors.stereo_vector`."""
         given = dict(self.arguments)
         limit = given.pop("max_episode_steps", gym.spec(self.environment).max_episode_steps)
+        given.pop("disable_env_checker", None)
         rows = rows_of(self.environment, num_envs, given, scenes=scenes, threads=threads)
         held = self._held(limited(rows, limit))
         made: Rows = held if self.pans is None else DirectionOfGaze.around(held, pans=self.pans)

@@ -10,7 +10,7 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.utils import RecordConstructorArgs
 
-from stereo_slam_env.envs.rows import OneRow, Rows, RowsWrapper
+from stereo_slam_env.envs.rows import OneRow, Rows, RowsWrapper, checked_actions
 from stereo_slam_env.envs.stereo_env import row_of
 from stereo_slam_env.simulator.kept import Kept
 
@@ -84,7 +84,10 @@ class RowWrapper(RecordedWrapper, Kept):
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Step the environment."""
-        rewards, terminated, truncated = self.rows.advance(_one_row(action), _ALL)
+        actions = _one_row(action)
+        if self.action_space is not self.env.action_space:  # the environment inside checks its own
+            actions = checked_actions("action", actions, self.action_space, 1)
+        rewards, terminated, truncated = self.rows.advance(actions, _ALL)
         observation, info = self._look()
         return observation, float(rewards[0]), bool(terminated[0]), bool(truncated[0]), info
 
@@ -94,10 +97,13 @@ class RowWrapper(RecordedWrapper, Kept):
 
 
 def _one_row(action: Any) -> Any:
-    """An action, or each part of one, with a first axis of one row."""
+    """An action, or each part of one, with a first axis of one row; what is no array stays in a list."""
     if isinstance(action, Mapping):
         return {key: _one_row(part) for key, part in action.items()}
-    return np.asarray(action)[None]
+    try:
+        return np.asarray(action)[None]
+    except ValueError:
+        return [action]
 
 
 def _made_again(kind: type[RecordedWrapper], env: gym.Env[Any, Any], arguments: dict[str, Any]) -> RecordedWrapper:

@@ -86,7 +86,7 @@ class _SwapsAxes(InverseDepthStereoEKF):
         return dataclasses.replace(landmarks, positions=landmarks.positions[:, [1, 0, 2]])
 
 
-OVER, UNDER = "overconfident: mean pose NEES", "underconfident: "
+OVER, UNDER = "overconfident (mean pose NEES", "underconfident ("
 WRONG: dict[str, tuple[Any, str]] = {
     "R / 100": (_another_noise(lambda R: 0.01 * R), OVER),
     "R / 4": (_another_noise(lambda R: 0.25 * R), OVER),
@@ -99,7 +99,7 @@ WRONG: dict[str, tuple[Any, str]] = {
     "twice the baseline": (_another_camera(baseline=2.0), OVER),
     "half the baseline": (_another_camera(baseline=0.5), OVER),
     "no dt": (_IgnoresTime, "in 0.03 s, not to"),
-    "swapped axes": (_SwapsAxes, "overconfident: median landmark NEES"),
+    "swapped axes": (_SwapsAxes, "overconfident (median landmark NEES"),
     **{
         f"P of {what} x {factor}": (_mis_stated(what, factor), OVER if factor < 1.0 and what == "pose" else side)
         for what in ("pose", "velocity", "landmark", "forecast")

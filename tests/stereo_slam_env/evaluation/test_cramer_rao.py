@@ -156,6 +156,18 @@ def test_a_sighting_of_what_is_behind_the_camera_says_nothing():
     np.testing.assert_allclose(bound.pose, cramer_rao_bound(recording, MOTION).pose, rtol=1e-9, atol=1e-18)
 
 
+@pytest.mark.parametrize("empty", [0, 2])
+def test_a_frame_without_measurements_says_nothing(empty):
+    recording = small_recording(frames=6)
+    frames = list(recording.frames)
+    frames[empty] = replace(frames[empty], observation=frames[empty].observation.select(np.zeros(0, dtype=int)))
+    bound, full = (
+        cramer_rao_bound(each, MOTION).pose for each in (replace(recording, frames=tuple(frames)), recording)
+    )
+    assert np.trace(bound[max(empty, 1)]) > 1.05 * np.trace(full[max(empty, 1)])
+    np.testing.assert_allclose(bound[:empty], full[:empty], rtol=1e-9)
+
+
 def test_a_consistent_filter_claims_what_the_bound_allows():
     recording = small_recording(sigma=0.3, frames=30)
     options = {"motion": {"sigma_acceleration": 2.0, "sigma_angular_acceleration": 0.5}, "gate": None}

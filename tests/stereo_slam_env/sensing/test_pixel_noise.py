@@ -37,6 +37,12 @@ def test_no_error_is_as_large_as_the_largest(name, sigma):
     assert np.abs(errors).max() < model.largest_error
 
 
+def test_the_largest_error_is_that_of_ten_standard_deviations_or_of_the_farthest_mismatch():
+    """Bounds of the observation rest on it: a wider one makes learners' numbers smaller."""
+    sizes = {model(0.5).largest_error for model in (IndependentPixels, IndependentUvd)}
+    assert (sizes, HeavyTailedPixels(0.5).largest_error, QuantisedPixels(0.5).largest_error) == ({5.0}, 10.0, 6.0)
+
+
 def test_independent_pixels_measures_a_right_row_of_its_own():
     model = IndependentPixels(0.7)
     true = np.tile([100.0, 50.0, 12.0], (COUNT, 1))

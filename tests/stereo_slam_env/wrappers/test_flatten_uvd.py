@@ -52,6 +52,14 @@ def test_wide_ranges_are_logarithmic_and_can_be_undone(key):
         assert np.abs(values).max() > 0.02  # linearly it would be lost
 
 
+def test_the_units_are_those_that_a_trained_network_was_shown():
+    """A metre, a millimetre or milliradian, and the square of one and of a centimetre."""
+    assert UNITS == {
+        **{"belief_position": 1.0, "belief_landmarks": 1.0, "belief_sigmas": 1e-3},
+        **{"belief_covariance": 1e-6, "belief_landmark_covariances": 1e-4},
+    }
+
+
 def test_all_stays_within_bounds_and_images_are_left_out():
     env = ReplayEnv()
     env.observation_space["left"] = gym.spaces.Box(0, 255, (4, 4, 3), np.uint8)

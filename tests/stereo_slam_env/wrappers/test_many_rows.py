@@ -118,7 +118,7 @@ def test_keys_and_directions_are_arguments_of_a_vector():
         assert vector.single_observation_space == env.observation_space
         assert vector.single_action_space == env.action_space
         assert_rows(together, drive(env, actions[:, 2], seed=SEEDS[2]), 2)
-    with pytest.raises(ValueError, match="actions must be 3 numbers from 0 to 4, got"):
+    with pytest.raises(ValueError, match="actions must be 3 whole numbers from 0 to 4, got"):
         vector.step(np.array([0, 5, 1]))
     vector.close()
 
