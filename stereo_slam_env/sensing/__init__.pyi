@@ -17,6 +17,6 @@ from .corruptions import DuplicatedFrames as DuplicatedFrames
 from .corruptions import Latency as Latency
 from .corruptions import corrupted as corrupted
 from .padding import stereo_observation as stereo_observation
-from .rig_files import calibration_of_infos as calibration_of_infos
+from .camera_info import calibration_of_infos as calibration_of_infos
 from .rigs import RIGS as RIGS
 from .rigs import camera_of as camera_of

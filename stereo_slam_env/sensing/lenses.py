@@ -80,21 +80,29 @@ class Rectification:
     """(3, 4) each: K [I | t] of the rectified cameras."""
     camera: StereoCamera
     """The rectified rig."""
+    mapped: tuple[bool, bool] = (True, True)
+    """Whether the images of the left and of the right camera are raw; others are rectified already, and left alone."""
 
     @property
     def R_left(self) -> FloatArray:
-        """(3, 3): from the left camera as it is mounted to the rectified one."""
-        return self.turns[0]
+        """(3, 3): from the left camera as it is mounted to the rectified one; none where its images are rectified."""
+        return self.turns[0] if self.mapped[0] else np.eye(3)
 
     @cached_property
-    def needed(self) -> bool:
-        """Whether rectified images are others than those taken."""
-        return any(
+    def changes(self) -> tuple[bool, bool]:
+        """Whether rectified images of the left and of the right camera differ from raw ones."""
+        left, right = (
             any(lens.distortion)
             or np.abs(R - np.eye(3)).max() > _ROUNDING
             or np.abs(P[:, :3] - lens.K).max() > _ROUNDING * lens.fx
             for lens, R, P in zip(self.lenses, self.turns, self.projections, strict=True)
         )
+        return bool(left), bool(right)
+
+    @property
+    def needed(self) -> bool:
+        """Whether rectified images are others than those taken."""
+        return any(changed and mapped for changed, mapped in zip(self.changes, self.mapped, strict=True))
 
     @cached_property
     def _maps(self) -> list[tuple[Any, Any]]:
@@ -115,8 +123,8 @@ class Rectification:
         import cv2
 
         turned = [
-            np.asarray(cv2.remap(image, *both, interpolation=cv2.INTER_LINEAR), dtype=np.uint8)
-            for image, both in zip((left, right), self._maps, strict=True)
+            np.asarray(cv2.remap(image, *both, interpolation=cv2.INTER_LINEAR), dtype=np.uint8) if mapped else image
+            for image, both, mapped in zip((left, right), self._maps, self.mapped, strict=True)
         ]
         return turned[0], turned[1]
 

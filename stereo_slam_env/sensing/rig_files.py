@@ -210,7 +210,7 @@ def _size(path: Path, table: Mapping[str, Any], names: Sequence[str], given: Siz
     return width, height
 
 
-def _lens(path: Path, intrinsics: FloatArray, size: Size, distortion: FloatArray, model: Any) -> Lens:
+def lens_of(path: Path, intrinsics: FloatArray, size: Size, distortion: FloatArray, model: Any) -> Lens:
     """A lens of (fx, fy, cx, cy) or K (9), px."""
     name = plain(str(model)).strip().lower().replace("_tangential", "-tangential")
     if name not in _MODELS:
@@ -252,7 +252,7 @@ def _euroc(paths: tuple[Path, Path], tables: tuple[dict[str, Any], dict[str, Any
         known = _size(path, table, ("resolution",), size)
         of_lens = _numbers(path, table, "distortion_coefficients")
         intrinsics = _numbers(path, table, "intrinsics", 4)
-        lenses.append(_lens(path, intrinsics, known, of_lens, table.get("distortion_model", "radial-tangential")))
+        lenses.append(lens_of(path, intrinsics, known, of_lens, table.get("distortion_model", "radial-tangential")))
         poses.append(_transform(path, table, "T_BS"))
     return rectification(lenses[0], lenses[1], tuple((np.linalg.inv(poses[1]) @ poses[0]).ravel()), str(paths[1]))
 
@@ -269,7 +269,7 @@ def _kalibr(path: Path, table: dict[str, Any], size: Size | None) -> Calibration
         of_lens = _numbers(path, camera, ("distortion_coeffs", "distortion_coefficients"))
         model = camera.get("distortion_model", "radtan")
         of_lens = of_lens[: 0 if model == "none" else None]
-        lenses.append(_lens(path, _numbers(path, camera, "intrinsics", 4), known, of_lens, model))
+        lenses.append(lens_of(path, _numbers(path, camera, "intrinsics", 4), known, of_lens, model))
         poses.append(camera)
     if "T_cn_cnm1" in poses[1]:
         T_rl = _transform(path, poses[1], "T_cn_cnm1")
@@ -292,7 +292,7 @@ def _vslam_lab(path: Path, table: dict[str, Any], size: Size | None) -> Calibrat
         of_lens = (
             _numbers(path, camera, "distortion_coefficients") if "distortion_coefficients" in camera else np.empty(0)
         )
-        lenses.append(_lens(path, intrinsics, known, of_lens if of_lens.any() else np.empty(0), model))
+        lenses.append(lens_of(path, intrinsics, known, of_lens if of_lens.any() else np.empty(0), model))
         poses.append(_transform(path, camera, "T_BS") if "T_BS" in camera else np.eye(4))
     return rectification(lenses[0], lenses[1], tuple((np.linalg.inv(poses[1]) @ poses[0]).ravel()), str(path))
 
@@ -305,34 +305,10 @@ def _camera_info(
         known = _size(path, table, (), size)
         of_lens = _numbers(path, table, "distortion_coefficients")
         model = table.get("distortion_model", "plumb_bob")
-        lenses.append(_lens(path, _numbers(path, table, "camera_matrix", 9), known, of_lens, model))
+        lenses.append(lens_of(path, _numbers(path, table, "camera_matrix", 9), known, of_lens, model))
         turns.append(_numbers(path, table, "rectification_matrix", 9).reshape(3, 3))
         P.append(_numbers(path, table, "projection_matrix", 12).reshape(3, 4))
     return stated_rectification((lenses[0], lenses[1]), (turns[0], turns[1]), (P[0], P[1]), str(paths[1]))
-
-
-def calibration_of_infos(messages: tuple[Any, Any], where: str, *, rectified: bool) -> Calibration:
-    """Calibration by the messages `sensor_msgs/CameraInfo` of both cameras, of images that are rectified or raw."""
-    path, tables = Path(where), []
-    for message in messages:
-        # ROS 1 writes these names in capitals.
-        matrices = {name: getattr(message, name, None) for name in "KDRPkdrp"}
-        K, D, R, P = (next(m for m in (matrices[n], matrices[n.lower()]) if m is not None) for n in "KDRP")
-        tables.append(
-            {
-                "image_width": int(message.width),
-                "image_height": int(message.height),
-                "camera_matrix": list(K),
-                "distortion_model": str(message.distortion_model),
-                "distortion_coefficients": list(D),
-                "rectification_matrix": list(R),
-                "projection_matrix": list(P),
-            }
-        )
-    if rectified:
-        P_left, P_right = (_numbers(path, table, "projection_matrix", 12).reshape(3, 4) for table in tables)
-        return rectified_rig(where, P_left, P_right, _size(path, tables[0], (), None))
-    return _camera_info((path, path), (tables[0], tables[1]), None)
 
 
 def _opencv(path: Path, table: dict[str, Any], size: Size | None) -> Calibration:
@@ -350,7 +326,7 @@ def _opencv(path: Path, table: dict[str, Any], size: Size | None) -> Calibration
     for side, names in matrices.items():
         of_lens = _numbers(path, table, lenses_of[side])
         lenses.append(
-            _lens(path, _numbers(path, table, names, 9), known, of_lens if of_lens.any() else np.empty(0), "")
+            lens_of(path, _numbers(path, table, names, 9), known, of_lens if of_lens.any() else np.empty(0), "")
         )
     if "LEFT.P" in table:
         turns = [_numbers(path, table, name, 9).reshape(3, 3) for name in ("LEFT.R", "RIGHT.R")]

@@ -1,0 +1,92 @@
+"""Rows of corners in both images of a pair: what tells rectified images from raw ones, whatever is said of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from filters.geometry.arrays import BoolArray, FloatArray
+from stereo_slam_env.frontend.correlation import best_peaks, refine
+from stereo_slam_env.frontend.finding import detect_corners
+from stereo_slam_env.frontend.patches import PATCH, cut_patches
+from stereo_slam_env.recording.recording import GreyImage
+
+_CORNERS = 60
+"""Of a pair."""
+_MARGIN = 12
+"""Distance of corners to the edge, px."""
+_ROWS = 0.1
+"""Rows that are searched above and below, as a share of the height; a raw camera is off by less at most corners."""
+_FEWEST_ROWS = 8
+_COLUMNS = 0.25
+"""Largest disparity that is searched, as a share of the width."""
+_NEGATIVE = 0.1
+"""Largest negative disparity that is searched, as a share of the width."""
+_MIN_SCORE, _RIVAL = 0.85, 0.85
+"""Least correlation of a match, and most that the second best peak has of it."""
+_RETURNS_WITHIN = 1.0
+"""How far a match back may end from where it began, px."""
+
+
+@dataclass(frozen=True, eq=False)
+class RowOffsets:
+    """Corners of the left images that were found in the right ones."""
+
+    uv: FloatArray
+    """(N, 2): in the left image, px."""
+    disparity: FloatArray
+    """(N,): u_left - u_right, px."""
+    offset: FloatArray
+    """(N,): v_left - v_right, px."""
+    corners: int
+    """Number of corners that were looked for."""
+
+    @property
+    def spread(self) -> float:
+        """Median distance of the rows, px; infinite without a match."""
+        return float(np.median(np.abs(self.offset))) if len(self.offset) else np.inf
+
+    @property
+    def beyond_infinity(self) -> float:
+        """Share of disparities below -1 px: none, but for a yaw between the cameras."""
+        return float(np.mean(self.disparity < -1.0)) if len(self.disparity) else 0.0
+
+
+def row_offsets(pairs: Sequence[tuple[GreyImage, GreyImage]]) -> RowOffsets:
+    """Match corners of pairs (left, right) in both directions, without supposing that their rows agree."""
+    found = [_of_pair(left, right) for left, right in pairs]
+    uv, disparity, offset = (np.concatenate([one[i] for one in found]) for i in range(3)) if found else (_NONE,) * 3
+    return RowOffsets(uv.reshape(-1, 2), disparity, offset, sum(one[3] for one in found))
+
+
+_NONE = np.zeros(0)
+
+
+def _of_pair(left: GreyImage, right: GreyImage) -> tuple[FloatArray, FloatArray, FloatArray, int]:
+    height, width = left.shape
+    uv = detect_corners(left, _CORNERS, np.zeros((0, 2)), margin=_MARGIN)
+    rows = max(_FEWEST_ROWS, round(_ROWS * height))
+    low, high = np.array([-_COLUMNS * width, -rows]), np.array([_NEGATIVE * width, rows])
+    there, good = _matched(left, right, uv, low, high)
+    back, again = _matched(right, left, there, -high, -low)
+    good &= again & (np.abs(back - uv).max(axis=1, initial=0.0) <= _RETURNS_WITHIN)
+    moved = uv[good] - there[good]
+    return uv[good], moved[:, 0], moved[:, 1], len(uv)
+
+
+def _matched(
+    one: GreyImage, other: GreyImage, uv: FloatArray, low: FloatArray, high: FloatArray
+) -> tuple[FloatArray, BoolArray]:
+    """Where the surroundings of `uv` (N, 2) are in the other image, within a box about it, and whether that is sure."""
+    if not len(uv):
+        return uv, np.zeros(0, dtype=bool)
+    templates, nearest = cut_patches(one, uv, PATCH), np.rint(uv)
+    peaks = best_peaks(other, templates, np.rint(nearest + low), np.rint(nearest + high))
+    found = peaks.score > -1.0
+    position, score = uv.copy(), np.full(len(uv), -1.0)
+    refined = refine(other, templates[found], peaks.pixel[found], peaks.offset[found])
+    position[found], score[found] = refined.position, refined.score
+    good = (score >= _MIN_SCORE) & (peaks.second < _RIVAL * peaks.score)
+    return position, np.asarray(good)
