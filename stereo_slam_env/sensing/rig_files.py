@@ -37,17 +37,24 @@ MOST_BYTES = 300_000
 """Larger calibrations are refused: no rig has so many numbers."""
 MOST_PIXELS = 40_000_000
 """Images of more are refused."""
+_LARGEST_SHIFT = 10.0
+"""Of the clocks of a camera and an inertial unit, s."""
 ENDINGS = (".txt", ".yaml", ".yml", ".json")
 _PARTNERS = (("cam0", "cam1"), ("left", "right"), ("Left", "Right"), ("intrinsics", "extrinsics"), ("infra1", "infra2"))
 _IN_FOLDERS = (
     *("calib.txt", "calib_cam_to_cam.txt", "mav0/cam0/sensor.yaml", "cam0/sensor.yaml", "calibration.yaml"),
-    *("camchain*.yaml", "*-camchain*.yaml", "dso/camchain.yaml", "left.yaml", "intrinsics.yml"),
+    *("camchain*.yaml", "*-camchain*.yaml", "*imucam_chain*.yaml", "dso/camchain.yaml", "left.yaml", "intrinsics.yml"),
 )
 _MODELS: Mapping[str, LensModel] = {
     **dict.fromkeys(("radtan", "radtan4", "radtan5", "radial-tangential", "plumb_bob"), "radial-tangential"),
     **dict.fromkeys(("rational_polynomial", "pinhole", "none", ""), "radial-tangential"),
-    **dict.fromkeys(("equidistant", "equi", "equid4", "kannalabrandt8", "fisheye"), "equidistant"),
+    **dict.fromkeys(("equidistant", "equi", "equid4", "kannalabrandt8", "fisheye", "opencv_fisheye"), "equidistant"),
+    **dict.fromkeys(("kannala_brandt", "kannala_brandt4", "kb4"), "equidistant"),
 }
+_TANGENTIAL, _RADIAL = 3e-3, 0.02
+"""Largest tangential coefficients, and least first radial one, of a pinhole with four."""
+_ORB_STEREO = ("Camera.bf", "Stereo.b", "Stereo.T_c1_c2")
+_ORB_LENS = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
 _KNOWN = "KITTI calib.txt, EuRoC sensor.yaml, Kalibr camchain, ROS CameraInfo, OpenCV, ORB-SLAM or VSLAM-LAB yaml"
 
 
@@ -85,7 +92,7 @@ def read_calibration(path: str | Path, right: str | Path | None = None, size: Si
     for known, read in (("cam0", _kalibr), ("cameras", _vslam_lab)):
         if known in table:
             return read(file, table, size)
-    if _first(table, "M1", "K1", "cameraMatrix1", "LEFT.K") is not None or "Camera.bf" in table or "Stereo.b" in table:
+    if _first(table, "M1", "K1", "cameraMatrix1", "LEFT.K", *_ORB_STEREO) is not None:
         return _opencv(file, _with_partner(file, right, table), size)
     for known, read_both in (("intrinsics", _euroc), ("camera_matrix", _camera_info)):
         if known in table:
@@ -97,10 +104,10 @@ def read_calibration(path: str | Path, right: str | Path | None = None, size: Si
 
 
 def body_of_camera(path: Path) -> FloatArray:
-    """T (4, 4) that takes points of a sensor, as mounted, to the body: T_BS, or T_cam_imu of cam0 inverted."""
+    """T (4, 4) that takes points of a sensor, as mounted, to the body: T_BS, or T_imu_cam of cam0."""
     table = _table(path)
     if "cam0" in table:
-        return np.asarray(np.linalg.inv(_transform(path, table["cam0"], "T_cam_imu")), dtype=np.float64)
+        return _of_kalibr(path, table, "cam0")
     if "cameras" in table:
         return _transform(path, table["cameras"][0], "T_BS") if "T_BS" in table["cameras"][0] else np.eye(4)
     return _transform(path, table, "T_BS")
@@ -117,6 +124,18 @@ def noise_of_unit(path: Path) -> tuple[float, float, float, float]:
     )
     gyro, accelerometer, gyro_walk, accelerometer_walk = (float(_numbers(path, table, kind, 1)[0]) for kind in kinds)
     return gyro, accelerometer, gyro_walk, accelerometer_walk
+
+
+def imu_shift(path: str | Path) -> float:
+    """Seconds to be added to times of the left camera for those of the inertial unit: Kalibr's `timeshift_cam_imu`."""
+    file = _file_of(Path(path))
+    camera = _table(file).get("cam0") if file.suffix != ".txt" else None
+    if not isinstance(camera, dict) or "timeshift_cam_imu" not in camera:
+        return 0.0
+    shift = float(_numbers(file, camera, "timeshift_cam_imu", 1)[0])
+    if abs(shift) > _LARGEST_SHIFT:
+        raise ValueError(f"{file}: timeshift_cam_imu is {shift:g} s: seconds are expected, is it in ms or ns?")
+    return shift
 
 
 def _file_of(path: Path) -> Path:
@@ -217,6 +236,8 @@ def lens_of(path: Path, intrinsics: FloatArray, size: Size, distortion: FloatArr
         known = ", ".join(known for known in _MODELS if known)
         raise ValueError(f"{path}: the lens model {name!r} cannot be rectified by OpenCV; known are {known}")
     fx, fy, cx, cy = (float(n) for n in (intrinsics if intrinsics.size == 4 else intrinsics[[0, 4, 2, 5]]))
+    if _MODELS[name] == "equidistant" and not any(distortion[4:]):
+        distortion = distortion[:4]  # drivers fill up what the message has room for
     try:
         return Lens(fx, fy, cx, cy, *size, tuple(map(float, distortion)), _MODELS[name])
     except ValueError as error:
@@ -274,9 +295,18 @@ def _kalibr(path: Path, table: dict[str, Any], size: Size | None) -> Calibration
     if "T_cn_cnm1" in poses[1]:
         T_rl = _transform(path, poses[1], "T_cn_cnm1")
     else:
-        T_ri, T_li = (_transform(path, camera, "T_cam_imu") for camera in (poses[1], poses[0]))
-        T_rl = T_ri @ np.linalg.inv(T_li)
+        T_rl = np.linalg.inv(_of_kalibr(path, table, "cam1")) @ _of_kalibr(path, table, "cam0")
     return rectification(lenses[0], lenses[1], tuple(T_rl.ravel()), str(path))
+
+
+def _of_kalibr(path: Path, table: Mapping[str, Any], name: str) -> FloatArray:
+    """T_imu_cam (4, 4) of a camera, as OpenVINS writes it, or Kalibr's T_cam_imu inverted."""
+    camera = table[name]
+    if not isinstance(camera, dict):
+        raise ValueError(f"{path} lacks '{name}': a camchain of two cameras is needed")
+    if "T_imu_cam" in camera:
+        return _transform(path, camera, "T_imu_cam")
+    return np.asarray(np.linalg.inv(_transform(path, camera, "T_cam_imu")), dtype=np.float64)
 
 
 def _vslam_lab(path: Path, table: dict[str, Any], size: Size | None) -> Calibration:
@@ -325,9 +355,9 @@ def _opencv(path: Path, table: dict[str, Any], size: Size | None) -> Calibration
     lenses = []
     for side, names in matrices.items():
         of_lens = _numbers(path, table, lenses_of[side])
-        lenses.append(
-            lens_of(path, _numbers(path, table, names, 9), known, of_lens if of_lens.any() else np.empty(0), "")
-        )
+        model = _opencv_model(path, table, of_lens)
+        of_lens = of_lens if of_lens.any() else np.empty(0)
+        lenses.append(lens_of(path, _numbers(path, table, names, 9), known, of_lens, model))
     if "LEFT.P" in table:
         turns = [_numbers(path, table, name, 9).reshape(3, 3) for name in ("LEFT.R", "RIGHT.R")]
         P = [_numbers(path, table, name, 12).reshape(3, 4) for name in ("LEFT.P", "RIGHT.P")]
@@ -338,19 +368,61 @@ def _opencv(path: Path, table: dict[str, Any], size: Size | None) -> Calibration
     return rectification(lenses[0], lenses[1], tuple(T_rl.ravel()), str(path))
 
 
-def _orb_slam(path: Path, table: dict[str, Any], size: Size) -> StereoCamera:
-    """Settings of rectified images: Camera.fx ... and Camera.bf (px m), or Camera1.fx ... and Stereo.b (m)."""
+def _opencv_model(path: Path, table: Mapping[str, Any], of_lens: FloatArray) -> str:
+    """The lens model of OpenCV's coefficients: as the file says it, or by their number and size.
+
+    The pinhole calibration writes 5 or more, the fisheye one 4. Where a file has 4 of a pinhole, the last two are
+    tangential, thousandths, and the first is not.
+    """
+    said = _first(table, "distortion_model", "camera_model", "model")
+    if said is not None:
+        return plain(str(said))
+    flag = _first(table, "fisheye_model", "fisheye", "is_fisheye")
+    if flag is not None:
+        return "fisheye" if str(flag).strip().lower() in ("1", "1.0", "true", "yes") else ""
+    if of_lens.size != 4 or not of_lens.any():
+        return ""
+    last = np.abs(of_lens[2:]).max()
+    if last <= _TANGENTIAL and abs(of_lens[0]) >= _RADIAL:
+        return ""
+    if last > _TANGENTIAL:
+        return "fisheye"
+    raise ValueError(
+        f"{path}: four coefficients {of_lens.tolist()} may be of a fisheye (k1 to k4) or of a pinhole (k1, k2, p1, p2): "
+        "write 'fisheye_model: 1' or 'fisheye_model: 0' into it"
+    )
+
+
+def _orb_slam(path: Path, table: dict[str, Any], size: Size) -> Calibration:
+    """Settings of rectified images, Camera.fx ... and Camera.bf (px m) or Stereo.b (m); or of two raw cameras."""
+    kind = str(table.get("Camera.type", "not stated"))
     prefix = "Camera1" if "Camera1.fx" in table else "Camera"
+    if kind != "Rectified" and "Stereo.T_c1_c2" in table:
+        left, right = (_orb_lens(path, table, one, kind, size) for one in ("Camera1", "Camera2"))
+        return rectification(
+            left, right, tuple(np.linalg.inv(_transform(path, table, "Stereo.T_c1_c2")).ravel()), str(path)
+        )
     fx, fy, cx, cy = (float(_numbers(path, table, f"{prefix}.{name}", 1)[0]) for name in ("fx", "fy", "cx", "cy"))
     bf = table.get("Camera.bf")
     baseline = _numbers(path, table, "Stereo.b", 1)[0] if bf is None else _numbers(path, table, "Camera.bf", 1)[0] / fx
-    kind = str(table.get("Camera.type", "Rectified"))
-    bent = [f"{prefix}.{name}" for name in ("k1", "k2", "p1", "p2") if table.get(f"{prefix}.{name}")]
+    bent = [f"{prefix}.{name}" for name in _ORB_LENS if table.get(f"{prefix}.{name}")]
     if bent and kind != "Rectified":
         raise ValueError(
-            f"{path}: {bent[0]} is a distortion of raw images: give Kalibr's or OpenCV's file of both cameras"
+            f"{path}: {bent[0]} is a distortion of raw images, and Camera.type is {plain(kind)}, not Rectified: give "
+            "Kalibr's or OpenCV's file of both cameras"
         )
+    if kind == "KannalaBrandt8":
+        raise ValueError(f"{path}: Camera.type KannalaBrandt8 is of raw images: give both cameras, with Stereo.T_c1_c2")
     return StereoCamera(fx, fy, cx, cy, float(baseline), *size)
+
+
+def _orb_lens(path: Path, table: dict[str, Any], camera: str, kind: str, size: Size) -> Lens:
+    """One of two raw cameras of ORB-SLAM3."""
+    K = np.concatenate([_numbers(path, table, f"{camera}.{name}", 1) for name in ("fx", "fy", "cx", "cy")])
+    fisheye = kind == "KannalaBrandt8"
+    names = ("k1", "k2", "k3", "k4") if fisheye else ("k1", "k2", "p1", "p2", "k3")
+    of_lens = [float(_numbers(path, table, f"{camera}.{n}", 1)[0]) if f"{camera}.{n}" in table else 0.0 for n in names]
+    return lens_of(path, K, size, np.array(of_lens), "fisheye" if fisheye else "")
 
 
 def _transform(path: Path, table: Mapping[str, Any], name: str) -> FloatArray:
