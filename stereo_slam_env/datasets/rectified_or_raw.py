@@ -13,7 +13,7 @@ from itertools import islice, product
 from pathlib import Path
 
 from stereo_slam_env.datasets.image_files import BrokenPair, read_grey
-from stereo_slam_env.frontend.row_offsets import RowOffsets, row_offsets
+from stereo_slam_env.frontend.row_offsets import FEWEST, RowOffsets, row_offsets
 from stereo_slam_env.recording.recording import GreyImage, StereoPair
 from stereo_slam_env.sensing.lenses import Rectification
 from stereo_slam_env.sensing.rig_files import Calibration
@@ -23,8 +23,6 @@ SAMPLE = 8
 """Pairs that are looked at."""
 _EVERY = 5
 """They are so many pairs apart, in recordings that are long enough."""
-FEWEST = 30
-"""Fewer matches say nothing."""
 _BETTER_BY, _SHARE = 0.15, 0.5
 """A reading that was not stated is taken where its rows agree better by so much, px, and to this share."""
 _BEYOND_INFINITY = 0.1

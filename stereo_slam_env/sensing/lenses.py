@@ -187,7 +187,7 @@ def rectification(left: Lens, right: Lens, T_rl: tuple[float, ...], where: str) 
         reason = str(error).splitlines()[0]
         raise ValueError(f"{where}: OpenCV cannot rectify this pair ({reason}): take the calibration again") from error
     R_left, R_right, P_left, P_right = (np.asarray(found, dtype=np.float64) for found in made[:4])
-    if left.model == "equidistant" and not P_left[0, 0] > _LEAST_ZOOM * left.fx:
+    if left.model == "equidistant" and not (np.isfinite(P_left).all() and P_left[0, 0] > _LEAST_ZOOM * left.fx):
         P_left, P_right = _narrowed(left, P_left, P_right, where)
     turns, projections = (R_left, R_right), (P_left, P_right)
     camera = rectified_rig(where, *projections, left.size)

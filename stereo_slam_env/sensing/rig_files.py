@@ -28,7 +28,7 @@ from stereo_slam_env.sensing.lenses import (
     require_rotation,
     stated_rectification,
 )
-from stereo_slam_env.sensing.projections import entry, projections, read_entries, rectified_rig
+from stereo_slam_env.sensing.projections import entry, projections, read_entries, rectified_rig, require_baseline
 
 Calibration = StereoCamera | Rectification
 """A rig whose images are rectified, or how raw ones are."""
@@ -413,6 +413,7 @@ def _orb_slam(path: Path, table: dict[str, Any], size: Size) -> Calibration:
         )
     if kind == "KannalaBrandt8":
         raise ValueError(f"{path}: Camera.type KannalaBrandt8 is of raw images: give both cameras, with Stereo.T_c1_c2")
+    require_baseline(path, float(baseline))
     return StereoCamera(fx, fy, cx, cy, float(baseline), *size)
 
 

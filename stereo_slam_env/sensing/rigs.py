@@ -12,7 +12,7 @@ import numpy as np
 from filters import StereoCamera
 from filters.contract.known_names import require_known
 from filters.contract.validation import finite_number
-from stereo_slam_env.sensing.projections import LONGEST_BASELINE, LONGEST_FOCAL_LENGTH
+from stereo_slam_env.sensing.projections import LONGEST_FOCAL_LENGTH
 from stereo_slam_env.sensing.rig_files import ENDINGS, Calibration, imu_shift, is_calibration, read_calibration
 
 Rig = str | StereoCamera | Mapping[str, Any]
@@ -40,7 +40,7 @@ LONGEST_SIDE = 8192
 _BOUNDS = {
     "fx": (1.0, LONGEST_FOCAL_LENGTH, "px"),
     "fy": (1.0, LONGEST_FOCAL_LENGTH, "px"),
-    "baseline": (0.001, LONGEST_BASELINE, "m"),
+    "baseline": (0.001, 10.0, "m"),
 }
 """Beyond these a number is a mistake of units."""
 _NUMBERS = tuple(field.name for field in fields(StereoCamera))
