@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import islice, product
 from pathlib import Path
+from typing import TypeVar
 
 from stereo_slam_env.datasets.image_files import BrokenPair, read_grey
 from stereo_slam_env.frontend.row_offsets import FEWEST, RowOffsets, row_offsets
@@ -31,9 +32,10 @@ _BEYOND_INFINITY = 0.1
 log = logging.getLogger(__name__)
 
 
-def as_they_are(
-    calibration: Calibration, sample: Callable[[], Images], what: str
-) -> tuple[Calibration, tuple[str, ...]]:
+Read = TypeVar("Read", bound=Calibration)
+
+
+def as_they_are(calibration: Read, sample: Callable[[], Images], what: str) -> tuple[Read, tuple[str, ...]]:
     """The calibration with its images read as raw or as rectified, and a note where that needs one.
 
     Parameters

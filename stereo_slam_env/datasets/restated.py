@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from filters import Pose, Start, StereoCamera
 from filters.geometry.arrays import FloatArray
 from stereo_slam_env.datasets.known_recordings import reference_for
+from stereo_slam_env.datasets.rectified_or_raw import as_they_are, sample_of_pairs
 from stereo_slam_env.recording.recording import ImageSequence, Reference, StereoPair
 from stereo_slam_env.recording.trajectory import Trajectory
 from stereo_slam_env.recording.trajectory_files import load_trajectory
@@ -28,14 +29,15 @@ class Recalibrated:
 
     def __init__(self, sequence: ImageSequence, calibration: Calibration, said: str) -> None:
         self._sequence = sequence
-        self._rectify = calibration if isinstance(calibration, Rectification) and calibration.needed else None
         self.camera = calibration if isinstance(calibration, StereoCamera) else calibration.camera
         stored = sequence.camera.width, sequence.camera.height
         if stored != (self.camera.width, self.camera.height):
             taken = f"{self.camera.width}x{self.camera.height}"
             raise ValueError(f"rig {said} is of images {taken}, those of {sequence.name} are {stored[0]}x{stored[1]}")
         self.name, self.start, self.truth_from = sequence.name, sequence.start, sequence.truth_from
-        self.source: Mapping[str, Any] = {**sequence.source, "rig": said}
+        found, notes = as_they_are(calibration, lambda: sample_of_pairs(sequence.pairs(), len(sequence)), sequence.name)
+        self._rectify = found if isinstance(found, Rectification) and found.needed else None
+        self.source: Mapping[str, Any] = {**sequence.source, "rig": said, **({"notes": list(notes)} if notes else {})}
 
     @property
     def R_left(self) -> FloatArray:

@@ -78,7 +78,9 @@ def require_rectified(rows: RowOffsets, camera: StereoCamera, name: str) -> None
     """Raise a `ValueError` that names the recording where rows or disparities are those of no rectified pair."""
     if len(rows.offset) < FEWEST:
         return
-    remedy = "calibrate the pair again, or give the calibration of these images as rig (--rig), which rectifies raw ones"
+    remedy = (
+        "calibrate the pair again, or give the calibration of these images as rig (--rig), which rectifies raw ones"
+    )
     beyond, count = rows.beyond_infinity, int(np.count_nonzero(rows.disparity < -1.0))
     if beyond > _SWAPPED:
         raise ValueError(f"{name}: {100 * beyond:.0f} % of its disparities are negative: are left and right swapped?")

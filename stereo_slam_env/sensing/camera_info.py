@@ -92,7 +92,7 @@ def agreed(messages: Iterable[CameraInfo], where: str) -> tuple[CameraInfo, tupl
     """
     every = list(messages)
     counts = Counter(map(repr, every))  # NaN differs from itself
-    (most, count), = counts.most_common(1)
+    ((most, count),) = counts.most_common(1)
     usual = next(one for one in every if repr(one) == most)
     if (odd := len(every) - count) == 0:
         return usual, ()
@@ -162,7 +162,9 @@ def _of_images(info: CameraInfo, size: Size, where: str) -> tuple[CameraInfo, tu
     (x, y, *_), bins, expected = info.roi, info.binning, info.size_of_images
     if size == info.size and expected != size:
         what = f"its images have its whole size, {size[0]}x{size[1]}"
-        return _plain(info), (f"{where}: roi and binning contradict the images: {what}, so K and P are taken as they are",)
+        return _plain(info), (
+            f"{where}: roi and binning contradict the images: {what}, so K and P are taken as they are",
+        )
     if expected != size:
         how = "" if bins == (1, 1) and not any(info.roi) else f" (roi {info.roi}, binning {bins[0]}x{bins[1]})"
         said = f"images of {size[0]}x{size[1]} where CameraInfo says {expected[0]}x{expected[1]}{how}"
@@ -193,7 +195,9 @@ def _projection(info: CameraInfo, where: str) -> FloatArray:
     if not np.isfinite(P).all():
         raise ValueError(f"{where}: 'projection_matrix' has NaN or infinity: take the calibration again")
     if not P.any():
-        raise ValueError(f"{where}: P is all zero, the cameras are not calibrated as a pair: give their calibration as rig")
+        raise ValueError(
+            f"{where}: P is all zero, the cameras are not calibrated as a pair: give their calibration as rig"
+        )
     return P
 
 
