@@ -14,6 +14,7 @@ from typing import Any
 from filters.contract.known_names import require_known
 from filters.contract.noise import ColouredNoise
 from stereo_slam_env.datasets import kitti00_stereo_tracks
+from stereo_slam_env.datasets.bag_images import grey_of
 from stereo_slam_env.datasets.bag_writer import write_mcap
 from stereo_slam_env.datasets.image_files import BrokenPair
 from stereo_slam_env.datasets.kitti_odometry import write_kitti_sequence
@@ -25,7 +26,6 @@ from stereo_slam_env.datasets.registry import (
     track_layouts,
 )
 from stereo_slam_env.datasets.restated import Recalibrated, WithTruth
-from stereo_slam_env.datasets.bag_images import grey_of
 from stereo_slam_env.datasets.sequence import Choice, OnBroken
 from stereo_slam_env.evaluation.body_frames import read_body
 from stereo_slam_env.files.paths import is_there, require_inside, require_links_inside

@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from filters.contract.foreign_text import plain
+from stereo_slam_env.sensing.calibration_entries import Size
 from stereo_slam_env.sensing.camera_info import CameraInfo, agreed, calibration_of_images
-from stereo_slam_env.sensing.rig_files import Calibration, Size
+from stereo_slam_env.sensing.rig_files import Calibration
 
 IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 INFO = "sensor_msgs/msg/CameraInfo"
@@ -32,8 +33,8 @@ def calibration_of_topics(
     reader: Any, path: Path, eyes: tuple[str, str], infos: Infos, sizes: tuple[Size, Size]
 ) -> tuple[Calibration, tuple[str, ...]]:
     """Calibration of images with these sizes by all CameraInfo of both cameras, and notes on it."""
-    topics = [found and found[0] for found in (_info_of(infos, topic) for topic in eyes)]
-    if topics[0] is None or topics[1] is None:
+    topics = [info[0] for topic in eyes if (info := _info_of(infos, topic)) is not None]
+    if len(topics) < len(eyes):
         raise ValueError(f"{path} has no CameraInfo of {' and '.join(map(plain, eyes))}: give the calibration as rig")
     both, notes = [], list[str]()
     for topic in topics:

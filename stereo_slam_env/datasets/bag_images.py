@@ -24,7 +24,8 @@ _CHANNELS = {
 """Numbers of a pixel by encoding."""
 _BAYER = {"rggb": "BayerBG2GRAY", "bggr": "BayerRG2GRAY", "gbrg": "BayerGR2GRAY", "grbg": "BayerGB2GRAY"}
 """OpenCV's names, by the pixels of the second row and column."""
-Pixels = NDArray[np.uint8] | NDArray[np.uint16]
+Pixels = NDArray[Any]
+"""Of 8 or 16 bits."""
 
 
 def grey_of(message: Any, size: tuple[int, int], what: str, shift: int = 8) -> GreyImage:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from itertools import islice, product
+from itertools import islice
 from pathlib import Path
 from typing import TypeVar
 
@@ -50,12 +50,12 @@ def as_they_are(calibration: Read, sample: Callable[[], Images], what: str) -> t
     if not isinstance(calibration, Rectification) or not any(calibration.changes):
         return calibration, ()
     stated = calibration.mapped
-    readings = [stated, *(one for one in product((True, False), repeat=2) if one != stated)]
+    others = [one for one in _NAMES if one != stated]
     if stated[0] == stated[1]:
-        readings = readings[:1] + [one for one in readings if one == (not stated[0], not stated[1])]
+        others = [(not stated[0], not stated[1])]
     images = sample()
-    rows = {one: _rows(replace(calibration, mapped=one), images) for one in readings}
-    best = min(readings[1:], key=lambda one: rows[one].spread)
+    rows = {one: _rows(replace(calibration, mapped=one), images) for one in (stated, *others)}
+    best = min(others, key=lambda one: rows[one].spread)
     said, other = rows[stated], rows[best]
     if len(other.offset) < FEWEST and len(said.offset) < FEWEST:
         note = f"too few corners of {what} are in both images to tell whether these are rectified: read as stated, "

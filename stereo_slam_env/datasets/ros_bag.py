@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -91,7 +91,7 @@ def open_sequence(
         times, pairs, notes = _pairs(path, eyes, streams)
         sizes = tuple(stream.size(path) for stream in streams)
         if rig is not None:
-            calibration, more = calibration_of(rig), ()
+            calibration, more = calibration_of(rig), tuple[str, ...]()
         else:
             calibration, more = calibration_of_topics(reader, path, eyes, infos, (sizes[0], sizes[1]))
         shift = shift_of_messages((one for stream in streams for one in stream.sample), f"{path}: an image")
@@ -244,14 +244,13 @@ def _due(reader: Any, path: Path, topic: str, wanted: IntArray) -> Iterator[tupl
 class _Stream:
     """Messages of a topic of images, as one pass over them shows."""
 
-    topic: str
     stamps: IntArray
     """(K,): of the headers, ns."""
     logged: IntArray
     """(K,): times of the log, ns."""
     repeats: IntArray
     """Places of messages that repeat the one before, stamp and all."""
-    sample: list[Any] = field(default_factory=list)
+    sample: list[Any]
     """Some of them."""
 
     def size(self, path: Path) -> tuple[int, int]:
@@ -279,8 +278,8 @@ def _stream(reader: Any, topic: str) -> _Stream:
             except Exception as error:  # of a message that is not what its type says; met when it is read
                 log.debug("%s: %s", topic, error)
         before = raw
-    columns = (np.array(numbers, dtype=np.int64) for numbers in (stamps, logged, repeats))
-    return _Stream(topic, *columns, sample)
+    times, log_times, places = (np.array(numbers, dtype=np.int64) for numbers in (stamps, logged, repeats))
+    return _Stream(times, log_times, places, sample)
 
 
 def _stamp(raw: bytes) -> int:

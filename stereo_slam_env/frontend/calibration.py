@@ -20,7 +20,7 @@ from stereo_slam_env.frontend.row_offsets import require_rectified, row_offsets
 from stereo_slam_env.frontend.settings import TrackerSettings, settings_for
 from stereo_slam_env.frontend.tracker import StereoTracker
 from stereo_slam_env.frontend.tracks import MEMORY
-from stereo_slam_env.recording.recording import ImageSequence
+from stereo_slam_env.recording.recording import GreyImage, ImageSequence
 
 PRIOR_SIGMA = 0.25
 """What a careful calibration leaves, px."""
@@ -52,7 +52,7 @@ def calibrated(
     settings = settings_for(sequence) if settings is None else settings
     tracker = StereoTracker(sequence.camera, settings)
     offset = DisparityOffset(sequence.camera)
-    before, looked_at = 0.0, []
+    before, looked_at = 0.0, list[tuple[GreyImage, GreyImage]]()
     for number, pair in enumerate(islice(sequence.pairs(), pairs)):
         if number % max(1, min(len(sequence), pairs) // _LOOKED_AT) == 0 and len(looked_at) < _LOOKED_AT:
             looked_at.append((pair.left, pair.right))

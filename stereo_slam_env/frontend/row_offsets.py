@@ -107,6 +107,7 @@ def _turns(rows: RowOffsets, camera: StereoCamera) -> tuple[FloatArray, FloatArr
     """
     x, y = (rows.uv[:, 0] - rows.disparity - camera.cx) / camera.fx, (rows.uv[:, 1] - camera.cy) / camera.fy
     A = np.column_stack([1.0 + y * y, camera.fy * x * y, camera.fy * x])
+    weights: FloatArray
     weights, found, sigma = np.ones(len(x)), np.zeros(3), 1.0
     for _ in range(_STEPS):
         root = np.sqrt(weights)

@@ -53,7 +53,7 @@ def require_rate(times: FloatArray, what: str) -> None:
     if not steps.size:
         return
     step = float(np.median(steps))
-    if 1.0 / FASTEST <= 1.001 * step and step <= 1.001 / SLOWEST:
+    if 1.001 * step >= 1.0 / FASTEST and step <= 1.001 / SLOWEST:
         return
     likely = [
         f"as {name} they would be at {1.0 / (step * unit):.3g} Hz"

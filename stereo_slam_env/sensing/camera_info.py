@@ -14,11 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from filters.contract.foreign_text import plain
 from filters.geometry.arrays import FloatArray
+from stereo_slam_env.sensing.calibration_entries import Size, lens_of
 from stereo_slam_env.sensing.lenses import Lens, Rectification, stated_rectification
 from stereo_slam_env.sensing.projections import rectified_rig
-from stereo_slam_env.sensing.rig_files import Calibration, Size, lens_of
+from stereo_slam_env.sensing.rig_files import Calibration
 
 _FEW = 0.1
 """Share of messages at the start that may be left over from before: drivers and latched topics bring such."""
@@ -50,15 +50,17 @@ class CameraInfo:
     @classmethod
     def of_message(cls, message: Any) -> CameraInfo:
         """The content of a message of ROS 1, whose names are in capitals, or of ROS 2."""
-        K, D, R, P = (getattr(message, name, None) for name in "KDRP")
-        if K is None:
-            K, D, R, P = message.k, message.d, message.r, message.p
-        numbers = [tuple(float(x) for x in matrix) for matrix in (K, D, R, P)]
+        K, D, R, P = (
+            tuple(float(x) for x in getattr(message, name if hasattr(message, name) else name.lower()))
+            for name in "KDRP"
+        )
         roi = message.roi
         return cls(
-            *(*numbers, str(message.distortion_model), (int(message.width), int(message.height))),
-            (max(int(message.binning_x), 1), max(int(message.binning_y), 1)),
-            (int(roi.x_offset), int(roi.y_offset), int(roi.width), int(roi.height)),
+            *(K, D, R, P),
+            model=str(message.distortion_model),
+            size=(int(message.width), int(message.height)),
+            binning=(max(int(message.binning_x), 1), max(int(message.binning_y), 1)),
+            roi=(int(roi.x_offset), int(roi.y_offset), int(roi.width), int(roi.height)),
         )
 
     @property
@@ -162,9 +164,7 @@ def _of_images(info: CameraInfo, size: Size, where: str) -> tuple[CameraInfo, tu
     (x, y, *_), bins, expected = info.roi, info.binning, info.size_of_images
     if size == info.size and expected != size:
         what = f"its images have its whole size, {size[0]}x{size[1]}"
-        return _plain(info), (
-            f"{where}: roi and binning contradict the images: {what}, so K and P are taken as they are",
-        )
+        return _plain(info), (f"{where}: roi and binning contradict the images: {what}, K and P are taken as theirs",)
     if expected != size:
         how = "" if bins == (1, 1) and not any(info.roi) else f" (roi {info.roi}, binning {bins[0]}x{bins[1]})"
         said = f"images of {size[0]}x{size[1]} where CameraInfo says {expected[0]}x{expected[1]}{how}"

@@ -173,8 +173,8 @@ def rectification(left: Lens, right: Lens, T_rl: tuple[float, ...], where: str) 
         raise ValueError(f"{where}: both cameras are in one place, T is zero: a rig has a baseline, in metres")
     if abs(shift[1, 0]) > abs(shift[0, 0]):
         raise ValueError(
-            f"{where}: the right camera is {-shift[1, 0]:+.4g} m below the left one and {-shift[0, 0]:+.4g} m beside it, "
-            "a vertical pair: only cameras side by side are read, so turn images and calibration by 90 degrees"
+            f"{where}: the right camera is {-shift[1, 0]:+.4g} m below the left one and {-shift[0, 0]:+.4g} m beside "
+            "it, a vertical pair: only cameras side by side are read, so turn images and calibration by 90 degrees"
         )
     of_both = left.K, left.coefficients, right.K, right.coefficients, left.size, turn, shift
     made: Any
@@ -203,7 +203,7 @@ def _narrowed(lens: Lens, P_left: FloatArray, P_right: FloatArray, where: str) -
     baseline = -P_right[0, 3] / P_right[0, 0]
     field = np.rad2deg(2.0 * np.arctan(0.5 * lens.width / lens.fx))
     _log.warning(
-        "%s: its field of view is too wide for a plane (rectified fx would be %.4g px): fx %.4g px is taken, %.0f degrees",
+        "%s: its field of view is too wide for a plane (fx would be %.4g px): fx %.4g px is taken, %.0f degrees",
         *(where, P_left[0, 0], lens.fx, field),
     )
     return np.column_stack([K, np.zeros(3)]), np.column_stack([K, [-lens.fx * baseline, 0.0, 0.0]])

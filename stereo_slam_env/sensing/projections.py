@@ -80,14 +80,12 @@ def require_baseline(path: Path | str, baseline: float) -> None:
     """Raise a `ValueError` that names `path` where a baseline, m, asks for its unit."""
     low, high = BASELINES
     if baseline < low:
-        raise ValueError(
-            f"{path}: the baseline is {baseline:.3g} m, below {1e3 * low:g} mm: metres are expected (and -fx b, in px m, "
-            "as fourth number of P)"
-        )
+        said = "metres are expected, and -fx b, in px m, as fourth number of P"
+        raise ValueError(f"{path}: the baseline is {baseline:.3g} m: {said}")
     if baseline > high:
         fits = [f"{unit} ({baseline * of_unit:.3g} m)" for unit, of_unit in _BY_UNIT if 0.02 < baseline * of_unit < 1.0]
-        likely = f", is it in {' or '.join(fits)}" if fits else ""
-        raise ValueError(f"{path}: the baseline is {baseline:.6g} m, above {high:g} m: metres are expected{likely}?")
+        likely = f", is it in {' or '.join(fits)}?" if fits else ""
+        raise ValueError(f"{path}: the baseline is {baseline:.6g} m: metres are expected{likely}")
 
 
 def projections(path: Path, names: Sequence[str]) -> tuple[FloatArray, FloatArray]:
