@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -18,13 +19,15 @@ Infos = Mapping[str, tuple[str, CameraInfo]]
 
 
 def first_infos(reader: Any) -> Infos:
-    """What there is of CameraInfo."""
+    """First messages CameraInfo that are filled in."""
     found: dict[str, tuple[str, CameraInfo]] = {}
-    for connection in reader.connections:
-        if connection.msgtype == INFO:
-            for _, _, raw in reader.messages([connection]):
-                first = CameraInfo.of_message(reader.deserialize(raw, INFO))
-                found[connection.topic.rpartition("/")[0]] = connection.topic, first
+    for connection in (c for c in reader.connections if c.msgtype == INFO):
+        name = connection.topic.rpartition("/")[0]
+        for _, _, raw in reader.messages([connection]):
+            info = CameraInfo.of_message(reader.deserialize(raw, INFO))
+            if name not in found or any(info.P):
+                found[name] = connection.topic, info
+            if any(info.P):  # drivers begin with empty ones
                 break
     return found
 
@@ -33,7 +36,7 @@ def calibration_of_topics(
     reader: Any, path: Path, eyes: tuple[str, str], infos: Infos, sizes: tuple[Size, Size]
 ) -> tuple[Calibration, tuple[str, ...]]:
     """Calibration of images with these sizes by all CameraInfo of both cameras, and notes on it."""
-    topics = [info[0] for topic in eyes if (info := _info_of(infos, topic)) is not None]
+    topics = [known[0] for topic in eyes if (known := _info_of(infos, topic)) is not None]
     if len(topics) < len(eyes):
         raise ValueError(f"{path} has no CameraInfo of {' and '.join(map(plain, eyes))}: give the calibration as rig")
     both, notes = [], list[str]()
@@ -83,6 +86,7 @@ def cameras_of(
     lefts = [left] if left is not None else of_eye[0]
     rights = [right] if right is not None else of_eye[1]
     best = [(a, b) for b in rights for a in lefts if _alike(a, b)]
+    best = best or [(a, b) for b in rights for a in lefts if _alike(_unsaid(a), _unsaid(b))]
     if not best and by_name:
         called = [(a, b) for a in images for b in images if _called_left_and_right(a, b)]
         best = [(a, b) for a, b in called if left in (None, a) and right in (None, b)]
@@ -105,6 +109,11 @@ def _alike(left: str, right: str) -> bool:
     """Whether two topics differ as left and right do: in one part of their names, or by a digit or word in it."""
     a, b = left.split("/"), right.split("/")
     return len(a) == len(b) and sum(one != other for one, other in zip(a, b, strict=True)) == 1
+
+
+def _unsaid(topic: str) -> str:
+    """The topic without words on what its images are: one camera's may say raw, the other's rectified."""
+    return re.sub(r"_(rect|raw|colou?r|mono|gr[ae]y)(?=[_/]|$)", "", topic)
 
 
 def _called_left_and_right(a: str, b: str) -> bool:

@@ -1,7 +1,7 @@
 """A plain folder: `left/` and `right/` with images in the order of their names, and `recording.toml`.
 
     rig = "calib.yaml"        # a calibration file, see `sensing.rig_files`, or a table of numbers
-    rate_hz = 20              # or: times = "times.txt" (one a line), or times = "names" (of the files): s, ms, us or ns by their size
+    rate_hz = 20              # or: times = "times.txt" (one a line), or "names" (of the files): s, ms, us or ns
     truth = "truth.tum"       # optional: a trajectory of the left camera
     reference = "surveyed"    # optional: what the truth is
     body = "T_body_camera.json"   # optional: pose of the left camera in the body of the truth, R and t

@@ -64,8 +64,8 @@ def calibrated(
     shift, doubt = offset.unbiased
     if abs(shift) > _IMPOSSIBLE * np.hypot(doubt, PRIOR_SIGMA):
         raise ValueError(
-            f"{sequence.name}: all disparities are off by {-shift:+.1f} ± {doubt:.1f} px, by the motion: the cameras are "
-            f"turned to each other by {1e3 * abs(shift) / sequence.camera.fx:.1f} mrad (yaw): calibrate the pair again"
+            f"{sequence.name}: all disparities are off by {-shift:+.1f} ± {doubt:.1f} px, by the motion, a yaw of "
+            f"{1e3 * abs(shift) / sequence.camera.fx:.1f} mrad between the cameras: calibrate the pair again"
         )
     _log.info("%s: disparity offset %.3f +- %.3f px", sequence.name, offset.value, offset.sigma)
     return dataclasses.replace(settings, disparity_offset=settings.disparity_offset + offset.correction)

@@ -107,14 +107,13 @@ def _turns(rows: RowOffsets, camera: StereoCamera) -> tuple[FloatArray, FloatArr
     """
     x, y = (rows.uv[:, 0] - rows.disparity - camera.cx) / camera.fx, (rows.uv[:, 1] - camera.cy) / camera.fy
     A = np.column_stack([1.0 + y * y, camera.fy * x * y, camera.fy * x])
-    weights: FloatArray
     weights, found, sigma = np.ones(len(x)), np.zeros(3), 1.0
     for _ in range(_STEPS):
         root = np.sqrt(weights)
-        found = np.linalg.lstsq(A * root[:, None], rows.offset * root, rcond=None)[0]
+        found = np.asarray(np.linalg.lstsq(A * root[:, None], rows.offset * root, rcond=None)[0], dtype=np.float64)
         errors = np.abs(rows.offset - A @ found)
         sigma = 1.4826 * float(np.median(errors)) + 1e-9
-        weights = np.minimum(1.0, _HUBER * sigma / np.maximum(errors, 1e-9))
+        weights = np.minimum(1.0, _HUBER * sigma / np.maximum(errors, 1e-9)).astype(np.float64)
     information = (A * weights[:, None]).T @ A / sigma**2
     return found, np.sqrt(np.diag(np.linalg.pinv(information)))
 

@@ -83,7 +83,7 @@ def message_times(stamps: IntArray, logged: IntArray) -> tuple[IntArray, BoolArr
     if count < _NEIGHBOURS:
         return stamps, kept, []
     seconds = 1e-9 * (stamps - np.median(stamps).astype(np.int64))
-    away = np.abs(seconds - median_filter(seconds, size=_NEIGHBOURS, mode="nearest"))
+    away = np.abs(seconds - median_filter(seconds, size=_NEIGHBOURS, mode="mirror"))
     kept = away <= max(_ASTRAY_S, _ASTRAY_STEPS * float(np.median(np.abs(np.diff(seconds)))))
     if kept.all():
         return stamps, kept, []

@@ -175,7 +175,9 @@ def _of_images(info: CameraInfo, size: Size, where: str) -> tuple[CameraInfo, tu
     off = abs(K_whole[2] / info.size[0] - 0.5)
     if off > _MIDDLE and abs(bins[0] * K_whole[2] / info.size[0] - 0.5) < 0.5 * _MIDDLE and not (x or y):
         said = f"binning is {bins[0]}x{bins[1]}, but K has its principal point in the middle of the binned images"
-        return _plain(info), (f"{where}: {said}: K and P are taken as those of these (REP 104: of the whole sensor)",)
+        return replace(_plain(info), size=size), (
+            f"{where}: {said}: K and P are taken as those of these (REP 104: of the whole sensor)",
+        )
     scale = np.array([[1.0 / bins[0], 0.0, 0.0], [0.0, 1.0 / bins[1], 0.0], [0.0, 0.0, 1.0]])
     # Integer (u, v) is the centre of a pixel, also of a joined one.
     scale[0, 2], scale[1, 2] = (0.5 - x) / bins[0] - 0.5, (0.5 - y) / bins[1] - 0.5
