@@ -22,6 +22,8 @@ from stereo_slam_env.sensing.rig_files import Calibration
 
 LARGEST_GAP = 0.1
 """True poses are interpolated between rows that are no further apart, s."""
+_SAME_TIME = 1e-6
+"""Of two times since 1970, s: their last digit is a quarter of that."""
 
 
 class Recalibrated:
@@ -135,9 +137,9 @@ def pose_at(trajectory: Trajectory, time: float, T_bc: Pose | None = None) -> Po
     times = trajectory.timestamps
     assert times is not None
     after = int(np.searchsorted(times, time))
-    if after < len(times) and abs(times[after] - time) < 1e-6:
+    if after < len(times) and abs(times[after] - time) < _SAME_TIME:
         pose = trajectory.pose(after)
-    elif not 0 < after < len(times) or times[after] - times[after - 1] > LARGEST_GAP:
+    elif not 0 < after < len(times) or times[after] - times[after - 1] > LARGEST_GAP + _SAME_TIME:
         return None
     else:
         both = slice(after - 1, after + 1)

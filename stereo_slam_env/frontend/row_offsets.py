@@ -32,7 +32,7 @@ _RETURNS_WITHIN = 1.0
 FEWEST = 30
 """Fewer matches say nothing."""
 _SIGNIFICANT = 5.0
-_LEFT = np.array([0.33, 4e-3, 1.8e-3])
+_LEFT = np.array([0.33, 3e-3, 1.8e-3])
 """Standard deviations of what a careful calibration leaves: of the rows, px (as the matcher supposes), and yaw and roll
 between the cameras as their rows show them, rad. The rows of KITTI 06 show 0.2 px, 9 mrad and 0.4 mrad."""
 _SWAPPED, _TURNED = 0.5, 0.03
@@ -83,7 +83,10 @@ def require_rectified(rows: RowOffsets, camera: StereoCamera, name: str) -> None
     )
     beyond, count = rows.beyond_infinity, int(np.count_nonzero(rows.disparity < -1.0))
     if beyond > _SWAPPED:
-        raise ValueError(f"{name}: {100 * beyond:.0f} % of its disparities are negative: are left and right swapped?")
+        raise ValueError(
+            f"{name}: {100 * beyond:.0f} % of its disparities are negative: are left and right swapped, or the "
+            "cameras turned to each other (yaw)?"
+        )
     if count >= _FEWEST_BEYOND and beyond > _TURNED:
         raise ValueError(
             f"{name}: {count} of {len(rows.offset)} corners lie beyond infinity, with disparities down to "
