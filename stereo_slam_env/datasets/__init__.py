@@ -14,6 +14,7 @@ from typing import Any
 from filters.contract.known_names import require_known
 from filters.contract.noise import ColouredNoise
 from stereo_slam_env.datasets import kitti00_stereo_tracks
+from stereo_slam_env.datasets.bag_images import grey_of
 from stereo_slam_env.datasets.bag_writer import write_mcap
 from stereo_slam_env.datasets.image_files import BrokenPair
 from stereo_slam_env.datasets.kitti_odometry import write_kitti_sequence
@@ -25,7 +26,6 @@ from stereo_slam_env.datasets.registry import (
     track_layouts,
 )
 from stereo_slam_env.datasets.restated import Recalibrated, WithTruth
-from stereo_slam_env.datasets.ros_bag import grey_of
 from stereo_slam_env.datasets.sequence import Choice, OnBroken
 from stereo_slam_env.evaluation.body_frames import read_body
 from stereo_slam_env.files.paths import is_there, require_inside, require_links_inside
@@ -35,6 +35,7 @@ from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.frontend.track_noise import with_measured_noise
 from stereo_slam_env.recording.archive import load_recording
 from stereo_slam_env.recording.recording import ImageSequence, Recording
+from stereo_slam_env.sensing.projections import require_baseline
 from stereo_slam_env.sensing.rigs import Rig, calibration_of
 
 EXAMPLE = "gtsam"
@@ -188,6 +189,7 @@ def open_image_sequence(
     sequence: ImageSequence = layout.open_sequence(folder, Choice(first, last, on_broken), **options)
     if rig is not None:
         sequence = Recalibrated(sequence, calibration_of(rig), str(rig))
+    require_baseline(given, sequence.camera.baseline)
     if truth is not None:
         sequence = WithTruth(sequence, str(truth), None if body is None else read_body(Path(body)))
     return sequence

@@ -17,6 +17,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
@@ -24,13 +25,14 @@ from scipy.spatial.transform import Rotation, Slerp
 from filters import InertialSamples, InertialUnit, Pose
 from filters.geometry.arrays import FloatArray, IntArray
 from stereo_slam_env.datasets.known_recordings import reference_for
+from stereo_slam_env.datasets.rectified_or_raw import as_they_are, sample_of_files
 from stereo_slam_env.datasets.sequence import Choice, ImageFiles, RecordedSequence, known_poses
 from stereo_slam_env.files.paths import is_plain_name
 from stereo_slam_env.files.readers import finite_rows, read_text
 from stereo_slam_env.recording.inertial import samples_of_steps
 from stereo_slam_env.recording.recording import NO_REFERENCE
 from stereo_slam_env.sensing.lenses import Rectification
-from stereo_slam_env.sensing.rig_files import body_of_camera, noise_of_unit, read_calibration
+from stereo_slam_env.sensing.rig_files import body_of_camera, imu_shift, noise_of_unit, read_calibration
 
 NAME = "euroc"
 _IN_MAV0 = tuple(f"mav0/{camera}/{name}" for camera in ("cam0", "cam1") for name in ("data.csv", "sensor.yaml"))
@@ -69,15 +71,16 @@ def open_sequence(path: Path, choice: Choice, *, use_truth: bool = True) -> Reco
     right = _existing(cameras[1], {k: right_of[stamp] for k, stamp in enumerate(stamps) if stamp in right_of})
     calibration = cameras[0] / "sensor.yaml"
     calibration = calibration if calibration.exists() else root.parent / _CAMCHAIN
-    rectify = read_calibration(calibration)
-    if not isinstance(rectify, Rectification):
+    stated = read_calibration(calibration)
+    if not isinstance(stated, Rectification):
         raise ValueError(
             f"{calibration} is of rectified images, this layout has raw ones: put the file of the maker there"
         )
+    rectify, notes = as_they_are(stated, lambda: sample_of_files((left, right), stated.lenses[0].size), str(root))
     ns = np.array(stamps, dtype=np.int64)
     T_bc, inertial = body_of_camera(calibration), []
     if (root / _INERTIAL / "data.csv").exists():
-        inertial = _samples(root / _INERTIAL, ns, T_bc, rectify.R_left)
+        inertial = _samples(root / _INERTIAL, ns, T_bc, rectify.R_left, imu_shift(calibration))
     tables = [root / name / "data.csv" for name in TRUTHS]
     truth, truth_from, table = None, NO_REFERENCE, next((path for path in tables if path.exists()), tables[0])
     if use_truth and table.exists():
@@ -89,11 +92,12 @@ def open_sequence(path: Path, choice: Choice, *, use_truth: bool = True) -> Reco
     folders = cameras[0] / "data", cameras[1] / "data"
     files = ImageFiles(folders, (left, right), 1e-9 * (ns - ns[0]), cameras[0] / "data.csv", truth, table, (), inertial)
     name = root.parent.name if root.name == "mav0" else root.name
-    source = {
+    source: dict[str, Any] = {
         "reader": NAME,
         "path": str(root),
         "rectified": "cv2.stereoRectify, alpha 0",
         "epoch_s": 1e-9 * int(ns[0]),
+        **({"notes": list(notes)} if notes else {}),
     }
     return RecordedSequence(f"{NAME}_{name}", files, choice, lambda image: rectify.camera, source, truth_from, rectify)
 
@@ -155,8 +159,13 @@ def _camera_poses(
     return poses, (int(covered[0]), int(covered[-1]))
 
 
-def _samples(folder: Path, stamps: IntArray, T_bc: FloatArray, turned: FloatArray) -> list[InertialSamples | None]:
-    """Inertial samples of the step to each frame; the unit is told in the frame of the turned left camera."""
+def _samples(
+    folder: Path, stamps: IntArray, T_bc: FloatArray, turned: FloatArray, shift: float
+) -> list[InertialSamples | None]:
+    """Inertial samples of the step to each frame; the unit is told in the frame of the turned left camera.
+
+    `shift` is added to times of the images for those of the unit, s.
+    """
     table, sheet, T_bi = folder / "data.csv", folder / "sensor.yaml", np.eye(4)
     if sheet.exists():
         T_bi = body_of_camera(sheet)
@@ -166,7 +175,7 @@ def _samples(folder: Path, stamps: IntArray, T_bc: FloatArray, turned: FloatArra
     orientation = Rotation.from_matrix(turned @ T_ci[:3, :3]).as_quat()
     unit = InertialUnit(turned @ T_ci[:3, 3], orientation, *noise_of_unit(sheet))
     rows_ns, rows = _read_stamped(table, 6)
-    return samples_of_steps(table, 1e-9 * (rows_ns - stamps[0]), rows, 1e-9 * (stamps - stamps[0]), unit)
+    return samples_of_steps(table, 1e-9 * (rows_ns - stamps[0]), rows, 1e-9 * (stamps - stamps[0]) + shift, unit)
 
 
 def _read_truth(path: Path) -> tuple[IntArray, FloatArray]:

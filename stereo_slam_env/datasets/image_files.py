@@ -11,14 +11,17 @@ import re
 import struct
 import warnings
 import zlib
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 
 from filters.contract.foreign_text import first_line
-from stereo_slam_env.files.opening import NotOpened, read_bytes
+from stereo_slam_env.files.opening import NotOpened, open_regular, read_bytes
 from stereo_slam_env.recording.recording import GreyImage
 
 MAX_PIXELS = 40_000_000
@@ -27,6 +30,10 @@ MAX_BYTES = 256_000_000
 """Larger files are refused before they are read."""
 MOST_FRAMES = 1_000_000
 """Images with a number from here on are refused: tables have a row for every number up to the last."""
+_SIGNIFICANT = (10, 12, 14)
+"""Bits of sensors that write values of 16 bits."""
+_SAMPLE = 16
+"""So many images of a camera tell how many bits its values have."""
 _DAMAGE = (OSError, SyntaxError, ValueError, TypeError, LookupError, EOFError, OverflowError, struct.error, zlib.error)
 """What Pillow raises where a file is not what it says."""
 
@@ -64,16 +71,19 @@ def numbered_images(folder: Path, prefix: str = "", suffix: str = "") -> dict[in
     return found
 
 
-def read_grey(path: Path, size: tuple[int, int] | None = None) -> GreyImage:
+def read_grey(path: Path, size: tuple[int, int] | None = None, shift: int = 8) -> GreyImage:
     """Grey values (H, W) of a PNG or JPEG; a `BrokenPair` names what is wrong with the file.
 
-    Missing, cut, damaged, too large, no PNG or JPEG, or not of the width and height in `size`.
+    Missing, cut, damaged, too large, no PNG or JPEG, or not of the width and height in `size`. Values of 16 bits are
+    shifted right by `shift` bits: one number for a whole recording, see `shift_of_files`.
     """
-    return decoded_grey(path, _content(path), size)
+    return as_grey(decoded_pixels(path, _content(path), size), shift)
 
 
-def decoded_grey(path: Path, data: bytes, size: tuple[int, int] | None = None) -> GreyImage:
-    """Grey values (H, W) of the content of a PNG or JPEG; as `read_grey`, with `path` for messages."""
+def decoded_pixels(
+    path: Path, data: bytes, size: tuple[int, int] | None = None, *, colour: bool = False
+) -> NDArray[Any]:
+    """Pixels (H, W) of the content of a PNG or JPEG, as `read_grey`; with `colour`, or of 16 bits, (H, W, 3) BGR."""
     found = _checked_size(path, data)
     if size is not None and found != size:
         raise BrokenPair(
@@ -81,10 +91,44 @@ def decoded_grey(path: Path, data: bytes, size: tuple[int, int] | None = None) -
             f"{path} is {found[0]}x{found[1]} where {size[0]}x{size[1]} was expected: "
             "all images of a recording must be of the size that it was calibrated for",
         )
-    image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
-    if image is None or image.shape != (found[1], found[0]) or image.dtype != np.uint8:
+    deep = data[:4] == b"\x89PNG" and data[24:25] == b"\x10"
+    how = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR if deep or colour else cv2.IMREAD_GRAYSCALE
+    image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), how | cv2.IMREAD_IGNORE_ORIENTATION)
+    if image is None or image.shape[:2] != (found[1], found[0]) or image.dtype not in (np.uint8, np.uint16):
         raise _damaged(path, "it cannot be decoded")
-    return np.asarray(image, dtype=np.uint8)
+    return np.asarray(image)
+
+
+def as_grey(pixels: NDArray[Any], shift: int = 8, *, rgb: bool = False) -> GreyImage:
+    """Grey values (H, W) uint8 of pixels (H, W), or (H, W, 3 or 4) in the order BGR or RGB, of 8 or 16 bits."""
+    if pixels.ndim == 3:
+        code = cv2.COLOR_RGB2GRAY if rgb else cv2.COLOR_BGR2GRAY
+        pixels = np.asarray(cv2.cvtColor(np.ascontiguousarray(pixels[..., :3]), code))
+    if pixels.dtype == np.uint16:
+        pixels = np.minimum(pixels >> shift, 255)
+    return np.ascontiguousarray(pixels, dtype=np.uint8)
+
+
+def shift_of(most: int) -> int:
+    """Bits that values of 16 bits are shifted right by, where the largest of a recording is `most`: 2, 4, 6 or 8."""
+    return next((bits - 8 for bits in _SIGNIFICANT if most < 1 << bits), 8)
+
+
+def shift_of_files(images: tuple[Mapping[int, Path], Mapping[int, Path]]) -> int:
+    """The same by some of the images of both cameras by frame number."""
+    most = 0
+    for side in images:
+        numbers = sorted(side)
+        for number in numbers[:: max(1, len(numbers) // _SAMPLE)]:
+            try:
+                with open_regular(side[number]) as stream:
+                    head = stream.read(25)
+                if head[:4] != b"\x89PNG" or head[24:25] != b"\x10":
+                    return 8
+                most = max(most, int(decoded_pixels(side[number], _content(side[number])).max(initial=0)))
+            except (OSError, ValueError):  # met when it is read
+                continue
+    return shift_of(most)
 
 
 def image_size(path: Path) -> tuple[int, int]:

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from filters import Pose, Start, StereoCamera
 from filters.geometry.arrays import FloatArray
 from stereo_slam_env.datasets.known_recordings import reference_for
+from stereo_slam_env.datasets.rectified_or_raw import as_they_are, sample_of_pairs
 from stereo_slam_env.recording.recording import ImageSequence, Reference, StereoPair
 from stereo_slam_env.recording.trajectory import Trajectory
 from stereo_slam_env.recording.trajectory_files import load_trajectory
@@ -21,6 +22,8 @@ from stereo_slam_env.sensing.rig_files import Calibration
 
 LARGEST_GAP = 0.1
 """True poses are interpolated between rows that are no further apart, s."""
+_SAME_TIME = 1e-6
+"""Of two times since 1970, s: their last digit is a quarter of that."""
 
 
 class Recalibrated:
@@ -28,14 +31,15 @@ class Recalibrated:
 
     def __init__(self, sequence: ImageSequence, calibration: Calibration, said: str) -> None:
         self._sequence = sequence
-        self._rectify = calibration if isinstance(calibration, Rectification) and calibration.needed else None
         self.camera = calibration if isinstance(calibration, StereoCamera) else calibration.camera
         stored = sequence.camera.width, sequence.camera.height
         if stored != (self.camera.width, self.camera.height):
             taken = f"{self.camera.width}x{self.camera.height}"
             raise ValueError(f"rig {said} is of images {taken}, those of {sequence.name} are {stored[0]}x{stored[1]}")
         self.name, self.start, self.truth_from = sequence.name, sequence.start, sequence.truth_from
-        self.source: Mapping[str, Any] = {**sequence.source, "rig": said}
+        found, notes = as_they_are(calibration, lambda: sample_of_pairs(sequence.pairs(), len(sequence)), sequence.name)
+        self._rectify = found if isinstance(found, Rectification) and found.needed else None
+        self.source: Mapping[str, Any] = {**sequence.source, "rig": said, **({"notes": list(notes)} if notes else {})}
 
     @property
     def R_left(self) -> FloatArray:
@@ -133,9 +137,9 @@ def pose_at(trajectory: Trajectory, time: float, T_bc: Pose | None = None) -> Po
     times = trajectory.timestamps
     assert times is not None
     after = int(np.searchsorted(times, time))
-    if after < len(times) and abs(times[after] - time) < 1e-6:
+    if after < len(times) and abs(times[after] - time) < _SAME_TIME:
         pose = trajectory.pose(after)
-    elif not 0 < after < len(times) or times[after] - times[after - 1] > LARGEST_GAP:
+    elif not 0 < after < len(times) or times[after] - times[after - 1] > LARGEST_GAP + _SAME_TIME:
         return None
     else:
         both = slice(after - 1, after + 1)

@@ -1,13 +1,14 @@
 """Stereo images in a ROS bag: ROS 1 `.bag`, ROS 2 `.db3` or `.mcap` and their folder, through `rosbags` (extra `bags`).
 
 The pair of cameras is found by their CameraInfo: the right one has P = K [I | -b, 0, 0]; where there is none and the
-rig is given, by their names. Images of a topic with "rect" in its name are taken as rectified; others are rectified by
-D, K, R and P of CameraInfo, where that is needed. Images belong together by the stamps of their headers. Inertial
-samples and odometry: see `bag_motion`.
+rig is given, by their names. Whether images are rectified is stated by "rect" in the name of their topic, and measured
+where D, K, R and P of CameraInfo allow for both (`rectified_or_raw`). Images belong together by the stamps of their
+headers, or, where these are none, by the times of the log. Inertial samples and odometry: see `bag_motion`.
 """
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,27 +19,34 @@ import numpy as np
 from filters import BodyVelocity, InertialSamples, Start, StereoCamera
 from filters.contract.extras import require_module
 from filters.contract.foreign_text import plain
-from filters.geometry.arrays import IntArray
+from filters.geometry.arrays import FloatArray, IntArray
+from stereo_slam_env.datasets.bag_cameras import calibration_of_topics, cameras_of, first_infos
+from stereo_slam_env.datasets.bag_images import grey_of, grey_of_compressed, shift_of_messages, size_of_message
 from stereo_slam_env.datasets.bag_motion import BagMotion, motion_of_bag
-from stereo_slam_env.datasets.image_files import MAX_PIXELS, BrokenPair, decoded_grey
+from stereo_slam_env.datasets.image_files import BrokenPair
+from stereo_slam_env.datasets.rectified_or_raw import as_they_are, sample_of_pairs
 from stereo_slam_env.datasets.sequence import Choice, Faults
 from stereo_slam_env.recording.inertial import joined
 from stereo_slam_env.recording.recording import NO_REFERENCE, GreyImage, StereoPair
+from stereo_slam_env.recording.times import message_times, require_rate
 from stereo_slam_env.recording.trajectory_bags import opened_bag
 from stereo_slam_env.sensing.lenses import Rectification
-from stereo_slam_env.sensing.rig_files import Calibration, calibration_of_infos
-from stereo_slam_env.sensing.rigs import Rig, calibration_of
+from stereo_slam_env.sensing.rig_files import Calibration
+from stereo_slam_env.sensing.rigs import Rig, calibration_of, imu_shift_of
 
 NAME = "ros_bag"
 FILES = (("metadata.yaml", "*.db3"), ("metadata.yaml", "*.mcap"))
 SUFFIXES = (".bag", ".db3", ".mcap")
-IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
-INFO = "sensor_msgs/msg/CameraInfo"
 LARGEST_SHIFT_NS = 5_000_000
 """Images of one pair have stamps no further apart."""
-_CHANNELS = {"mono8": 1, "8UC1": 1, "bgr8": 3, "rgb8": 3, "8UC3": 3, "bgra8": 4, "rgba8": 4, "mono16": 2, "16UC1": 2}
-"""Bytes of a pixel."""
-_BAYER = ("bayer_rggb8", "bayer_bggr8", "bayer_gbrg8", "bayer_grbg8")
+LARGEST_LOG_SHIFT_NS = 100_000_000
+"""Images of one pair are logged no further apart, nor by more than half the time between two."""
+MOST_WAITING = 64
+"""Images of one camera that are read before the one that is due: their log is that much out of order at most."""
+_SAMPLE = 16
+"""So many images of a camera tell how many bits its values have."""
+
+log = logging.getLogger(__name__)
 
 
 def open_sequence(
@@ -77,37 +85,53 @@ def open_sequence(
     require_module("rosbags", "bags")
     with opened_bag(path) as reader:
         topics = {c.topic: c.msgtype for c in reader.connections}
-        infos = _infos(reader)
-        eyes = _cameras(path, topics, infos, left, right, by_name=rig is not None)
-        pairs = _chosen(_pairs(path, eyes, [_stamps(reader, topic) for topic in eyes]), path, choice)
-        calibration = calibration_of(rig) if rig is not None else _calibration(path, eyes, infos)
-        turn = calibration.R_left if isinstance(calibration, Rectification) and calibration.needed else np.eye(3)
-        times = 1e-9 * np.asarray(pairs[:, 0], dtype=np.float64)
-        motion = motion_of_bag(reader, path, eyes[0], times, turn, imu, odometry)
-    return BagSequence(path, eyes, calibration, pairs, choice, motion)
+        infos = first_infos(reader)
+        eyes = cameras_of(path, topics, infos, left, right, by_name=rig is not None)
+        streams = _stream(reader, eyes[0]), _stream(reader, eyes[1])
+        times, pairs, notes = _pairs(path, eyes, streams)
+        sizes = tuple(stream.size(path) for stream in streams)
+        if rig is not None:
+            calibration, more = calibration_of(rig), tuple[str, ...]()
+        else:
+            calibration, more = calibration_of_topics(reader, path, eyes, infos, (sizes[0], sizes[1]))
+        shift = shift_of_messages((one for stream in streams for one in stream.sample), f"{path}: an image")
+        chosen = _chosen(len(pairs), path, choice)
+        sequence = BagSequence(path, eyes, calibration, times[chosen], pairs[chosen], choice, shift)
+        calibration, rows = as_they_are(
+            calibration, lambda: sample_of_pairs(sequence.raw_pairs(), len(sequence)), " and ".join(map(plain, eyes))
+        )
+        for note in (*notes, *more):
+            log.warning("%s", note)
+        sequence.take(calibration, [*notes, *more, *rows])
+        seconds = 1e-9 * times[chosen].astype(np.float64) + (0.0 if rig is None else imu_shift_of(rig))
+        sequence.motion = motion_of_bag(reader, path, eyes[0], seconds, sequence.R_left, imu, odometry)
+        sequence.source = {**sequence.source, **sequence.motion.source}
+    return sequence
 
 
 class BagSequence:
     """An `ImageSequence` of two topics of a bag; images are read pair by pair."""
 
     start, truth_from = Start(), NO_REFERENCE
+    motion = BagMotion([], None, np.zeros((6, 6)), {})
 
     def __init__(
         self,
         path: Path,
         eyes: tuple[str, str],
         calibration: Calibration,
+        times: IntArray,
         pairs: IntArray,
         choice: Choice,
-        motion: BagMotion,
+        shift: int,
     ) -> None:
+        """`times` (K,) ns; `pairs` (K, 2): which message of its topic each image is."""
         first = choice.first or 0
-        self._pairs, self._motion = pairs, motion
-        self._seconds = 1e-9 * (pairs[:, 0] - pairs[0, 0])
+        self._pairs, self._shift = pairs, shift
+        self._seconds = 1e-9 * (times - times[0])
+        require_rate(self._seconds, f"{path}, {plain(eyes[0])}")
         self._path, self._eyes, self._on_broken = path, eyes, choice.on_broken
-        self._rectify = calibration if isinstance(calibration, Rectification) and calibration.needed else None
         self.name = path.stem
-        self.camera = calibration if isinstance(calibration, StereoCamera) else calibration.camera
         self.source: Mapping[str, Any] = {
             "reader": NAME,
             "path": str(path.resolve()),
@@ -115,10 +139,17 @@ class BagSequence:
             "first": first,
             "last": first + len(self._pairs) - 1,
             "on_broken": choice.on_broken,
-            "epoch_s": 1e-9 * int(self._pairs[0, 0]),
-            **motion.source,
+            "epoch_s": 1e-9 * int(times[0]),
         }
         self._skipped: Mapping[str, int] = {}
+        self.take(calibration, [])
+
+    def take(self, calibration: Calibration, notes: list[str]) -> None:
+        """Read the images by a calibration; `notes` are kept in `source`."""
+        self._rectify = calibration if isinstance(calibration, Rectification) and calibration.needed else None
+        self.camera = calibration if isinstance(calibration, StereoCamera) else calibration.camera
+        if notes:
+            self.source = {**self.source, "notes": notes}
 
     @property
     def skipped(self) -> Mapping[str, int]:
@@ -126,7 +157,7 @@ class BagSequence:
         return dict(self._skipped)
 
     @property
-    def R_left(self) -> Any:
+    def R_left(self) -> FloatArray:
         """(3, 3): from the left camera as it is mounted to the rectified one."""
         return np.eye(3) if self._rectify is None else self._rectify.R_left
 
@@ -136,31 +167,38 @@ class BagSequence:
 
     def pairs(self) -> Iterator[StereoPair]:
         """The pairs in time order; may be called again. A `BrokenPair` unless those are skipped."""
+        used = -1  # the last pair that was good
+        for number, left, right in self._images():
+            if self._rectify is not None:
+                left, right = self._rectify(left, right)
+            yield StereoPair(float(self._seconds[number]), left, right, None, *self._step(used, number))
+            used = number
+
+    def raw_pairs(self) -> Iterator[StereoPair]:
+        """The pairs as they were taken, without what was measured between them."""
+        for number, left, right in self._images():
+            yield StereoPair(float(self._seconds[number]), left, right)
+
+    def _images(self) -> Iterator[tuple[int, GreyImage, GreyImage]]:
+        """Numbers of the pairs and their images; of each camera one message is in memory, unless the log is unordered.
+
+        Two readers, since both topics may stand anywhere in the bag.
+        """
         faults = Faults(self._on_broken)
-        wanted = [set(column.tolist()) for column in self._pairs.T]
-        waiting: tuple[dict[int, Any], dict[int, Any]] = ({}, {})
-        number, used = 0, -1  # the pair at hand, and the last one that was good
-        with opened_bag(self._path) as reader:
-            chosen = [c for c in reader.connections if c.topic in self._eyes]
-            for connection, _, raw in reader.messages(chosen):
-                eye, stamp = self._eyes.index(connection.topic), _stamp(raw)
-                if stamp not in wanted[eye]:
-                    continue
-                waiting[eye][stamp] = (connection.msgtype, raw)
-                while number < len(self._pairs) and all(
-                    int(self._pairs[number, eye]) in waiting[eye] for eye in (0, 1)
-                ):
-                    times = [int(time) for time in self._pairs[number]]
-                    both = [waiting[eye].pop(times[eye]) for eye in (0, 1)]
-                    try:
-                        images = [self._image(reader, topic, *one) for topic, one in zip(self._eyes, both, strict=True)]
-                    except BrokenPair as fault:
-                        faults.meet(fault)
-                    else:
-                        left, right = images if self._rectify is None else self._rectify(images[0], images[1])
-                        yield StereoPair(float(self._seconds[number]), left, right, None, *self._step(used, number))
-                        used = number
-                    number += 1
+        with opened_bag(self._path) as one, opened_bag(self._path) as other:
+            due = [
+                _due(reader, self._path, topic, column)
+                for reader, topic, column in zip((one, other), self._eyes, self._pairs.T, strict=True)
+            ]
+            for number, both in enumerate(zip(*due, strict=True)):
+                try:
+                    left, right = (
+                        self._image(one, topic, *message) for topic, message in zip(self._eyes, both, strict=True)
+                    )
+                except BrokenPair as fault:
+                    faults.meet(fault)
+                else:
+                    yield number, left, right
         self._skipped = dict(faults.counts)
 
     def _step(self, begin: int, end: int) -> tuple[BodyVelocity | None, InertialSamples | None]:
@@ -168,9 +206,9 @@ class BagSequence:
         if begin < 0:
             return None, None
         epoch, t = float(self.source["epoch_s"]), self._seconds
-        steps = self._motion.inertial[begin + 1 : end + 1]
+        steps = self.motion.inertial[begin + 1 : end + 1]
         samples = joined(steps, np.diff(t[begin : end + 1])) if steps else None
-        return self._motion.step(epoch + t[begin], epoch + t[end]), samples
+        return self.motion.step(epoch + t[begin], epoch + t[end]), samples
 
     def _image(self, reader: Any, topic: str, kind: str, raw: bytes) -> GreyImage:
         size = self.camera.width, self.camera.height
@@ -181,138 +219,67 @@ class BagSequence:
                 "image damaged", f"{self._path}: an image of {topic} is damaged: record it again"
             ) from error
         if kind.endswith("CompressedImage"):
-            return decoded_grey(self._path / topic.strip("/"), bytes(message.data), size)
-        return grey_of(message, size, f"{self._path}: an image of {topic}")
+            return grey_of_compressed(message, size, self._path / topic.strip("/"), self._shift)
+        return grey_of(message, size, f"{self._path}: an image of {topic}", self._shift)
 
 
-def grey_of(message: Any, size: tuple[int, int], what: str) -> GreyImage:
-    """Grey values (H, W) of a `sensor_msgs/Image`; a `BrokenPair` that begins with `what` says why it is none."""
-    import cv2
-
-    encoding, found = str(message.encoding), (int(message.width), int(message.height))
-    channels = 1 if encoding in _BAYER else _CHANNELS.get(encoding)
-    if channels is None:
-        known = ", ".join([*_CHANNELS, *_BAYER])
-        raise BrokenPair("image unreadable", f"{what} has the encoding {plain(encoding)!r}: known are {known}")
-    if found != size:
-        said = f"{what} is {found[0]}x{found[1]} where CameraInfo says {size[0]}x{size[1]}: calibrate for these images"
-        raise BrokenPair("image of another size", said)
-    step, data = int(message.step), np.asarray(message.data, dtype=np.uint8)
-    if found[0] * found[1] > MAX_PIXELS or step < found[0] * channels or data.size < step * found[1]:
-        raise BrokenPair("image damaged", f"{what} has {data.size} bytes, too few for its size: record it again")
-    rows = data[: step * found[1]].reshape(found[1], step)[:, : found[0] * channels]
-    if encoding in _BAYER:
-        pattern = {"rggb": "BayerBG2GRAY", "bggr": "BayerRG2GRAY", "gbrg": "BayerGR2GRAY", "grbg": "BayerGB2GRAY"}
-        return np.asarray(
-            cv2.cvtColor(np.ascontiguousarray(rows), getattr(cv2, f"COLOR_{pattern[encoding[6:10]]}")), np.uint8
-        )
-    if channels == 1:
-        return np.ascontiguousarray(rows)
-    if channels == 2:  # the high byte: grey values of 16 bits are told apart by 8
-        return np.ascontiguousarray(rows[:, 0 if message.is_bigendian else 1 :: 2])
-    code = cv2.COLOR_RGB2GRAY if encoding.startswith("rgb") else cv2.COLOR_BGR2GRAY
-    colours = rows.reshape(found[1], found[0], channels)[..., :3]
-    return np.asarray(cv2.cvtColor(np.ascontiguousarray(colours), code), dtype=np.uint8)
+def _due(reader: Any, path: Path, topic: str, wanted: IntArray) -> Iterator[tuple[str, bytes]]:
+    """Types and contents of the messages `wanted` (K,) of a topic, by their place in it, in this order."""
+    chosen, needed, waiting = [c for c in reader.connections if c.topic == topic], set(wanted.tolist()), {}
+    messages = enumerate(reader.messages(chosen))
+    for place in wanted.tolist():
+        while place not in waiting:
+            at, (connection, _, raw) = next(messages)
+            if at in needed:
+                waiting[at] = connection.msgtype, raw
+            if len(waiting) > MOST_WAITING:
+                raise ValueError(
+                    f"{path}: more than {MOST_WAITING} images of {plain(topic)} are logged before one that is due, so "
+                    "its stamps are out of order: record it again"
+                )
+        yield waiting.pop(place)
 
 
-@dataclass(frozen=True, eq=False)
-class _Info:
-    """First CameraInfo of a topic."""
+@dataclass
+class _Stream:
+    """Messages of a topic of images, as one pass over them shows."""
 
-    topic: str
-    message: Any
+    stamps: IntArray
+    """(K,): of the headers, ns."""
+    logged: IntArray
+    """(K,): times of the log, ns."""
+    repeats: IntArray
+    """Places of messages that repeat the one before, stamp and all."""
+    sample: list[Any]
+    """Some of them."""
 
-    @property
-    def shift(self) -> float:
-        """Fourth number of P, -fx b of a right camera, px m."""
-        return float(self.message.P[3] if hasattr(self.message, "P") else self.message.p[3])
-
-
-def _infos(reader: Any) -> dict[str, _Info]:
-    """CameraInfo by the name space of its topic."""
-    found: dict[str, _Info] = {}
-    connections = [c for c in reader.connections if c.msgtype == INFO]
-    for connection in connections:
-        for _, _, raw in reader.messages([connection]):
-            found[connection.topic.rpartition("/")[0]] = _Info(connection.topic, reader.deserialize(raw, INFO))
-            break
-    return found
-
-
-def _info_of(infos: Mapping[str, _Info], topic: str) -> _Info | None:
-    parts = topic.split("/")
-    return next((infos[name] for n in range(len(parts) - 1, 0, -1) if (name := "/".join(parts[:n])) in infos), None)
+    def size(self, path: Path) -> tuple[int, int]:
+        """Width and height of the first image that can be read, px; zero: of none."""
+        for message in self.sample:
+            try:
+                return size_of_message(message, path)
+            except BrokenPair:  # met when it is read
+                continue
+        return 0, 0
 
 
-def _cameras(
-    path: Path,
-    topics: Mapping[str, str],
-    infos: Mapping[str, _Info],
-    left: str | None,
-    right: str | None,
-    *,
-    by_name: bool,
-) -> tuple[str, str]:
-    """Topics of the left and of the right images: by CameraInfo, or else, if that will do, by their names."""
-    images = sorted(topic for topic, kind in topics.items() if kind in IMAGES)
-    if not images:
-        raise ValueError(
-            f"{path} holds no images, on none of its {len(topics)} topics: give one with a stereo pair (poses alone "
-            "are judged by `stereo-slam evaluate`)"
-        )
-    listed = ", ".join(map(plain, images))
-    for asked in (left, right):
-        if asked is not None and asked not in images:
-            raise ValueError(f"{path} has no images on {asked!r}; topics with images: {listed}")
-    if left is not None and right is not None:
-        return left, right
-    of_eye: tuple[list[str], list[str]] = ([], [])
-    for topic in images:
-        info = _info_of(infos, topic)
-        if info is not None and not any(word in topic for word in ("depth", "disparity", "mask")):
-            of_eye[info.shift < 0].append(topic)
-    lefts = [left] if left is not None else of_eye[0]
-    rights = [right] if right is not None else of_eye[1]
-    best = [(a, b) for b in rights for a in lefts if _alike(a, b)]
-    if not best and by_name:
-        called = [(a, b) for a in images for b in images if _called_left_and_right(a, b)]
-        best = [(a, b) for a, b in called if left in (None, a) and right in (None, b)]
-    best = [pair for pair in best if "rect" in pair[0]] or best
-    best = [pair for pair in best if topics[pair[0]].endswith("/Image")] or best
-    if len(best) != 1:
-        why = f"{len(best)} pairs of cameras: name the topics (--image-topics LEFT,RIGHT)"
-        if not best:
-            why = "no pair of cameras whose CameraInfo makes them one rig (P[3] of the right one is -f b): give a rig"
-        shifts = {topic: _info_of(infos, topic) for topic in images}
-        listed = ", ".join(
-            f"{plain(topic)} with {'no CameraInfo' if info is None else f'P[3] = {info.shift:g}'}"
-            for topic, info in shifts.items()
-        )
-        raise ValueError(f"{path} holds {why}; images: {listed}")
-    return best[0]
-
-
-def _alike(left: str, right: str) -> bool:
-    """Whether two topics differ as left and right do: in one part of their names, or by a digit or word in it."""
-    a, b = left.split("/"), right.split("/")
-    return len(a) == len(b) and sum(one != other for one, other in zip(a, b, strict=True)) == 1
-
-
-def _called_left_and_right(a: str, b: str) -> bool:
-    """Whether two topics are `left` and `right`, or one digit apart as `cam0` and `cam1`, or `infra1` and `infra2`."""
-    if a.replace("left", "right") == b != a:
-        return True
-    other = [(x, y) for x, y in zip(a, b, strict=False) if x != y]
-    return len(a) == len(b) and other in ([("0", "1")], [("1", "2")])
-
-
-def _calibration(path: Path, eyes: tuple[str, str], infos: Mapping[str, _Info]) -> Calibration:
-    both = [_info_of(infos, topic) for topic in eyes]
-    if both[0] is None or both[1] is None:
-        raise ValueError(f"{path} has no CameraInfo of {' and '.join(map(plain, eyes))}: give the calibration as rig")
-    rectified = all("rect" in topic.rpartition("/")[2] or "/image_rect" in topic for topic in eyes)
-    where = f"{path}, {plain(both[1].topic)}"
-    return calibration_of_infos((both[0].message, both[1].message), where, rectified=rectified)
+def _stream(reader: Any, topic: str) -> _Stream:
+    chosen = [c for c in reader.connections if c.topic == topic]
+    every = max(1, sum(c.msgcount for c in chosen) // _SAMPLE)
+    stamps, logged, repeats, sample, before = [], [], [], list[Any](), b""
+    for at, (connection, time, raw) in enumerate(reader.messages(chosen)):
+        stamps.append(_stamp(raw) if len(raw) >= 12 else 0)
+        logged.append(time)
+        if raw == before:
+            repeats.append(at)
+        if at % every == 0 and len(sample) < _SAMPLE:
+            try:
+                sample.append(reader.deserialize(raw, connection.msgtype))
+            except Exception as error:  # of a message that is not what its type says; met when it is read
+                log.debug("%s: %s", topic, error)
+        before = raw
+    times, log_times, places = (np.array(numbers, dtype=np.int64) for numbers in (stamps, logged, repeats))
+    return _Stream(times, log_times, places, sample)
 
 
 def _stamp(raw: bytes) -> int:
@@ -321,31 +288,40 @@ def _stamp(raw: bytes) -> int:
     return int(seconds) * 1_000_000_000 + int(nanoseconds)
 
 
-def _stamps(reader: Any, topic: str) -> IntArray:
-    chosen = [c for c in reader.connections if c.topic == topic]
-    return np.unique(np.array([_stamp(raw) for _, _, raw in reader.messages(chosen) if len(raw) >= 12], dtype=np.int64))
+def _chosen(count: int, path: Path, choice: Choice) -> slice:
+    first, last = choice.first or 0, count - 1 if choice.last is None else choice.last
+    if not first <= min(last, count - 1):
+        raise ValueError(f"first={choice.first}, last={choice.last} select no frame of {path}: it has {count}")
+    return slice(first, last + 1)
 
 
-def _chosen(pairs: IntArray, path: Path, choice: Choice) -> IntArray:
-    first, last = choice.first or 0, len(pairs) - 1 if choice.last is None else choice.last
-    if not len(chosen := pairs[first : last + 1]):
-        raise ValueError(f"first={choice.first}, last={choice.last} select no frame of {path}: it has {len(pairs)}")
-    return chosen
-
-
-def _pairs(path: Path, eyes: tuple[str, str], stamps: list[IntArray]) -> IntArray:
-    """(K, 2): stamps of the images that belong together, ns."""
-    left, right = stamps
+def _pairs(path: Path, eyes: tuple[str, str], streams: tuple[_Stream, _Stream]) -> tuple[IntArray, IntArray, list[str]]:
+    """Times of the pairs (K,), ns, the places of their messages (K, 2), and notes."""
+    found = [message_times(stream.stamps, stream.logged) for stream in streams]
+    by_log = any(times is stream.logged for (times, _, _), stream in zip(found, streams, strict=True))
+    notes = [f"{path}, {plain(eye)}: {note}" for eye, (_, _, more) in zip(eyes, found, strict=True) for note in more]
+    of_eye, shift = [], LARGEST_SHIFT_NS
+    for eye, stream, (times, kept, _) in zip(eyes, streams, found, strict=True):
+        times = stream.logged if by_log else times
+        places = np.flatnonzero(kept & ~np.isin(np.arange(len(times)), stream.repeats))
+        _, once = np.unique(times[places], return_index=True)
+        if odd := len(places) - len(once):
+            notes.append(f"{path}, {plain(eye)}: {odd} of {len(times)} images repeat a stamp: the first of each counts")
+        of_eye.append((times[places[once]], places[once]))
+    (left, left_places), (right, right_places) = of_eye
+    if by_log and len(left) > 1:
+        require_rate(1e-9 * (left - left[0]), f"{path}, {plain(eyes[0])}, times of the log")
+        shift = min(LARGEST_LOG_SHIFT_NS, int(np.median(np.diff(left))) // 2)
     if left.size and right.size:
         after = np.clip(np.searchsorted(right, left), 0, len(right) - 1)
         before = np.maximum(after - 1, 0)
         nearest = np.where(np.abs(right[after] - left) < np.abs(right[before] - left), after, before)
-        pairs = np.column_stack([left, right[nearest]])
-        pairs = pairs[np.abs(pairs[:, 0] - pairs[:, 1]) <= LARGEST_SHIFT_NS]
-        _, once = np.unique(pairs[:, 1], return_index=True)
-        if once.size:
-            return np.asarray(pairs[once], dtype=np.int64)
+        near = np.flatnonzero(np.abs(right[nearest] - left) <= shift)
+        _, once = np.unique(nearest[near], return_index=True)
+        if (at := near[once]).size:
+            places = np.column_stack([left_places[at], right_places[nearest[at]]])
+            return left[at], places, notes
     raise ValueError(
         f"{path} has {left.size} images on {plain(eyes[0])}, {right.size} on {plain(eyes[1])}, and none are taken "
-        f"within {LARGEST_SHIFT_NS // 1_000_000} ms: are the cameras synchronised?"
+        f"within {shift // 1_000_000} ms: are the cameras synchronised?"
     )

@@ -16,9 +16,10 @@ from scipy.spatial.transform import Rotation
 from filters import BodyVelocity, InertialSamples, Pose, Start, StereoCamera
 from filters.geometry import rotations
 from filters.geometry.arrays import BoolArray, FloatArray
-from stereo_slam_env.datasets.image_files import BrokenPair, read_grey
+from stereo_slam_env.datasets.image_files import BrokenPair, read_grey, shift_of_files
 from stereo_slam_env.recording.inertial import joined
 from stereo_slam_env.recording.recording import Reference, StereoPair
+from stereo_slam_env.recording.times import require_rate
 from stereo_slam_env.sensing.lenses import Rectification, Rectify
 
 OnBroken = Literal["raise", "skip"]
@@ -206,13 +207,14 @@ class RecordedSequence:
     ) -> None:
         self._found_at_opening = faults = Faults(choice.on_broken)
         frames = tuple(usable_pairs(files, choice, faults))
+        require_rate(np.array([frame.timestamp for frame in frames]), str(files.times_file))
         if choice.first is None:
             frames = tuple(pair for pair in frames if truth_from.has_settled(pair.timestamp))
         self._frames = frames
         self.name, self.camera, self.start, self.truth_from = name, camera(frames[0].left), Start(), truth_from
         self.source = {**source, **vars(replace(choice, first=frames[0].number, last=frames[-1].number))}
         self._skipped = dict(faults.counts)
-        self._rectify = rectify
+        self._rectify, self._shift = rectify, shift_of_files(files.images)
 
     @property
     def skipped(self) -> Mapping[str, int]:
@@ -242,7 +244,7 @@ class RecordedSequence:
         for frame in self._frames:
             try:
                 size = self.camera.width, self.camera.height
-                left, right = (read_grey(path, size) for path in (frame.left, frame.right))
+                left, right = (read_grey(path, size, self._shift) for path in (frame.left, frame.right))
             except BrokenPair as fault:
                 faults.meet(fault)
                 self._skipped = dict(faults.counts)

@@ -1,7 +1,7 @@
 """A plain folder: `left/` and `right/` with images in the order of their names, and `recording.toml`.
 
     rig = "calib.yaml"        # a calibration file, see `sensing.rig_files`, or a table of numbers
-    rate_hz = 20              # or: times = "times.txt" (s, one a line), or times = "names" (file names, ns or s)
+    rate_hz = 20              # or: times = "times.txt" (one a line), or "names" (of the files): s, ms, us or ns
     truth = "truth.tum"       # optional: a trajectory of the left camera
     reference = "surveyed"    # optional: what the truth is
     body = "T_body_camera.json"   # optional: pose of the left camera in the body of the truth, R and t
@@ -11,6 +11,7 @@ Raw images are rectified by the rig.
 
 from __future__ import annotations
 
+import logging
 import re
 from collections.abc import Mapping
 from dataclasses import replace
@@ -31,11 +32,13 @@ from stereo_slam_env.evaluation.body_frames import read_body
 from stereo_slam_env.files.paths import require_inside
 from stereo_slam_env.files.readers import parse_toml, read_table, read_text
 from stereo_slam_env.recording.recording import NO_REFERENCE, ImageSequence
+from stereo_slam_env.recording.times import scale_of
 from stereo_slam_env.sensing.rigs import Rig, calibration_of
 
 NAME = "stereo_folder"
 ABOUT = "recording.toml"
 FILES = (("left", "right", ABOUT),)
+log = logging.getLogger(__name__)
 _KEYS = ("rig", "rate_hz", "times", "truth", "reference", "body")
 
 
@@ -129,19 +132,19 @@ def _times(path: Path, about: Mapping[str, Any], left: Mapping[int, Path]) -> tu
         return np.arange(count) / positive("rate_hz", about["rate_hz"]), 0.0, path / ABOUT
     if about["times"] != "names":
         file = require_inside(path / str(about["times"]), path)
-        times = read_table(file, 1, finite=False).reshape(-1)
-        epoch = float(times[0]) if np.isfinite(times[0]) else 0.0
-        return times - epoch, epoch, file
-    stamps = [_stamp(left[k]) if k in left else np.nan for k in range(count)]
+        stamps: list[int | float] = read_table(file, 1, finite=False).reshape(-1).tolist()
+    else:
+        file, stamps = path / "left", [_stamp(left[k]) if k in left else np.nan for k in range(count)]
     first = next((stamp for stamp in stamps if np.isfinite(stamp)), 0)
-    nanoseconds = first > 1e14
-    unit = 1e-9 if nanoseconds else 1.0
-    return np.array([unit * (stamp - first) for stamp in stamps]), float(unit * first), path / "left"
+    unit, notes = scale_of(np.array([stamp for stamp in stamps if np.isfinite(stamp)], dtype=np.float64))
+    for note in notes:
+        log.warning("%s: %s", file, note)
+    return np.array([unit * (stamp - first) for stamp in stamps]), float(unit * first), file
 
 
 def _stamp(image: Path) -> int | float:
     if not re.fullmatch(r"\d{1,19}(\.\d{1,9})?", image.stem):
         raise ValueError(
-            f"{image} is no time in ns or s, as times = 'names' of {ABOUT} says: name it so, or give a file"
+            f"{image} is no time in s, ms, us or ns, as times = 'names' of {ABOUT} says: name it so, or give a file"
         )
     return int(image.stem) if image.stem.isdecimal() else float(image.stem)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import csv
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from filters import Pose
 from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray
 from stereo_slam_env.datasets.known_recordings import reference_for
+from stereo_slam_env.datasets.rectified_or_raw import as_they_are, sample_of_files
 from stereo_slam_env.datasets.restated import pose_at
 from stereo_slam_env.datasets.sequence import Choice, ImageFiles, RecordedSequence
 from stereo_slam_env.files.paths import require_inside
@@ -59,9 +61,11 @@ def open_sequence(
     sheet = path / "calibration.yaml" if calibration is None else Path(calibration)
     table = path / "groundtruth.csv"
     stamps, images = _read_listing(listing, path)
-    found = read_calibration(sheet)
+    read = read_calibration(sheet)
+    camera = read.camera if isinstance(read, Rectification) else read
+    size = camera.width, camera.height
+    found, notes = as_they_are(read, lambda: sample_of_files(images, size), str(path))
     rectify = found if isinstance(found, Rectification) and found.needed else None
-    camera = found.camera if isinstance(found, Rectification) else found
     seconds = 1e-9 * (stamps - stamps[0])
     truth, truth_from = None, NO_REFERENCE
     if use_truth and table.exists() and (rows := _rows(table)).size:
@@ -77,7 +81,8 @@ def open_sequence(
         choice = Choice(max(choice.first or 0, known[0]), last, choice.on_broken)
         truth_from = reference_for(rows[:, 1:4], STATED)
     files = ImageFiles((path, path), images, seconds, listing, truth, table)
-    source = {"reader": NAME, "path": str(path), "epoch_s": 1e-9 * int(stamps[0])}
+    source: dict[str, Any] = {"reader": NAME, "path": str(path), "epoch_s": 1e-9 * int(stamps[0])}
+    source |= {"notes": list(notes)} if notes else {}
     return RecordedSequence(f"{NAME}_{path.name}", files, choice, lambda image: camera, source, truth_from, rectify)
 
 

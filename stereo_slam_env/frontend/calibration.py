@@ -16,10 +16,11 @@ import numpy as np
 
 from filters import StereoCamera
 from stereo_slam_env.frontend.ego_motion import Pairs, Step, most_likely_step, robust_step
+from stereo_slam_env.frontend.row_offsets import require_rectified, row_offsets
 from stereo_slam_env.frontend.settings import TrackerSettings, settings_for
 from stereo_slam_env.frontend.tracker import StereoTracker
 from stereo_slam_env.frontend.tracks import MEMORY
-from stereo_slam_env.recording.recording import ImageSequence
+from stereo_slam_env.recording.recording import GreyImage, ImageSequence
 
 PRIOR_SIGMA = 0.25
 """What a careful calibration leaves, px."""
@@ -30,22 +31,42 @@ _PROBE = 0.1
 _SIGNIFICANT = 3.0
 """A value of fewer standard deviations may be noise: nothing is corrected then, and a perfect rig is left alone."""
 
+_IMPOSSIBLE = 5.0
+"""A value of more standard deviations, with what a careful calibration leaves, is a mistake and no remainder."""
+_LOOKED_AT = 8
+"""Pairs whose rows are compared."""
+
 _log = logging.getLogger(__name__)
 
 
 def calibrated(
     sequence: ImageSequence, settings: TrackerSettings | None = None, pairs: int = CALIBRATION_PAIRS
 ) -> TrackerSettings:
-    """The settings with the disparity offset that the first `pairs` pairs of a sequence show."""
+    """The settings with the disparity offset that the first `pairs` pairs of a sequence show.
+
+    Raises
+    ------
+    ValueError
+        They are no rectified pair, see `require_rectified`, or the offset is larger than any calibration leaves.
+    """
     settings = settings_for(sequence) if settings is None else settings
     tracker = StereoTracker(sequence.camera, settings)
     offset = DisparityOffset(sequence.camera)
-    before = 0.0
+    before, looked_at = 0.0, list[tuple[GreyImage, GreyImage]]()
     for number, pair in enumerate(islice(sequence.pairs(), pairs)):
+        if number % max(1, min(len(sequence), pairs) // _LOOKED_AT) == 0 and len(looked_at) < _LOOKED_AT:
+            looked_at.append((pair.left, pair.right))
         tracker.track(pair.left, pair.right, pair.timestamp - before if number else None)
         before = pair.timestamp
         if (far_apart := tracker.longest_pairs()) is not None:
             offset.learn(*far_apart, shared=MEMORY - 1)
+    require_rectified(row_offsets(looked_at), sequence.camera, sequence.name)
+    shift, doubt = offset.unbiased
+    if abs(shift) > _IMPOSSIBLE * np.hypot(doubt, PRIOR_SIGMA):
+        raise ValueError(
+            f"{sequence.name}: all disparities are off by {-shift:+.1f} ± {doubt:.1f} px, by the motion, a yaw of "
+            f"{1e3 * abs(shift) / sequence.camera.fx:.1f} mrad between the cameras: calibrate the pair again"
+        )
     _log.info("%s: disparity offset %.3f +- %.3f px", sequence.name, offset.value, offset.sigma)
     return dataclasses.replace(settings, disparity_offset=settings.disparity_offset + offset.correction)
 
@@ -68,6 +89,12 @@ class DisparityOffset:
     def sigma(self) -> float:
         """Standard deviation of the estimate, px."""
         return float(self._information**-0.5)
+
+    @property
+    def unbiased(self) -> tuple[float, float]:
+        """The estimate and its standard deviation, px, by the images alone, without what is usual."""
+        data = self._information - PRIOR_SIGMA**-2
+        return (self.value * self._information / data, float(data**-0.5)) if data > 0.0 else (0.0, np.inf)
 
     def learn(self, pairs: Pairs, step: Step, *, shared: int = 1) -> None:
         """Learn from pairs as measured and the approximate step between them, one of `shared` overlapping ones."""

@@ -14,6 +14,12 @@ from filters.geometry.arrays import FloatArray
 from stereo_slam_env.frontend.ego_motion import Pairs, Step, robust_step
 from stereo_slam_env.recording.recording import Frame, Recording
 
+_HARDEST = (1e3, 1e3)
+"""Accelerations of no camera, m/s² and rad/s²: a flip of a racing drone has a tenth of them."""
+_TURNING, _TURNS = 0.005, 5
+"""Least turn of a step that tells the unit of a gyro, rad, and how many of them are needed."""
+_AS_DEGREES = (30.0, 110.0)
+"""Gyro over images, where the gyro gives degrees per second (57.3)."""
 FIRST_GUESS = StereoNoise.independent_pixels(0.4)
 """For the weights of the motion between two frames, where measurements bring no covariance."""
 
@@ -66,6 +72,11 @@ def needed_motion(recording: Recording, usual: ConstantVelocity | None = None) -
     -------
     ConstantVelocity
         Standard deviations per axis, m/s² and rad/s²: the root mean squares of the recording, or the usual ones.
+
+    Raises
+    ------
+    ValueError
+        No camera moves so: the times are of another unit.
     """
     usual = ConstantVelocity() if usual is None else usual
     squares: list[FloatArray] = []
@@ -88,7 +99,34 @@ def needed_motion(recording: Recording, usual: ConstantVelocity | None = None) -
     if not squares:
         return usual
     linear, angular = np.mean(squares, axis=0).reshape(2, 3).mean(axis=1)
+    if linear > _HARDEST[0] ** 2 or angular > _HARDEST[1] ** 2:
+        step = float(np.median(np.diff([frame.timestamp for frame in recording.frames])))
+        raise ValueError(
+            f"{recording.name}: its tracks show accelerations of {np.sqrt(max(linear, 0.0)):.3g} m/s^2 and "
+            f"{np.sqrt(max(angular, 0.0)):.3g} rad/s^2, as no camera has, at {step:.3g} s a frame: are its times in "
+            "seconds, and the baseline in metres?"
+        )
     return ConstantVelocity(
         max(usual.sigma_acceleration, float(np.sqrt(max(linear, 0.0)))),
         max(usual.sigma_angular_acceleration, float(np.sqrt(max(angular, 0.0)))),
     )
+
+
+def require_gyro_units(recording: Recording) -> None:
+    """Raise a `ValueError` where the gyro turns by degrees where the images turn by radians."""
+    if not any(frame.inertial is not None for frame in recording.frames):
+        return
+    ratios = []
+    for frame, found in zip(recording.frames[1:], camera_steps(recording.camera, recording.frames), strict=True):
+        if frame.inertial is None or found is None:
+            continue
+        turn, samples = rotations.log(found.step.R), frame.inertial
+        if np.linalg.norm(turn) > _TURNING:
+            rates = samples.angular_rates @ rotations.matrix(samples.unit.orientation).T
+            by_gyro = np.diff(samples.times, prepend=0.0) @ rates
+            ratios.append(float(by_gyro @ turn / (turn @ turn)))
+    if len(ratios) >= _TURNS and _AS_DEGREES[0] < (ratio := float(np.median(ratios))) < _AS_DEGREES[1]:
+        raise ValueError(
+            f"{recording.name}: the gyro turns {ratio:.1f} times as far as the images: are its rates in degrees per "
+            "second? rad/s are expected"
+        )

@@ -10,6 +10,7 @@ import numpy as np
 
 from filters import ColouredNoise, LandmarkDrift, Start, StereoCamera, StereoFilter, StereoObservation
 from filters.geometry import rotations
+from stereo_slam_env.frontend.camera_motion import require_gyro_units
 from stereo_slam_env.frontend.ego_motion import Pairs, Step, robust_step
 from stereo_slam_env.frontend.front_ends import make_front_end
 from stereo_slam_env.frontend.settings import DRIFT_SHARE, TrackerSettings, settings_for
@@ -93,6 +94,7 @@ def record_tracks(
         },
         truth_from=sequence.truth_from,
     )
+    require_gyro_units(recording)
     return with_measured_noise(recording)
 
 

@@ -13,6 +13,12 @@ from filters.geometry.arrays import FloatArray
 
 _GAP = 5.0
 """Times the usual distance of two samples: a longer one is a gap."""
+_ONE_G = (0.8, 1.2)
+"""Mean specific forces that say that their unit is g."""
+FASTEST_TURN = 20.0
+"""No camera turns faster and sees anything, rad/s."""
+_MOSTLY = 99.0
+"""Percentile of the rates: a single one may be a fault."""
 _SAME = 1e-9
 """Of two times, s: as far apart as rounding moves them."""
 
@@ -40,10 +46,11 @@ def samples_of_steps(
     Raises
     ------
     ValueError
-        There are less than two rows, or their times do not ascend.
+        There are less than two rows, their times do not ascend, or the numbers are those of other units.
     """
     if len(times) < 2 or not (np.diff(times) > 0.0).all():
         raise ValueError(f"{path} must have two rows or more with increasing times: copy it again")
+    _require_units(path, numbers)
     steps: list[InertialSamples | None] = [None]
     integral = np.vstack([np.zeros(6), np.cumsum(np.diff(times)[:, None] * 0.5 * (numbers[1:] + numbers[:-1]), axis=0)])
     longest = _GAP * float(np.median(np.diff(times)))
@@ -57,6 +64,23 @@ def samples_of_steps(
         means = np.diff(_at(times, numbers, integral, edges), axis=0) / np.diff(edges)[:, None]
         steps.append(InertialSamples(edges[1:] - begin, means[:, :3], means[:, 3:], unit))
     return steps
+
+
+def _require_units(path: Path, numbers: FloatArray) -> None:
+    """Refuse rates and forces (N, 6) whose sizes are those of degrees per second and of g."""
+    rates, forces = np.linalg.norm(numbers[:, :3], axis=1), np.linalg.norm(numbers[:, 3:], axis=1)
+    mean, fast = float(np.mean(forces)), float(np.percentile(rates, _MOSTLY))
+    for scale, unit in ((1.0, "g"), (1e3, "mg")):
+        if _ONE_G[0] <= mean / scale <= _ONE_G[1]:
+            raise ValueError(
+                f"{path}: the mean specific force is {mean:.4g} where m/s^2 are expected, is it in {unit}? "
+                f"Multiply it by {9.80665 / scale:.5g}"
+            )
+    if fast > FASTEST_TURN:
+        raise ValueError(
+            f"{path}: angular rates reach {fast:.4g} where rad/s are expected, are they in degrees per second? "
+            "Multiply them by 0.0174533"
+        )
 
 
 def joined(steps: Sequence[InertialSamples | None], durations: FloatArray) -> InertialSamples | None:

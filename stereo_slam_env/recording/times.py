@@ -27,16 +27,20 @@ def seconds_of(numbers: FloatArray | IntArray, what: str, unit: str = "") -> tup
     ValueError
         Their rate is none of a camera's: one line that opens with `what` and says the likely unit.
     """
-    scale, notes = UNITS.get(unit), []
-    if scale is None:
-        middle, scale = float(np.median(np.abs(numbers))), 1.0
-        for least, of_size, name in BY_SIZE:
-            if middle >= least:
-                scale, notes = of_size, [f"its times, of the size of {middle:.0e}, are read as {name}"]
-                break
+    stated = UNITS.get(unit)
+    scale, notes = scale_of(numbers) if stated is None else (stated, [])
     times = np.asarray(numbers, dtype=np.float64) * scale
     require_rate(times, what)
     return times, notes
+
+
+def scale_of(numbers: FloatArray | IntArray) -> tuple[float, list[str]]:
+    """Unit of times (K,), s, by their size, and a note where it is another than the second."""
+    middle = float(np.median(np.abs(numbers))) if len(numbers) else 0.0
+    for least, scale, name in BY_SIZE:
+        if middle >= least:
+            return scale, [f"its times, of the size of {middle:.0e}, are read as {name}"]
+    return 1.0, []
 
 
 def require_rate(times: FloatArray, what: str) -> None:
@@ -79,7 +83,7 @@ def message_times(stamps: IntArray, logged: IntArray) -> tuple[IntArray, BoolArr
     if count < _NEIGHBOURS:
         return stamps, kept, []
     seconds = 1e-9 * (stamps - np.median(stamps).astype(np.int64))
-    away = np.abs(seconds - median_filter(seconds, size=_NEIGHBOURS, mode="nearest"))
+    away = np.abs(seconds - median_filter(seconds, size=_NEIGHBOURS, mode="mirror"))
     kept = away <= max(_ASTRAY_S, _ASTRAY_STEPS * float(np.median(np.abs(np.diff(seconds)))))
     if kept.all():
         return stamps, kept, []

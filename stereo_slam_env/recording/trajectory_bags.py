@@ -39,6 +39,8 @@ _TRANSFORMS = "tf2_msgs/msg/TFMessage"
 _STATIC = "tf_static"
 _SHOWN = 12
 """Other topics that a message lists."""
+_NOT_ROS = (("protobuf",), ("flatbuffer",), ("jsonschema",), ("ros1msg",))
+"""Encodings of schemas in MCAP files that the library does not look for."""
 
 
 def bag_and_topic(path: str | Path) -> tuple[Path, str | None] | None:
@@ -147,6 +149,9 @@ def opened_bag(path: Path) -> Iterator[Any]:
     except ValueError:
         raise
     except Exception as error:  # of any library that it unpacks with
+        if isinstance(error, KeyError) and error.args[:1] in _NOT_ROS:
+            said = f"its schemas are {error.args[0]}, not ROS: convert it to messages of ROS 2"
+            raise ValueError(f"{path} is an MCAP file that is not read: {said}") from error
         raise ValueError(
             f"{path} is damaged, or no bag ({first_line(error)}): copy it again, or repair it with the tools of ROS"
         ) from error

@@ -1,5 +1,6 @@
 """Public names of this room; each is imported when it is first used."""
 
+from .camera_info import calibration_of_infos as calibration_of_infos
 from .corrupted_measurements import BiasedDisparity as BiasedDisparity
 from .corrupted_measurements import MisscaledNoise as MisscaledNoise
 from .corrupted_measurements import MissedDetections as MissedDetections
@@ -17,6 +18,5 @@ from .corruptions import DuplicatedFrames as DuplicatedFrames
 from .corruptions import Latency as Latency
 from .corruptions import corrupted as corrupted
 from .padding import stereo_observation as stereo_observation
-from .rig_files import calibration_of_infos as calibration_of_infos
 from .rigs import RIGS as RIGS
 from .rigs import camera_of as camera_of

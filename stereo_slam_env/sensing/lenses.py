@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -19,8 +20,13 @@ COEFFICIENTS = {"radial-tangential": (0, 4, 5, 8, 12, 14), "equidistant": (0, 4)
 """Numbers of coefficients that a model may have; none: an ideal pinhole."""
 Rectify = Callable[[GreyImage, GreyImage], tuple[GreyImage, GreyImage]]
 _ROUNDING = 1e-9
+_LEAST_ZOOM = 0.3
+"""Rectified focal length over that of a fisheye: below, the middle of its images is too coarse to be of use."""
 _NO_BASELINE = 1e-9
 """m: what is left of a baseline where the poses of both cameras are the same."""
+
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -80,21 +86,29 @@ class Rectification:
     """(3, 4) each: K [I | t] of the rectified cameras."""
     camera: StereoCamera
     """The rectified rig."""
+    mapped: tuple[bool, bool] = (True, True)
+    """Whether the images of the left and of the right camera are raw; others are rectified already, and left alone."""
 
     @property
     def R_left(self) -> FloatArray:
-        """(3, 3): from the left camera as it is mounted to the rectified one."""
-        return self.turns[0]
+        """(3, 3): from the left camera as it is mounted to the rectified one; none where its images are rectified."""
+        return self.turns[0] if self.mapped[0] else np.eye(3)
 
     @cached_property
-    def needed(self) -> bool:
-        """Whether rectified images are others than those taken."""
-        return any(
+    def changes(self) -> tuple[bool, bool]:
+        """Whether rectified images of the left and of the right camera differ from raw ones."""
+        left, right = (
             any(lens.distortion)
             or np.abs(R - np.eye(3)).max() > _ROUNDING
             or np.abs(P[:, :3] - lens.K).max() > _ROUNDING * lens.fx
             for lens, R, P in zip(self.lenses, self.turns, self.projections, strict=True)
         )
+        return bool(left), bool(right)
+
+    @property
+    def needed(self) -> bool:
+        """Whether rectified images are others than those taken."""
+        return any(changed and mapped for changed, mapped in zip(self.changes, self.mapped, strict=True))
 
     @cached_property
     def _maps(self) -> list[tuple[Any, Any]]:
@@ -115,8 +129,8 @@ class Rectification:
         import cv2
 
         turned = [
-            np.asarray(cv2.remap(image, *both, interpolation=cv2.INTER_LINEAR), dtype=np.uint8)
-            for image, both in zip((left, right), self._maps, strict=True)
+            np.asarray(cv2.remap(image, *both, interpolation=cv2.INTER_LINEAR), dtype=np.uint8) if mapped else image
+            for image, both, mapped in zip((left, right), self._maps, self.mapped, strict=True)
         ]
         return turned[0], turned[1]
 
@@ -157,6 +171,11 @@ def rectification(left: Lens, right: Lens, T_rl: tuple[float, ...], where: str) 
     turn, shift = np.ascontiguousarray(R), np.ascontiguousarray(T[:3, 3:])
     if np.linalg.norm(shift) < _NO_BASELINE:
         raise ValueError(f"{where}: both cameras are in one place, T is zero: a rig has a baseline, in metres")
+    if abs(shift[1, 0]) > abs(shift[0, 0]):
+        raise ValueError(
+            f"{where}: the right camera is {-shift[1, 0]:+.4g} m below the left one and {-shift[0, 0]:+.4g} m beside "
+            "it, a vertical pair: only cameras side by side are read, so turn images and calibration by 90 degrees"
+        )
     of_both = left.K, left.coefficients, right.K, right.coefficients, left.size, turn, shift
     made: Any
     try:
@@ -168,9 +187,26 @@ def rectification(left: Lens, right: Lens, T_rl: tuple[float, ...], where: str) 
         reason = str(error).splitlines()[0]
         raise ValueError(f"{where}: OpenCV cannot rectify this pair ({reason}): take the calibration again") from error
     R_left, R_right, P_left, P_right = (np.asarray(found, dtype=np.float64) for found in made[:4])
+    if left.model == "equidistant" and not (np.isfinite(P_left).all() and P_left[0, 0] > _LEAST_ZOOM * left.fx):
+        P_left, P_right = _narrowed(left, P_left, P_right, where)
     turns, projections = (R_left, R_right), (P_left, P_right)
     camera = rectified_rig(where, *projections, left.size)
     return Rectification((left, right), turns, projections, camera)
+
+
+def _narrowed(lens: Lens, P_left: FloatArray, P_right: FloatArray, where: str) -> tuple[FloatArray, FloatArray]:
+    """Projections with the focal length of the lens, so that its middle keeps its resolution.
+
+    No plane holds all that a lens of 180 degrees sees, and one of nearly so much would be all edge.
+    """
+    K = np.array([[lens.fx, 0.0, 0.5 * (lens.width - 1)], [0.0, lens.fx, 0.5 * (lens.height - 1)], [0.0, 0.0, 1.0]])
+    baseline = -P_right[0, 3] / P_right[0, 0]
+    field = np.rad2deg(2.0 * np.arctan(0.5 * lens.width / lens.fx))
+    _log.warning(
+        "%s: its field of view is too wide for a plane (fx would be %.4g px): fx %.4g px is taken, %.0f degrees",
+        *(where, P_left[0, 0], lens.fx, field),
+    )
+    return np.column_stack([K, np.zeros(3)]), np.column_stack([K, [-lens.fx * baseline, 0.0, 0.0]])
 
 
 def stated_rectification(

@@ -13,8 +13,9 @@ from stereo_slam_env.files.readers import read_text
 
 LONGEST_FOCAL_LENGTH = 1e5
 """Beyond this, px, a lens is a mistake."""
-LONGEST_BASELINE = 10.0
-"""Beyond this, m, a baseline is a mistake of units."""
+BASELINES = (0.005, 2.0)
+"""Beyond these, m, the baseline of real images is a mistake of units."""
+_BY_UNIT = (("mm", 1e-3), ("cm", 1e-2), ("inches", 0.0254))
 _SAME_K = 1e-6
 """Relative difference of the K of both cameras that is taken for rounding."""
 
@@ -62,15 +63,29 @@ def rectified_rig(path: Path | str, P_left: FloatArray, P_right: FloatArray, siz
         raise ValueError(f"{path}: the left projection matrix is not [fx 0 cx; 0 fy cy; 0 0 1 | ...]: not rectified")
     if not (np.abs(P_right[:, :3] - K) <= _SAME_K * scale).all():
         raise ValueError(f"{path}: both cameras must have the same focal lengths and principal point: not rectified")
-    baseline = float(camera_position(P_right)[0] - camera_position(P_left)[0])
+    beside, below, _ = camera_position(P_right) - camera_position(P_left)
+    baseline = float(beside)
+    if abs(below) > abs(beside):
+        raise ValueError(f"{path}: the right camera is {below:+.4g} m below the left one: a vertical pair is not read")
     if not baseline > 0:
         raise ValueError(f"{path}: the baseline is {baseline:.6g} m, it must be > 0: are left and right swapped?")
-    if baseline > LONGEST_BASELINE:
-        raise ValueError(f"{path}: the baseline is {baseline:.6g} m: metres are expected, is it in mm?")
+    require_baseline(path, baseline)
     fx, fy, cx, cy = (float(K[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2)))
     if max(fx, fy) > LONGEST_FOCAL_LENGTH:
         raise ValueError(f"{path}: a focal length of {max(fx, fy):.6g} px is that of no camera: is its lens right?")
     return StereoCamera(fx, fy, cx, cy, baseline, *size)
+
+
+def require_baseline(path: Path | str, baseline: float) -> None:
+    """Raise a `ValueError` that names `path` where a baseline, m, asks for its unit."""
+    low, high = BASELINES
+    if baseline < low:
+        said = "metres are expected, and -fx b, in px m, as fourth number of P"
+        raise ValueError(f"{path}: the baseline is {baseline:.3g} m: {said}")
+    if baseline > high:
+        fits = [f"{unit} ({baseline * of_unit:.3g} m)" for unit, of_unit in _BY_UNIT if 0.02 < baseline * of_unit < 1.0]
+        likely = f", is it in {' or '.join(fits)}?" if fits else ""
+        raise ValueError(f"{path}: the baseline is {baseline:.6g} m: metres are expected{likely}")
 
 
 def projections(path: Path, names: Sequence[str]) -> tuple[FloatArray, FloatArray]:

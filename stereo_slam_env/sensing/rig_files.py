@@ -7,48 +7,48 @@ one camera is read with that of the other, which stands beside it under the name
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from filters import StereoCamera
-from filters.contract.foreign_text import first_line, plain
+from filters.contract.foreign_text import plain
 from filters.geometry.arrays import FloatArray
 from stereo_slam_env.files.opening import open_regular
 from stereo_slam_env.files.paths import is_there
-from stereo_slam_env.files.readers import read_json, read_text
-from stereo_slam_env.files.yaml_files import parse_yaml
+from stereo_slam_env.sensing.calibration_entries import (
+    Size,
+    first_of,
+    lens_of,
+    numbers_of,
+    size_of,
+    table_of,
+    transform_of,
+)
 from stereo_slam_env.sensing.lenses import (
     Lens,
-    LensModel,
     Rectification,
     rectification,
-    require_rotation,
     stated_rectification,
 )
-from stereo_slam_env.sensing.projections import entry, projections, read_entries, rectified_rig
+from stereo_slam_env.sensing.projections import entry, projections, read_entries, rectified_rig, require_baseline
 
 Calibration = StereoCamera | Rectification
 """A rig whose images are rectified, or how raw ones are."""
-Size = tuple[int, int]
-MOST_BYTES = 300_000
-"""Larger calibrations are refused: no rig has so many numbers."""
-MOST_PIXELS = 40_000_000
-"""Images of more are refused."""
+_LARGEST_SHIFT = 10.0
+"""Of the clocks of a camera and an inertial unit, s."""
 ENDINGS = (".txt", ".yaml", ".yml", ".json")
 _PARTNERS = (("cam0", "cam1"), ("left", "right"), ("Left", "Right"), ("intrinsics", "extrinsics"), ("infra1", "infra2"))
 _IN_FOLDERS = (
     *("calib.txt", "calib_cam_to_cam.txt", "mav0/cam0/sensor.yaml", "cam0/sensor.yaml", "calibration.yaml"),
-    *("camchain*.yaml", "*-camchain*.yaml", "dso/camchain.yaml", "left.yaml", "intrinsics.yml"),
+    *("camchain*.yaml", "*-camchain*.yaml", "*imucam_chain*.yaml", "dso/camchain.yaml", "left.yaml", "intrinsics.yml"),
 )
-_MODELS: Mapping[str, LensModel] = {
-    **dict.fromkeys(("radtan", "radtan4", "radtan5", "radial-tangential", "plumb_bob"), "radial-tangential"),
-    **dict.fromkeys(("rational_polynomial", "pinhole", "none", ""), "radial-tangential"),
-    **dict.fromkeys(("equidistant", "equi", "equid4", "kannalabrandt8", "fisheye"), "equidistant"),
-}
+_TANGENTIAL, _RADIAL = 3e-3, 0.02
+"""Largest tangential coefficients, and least first radial one, of a pinhole with four."""
+_ORB_STEREO = ("Camera.bf", "Stereo.b", "Stereo.T_c1_c2")
+_ORB_LENS = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
 _KNOWN = "KITTI calib.txt, EuRoC sensor.yaml, Kalibr camchain, ROS CameraInfo, OpenCV, ORB-SLAM or VSLAM-LAB yaml"
 
 
@@ -82,42 +82,54 @@ def read_calibration(path: str | Path, right: str | Path | None = None, size: Si
     file = _file_of(Path(path))
     if file.suffix == ".txt":
         return _kitti(file, size)
-    table = _table(file)
+    table = table_of(file)
     for known, read in (("cam0", _kalibr), ("cameras", _vslam_lab)):
         if known in table:
             return read(file, table, size)
-    if _first(table, "M1", "K1", "cameraMatrix1", "LEFT.K") is not None or "Camera.bf" in table or "Stereo.b" in table:
+    if first_of(table, "M1", "K1", "cameraMatrix1", "LEFT.K", *_ORB_STEREO) is not None:
         return _opencv(file, _with_partner(file, right, table), size)
     for known, read_both in (("intrinsics", _euroc), ("camera_matrix", _camera_info)):
         if known in table:
             other = _partner(file, right)
-            return read_both((file, other), (table, _table(other)), size)
+            return read_both((file, other), (table, table_of(other)), size)
     raise ValueError(
         f"{file} holds no calibration that is known ({', '.join(map(plain, table)) or 'nothing'}): {_KNOWN}"
     )
 
 
 def body_of_camera(path: Path) -> FloatArray:
-    """T (4, 4) that takes points of a sensor, as mounted, to the body: T_BS, or T_cam_imu of cam0 inverted."""
-    table = _table(path)
+    """T (4, 4) that takes points of a sensor, as mounted, to the body: T_BS, or T_imu_cam of cam0."""
+    table = table_of(path)
     if "cam0" in table:
-        return np.asarray(np.linalg.inv(_transform(path, table["cam0"], "T_cam_imu")), dtype=np.float64)
+        return _of_kalibr(path, table, "cam0")
     if "cameras" in table:
-        return _transform(path, table["cameras"][0], "T_BS") if "T_BS" in table["cameras"][0] else np.eye(4)
-    return _transform(path, table, "T_BS")
+        return transform_of(path, table["cameras"][0], "T_BS") if "T_BS" in table["cameras"][0] else np.eye(4)
+    return transform_of(path, table, "T_BS")
 
 
 def noise_of_unit(path: Path) -> tuple[float, float, float, float]:
     """Densities of gyros and accelerometers, and their walks, as of `InertialUnit`: EuRoC's and Kalibr's entries."""
-    table = _table(path)
+    table = table_of(path)
     kinds = (
         "gyroscope_noise_density",
         "accelerometer_noise_density",
         "gyroscope_random_walk",
         "accelerometer_random_walk",
     )
-    gyro, accelerometer, gyro_walk, accelerometer_walk = (float(_numbers(path, table, kind, 1)[0]) for kind in kinds)
+    gyro, accelerometer, gyro_walk, accelerometer_walk = (float(numbers_of(path, table, kind, 1)[0]) for kind in kinds)
     return gyro, accelerometer, gyro_walk, accelerometer_walk
+
+
+def imu_shift(path: str | Path) -> float:
+    """Seconds to be added to times of the left camera for those of the inertial unit: Kalibr's `timeshift_cam_imu`."""
+    file = _file_of(Path(path))
+    camera = table_of(file).get("cam0") if file.suffix != ".txt" else None
+    if not isinstance(camera, dict) or "timeshift_cam_imu" not in camera:
+        return 0.0
+    shift = float(numbers_of(file, camera, "timeshift_cam_imu", 1)[0])
+    if abs(shift) > _LARGEST_SHIFT:
+        raise ValueError(f"{file}: timeshift_cam_imu is {shift:g} s: seconds are expected, is it in ms or ns?")
+    return shift
 
 
 def _file_of(path: Path) -> Path:
@@ -143,82 +155,9 @@ def _partner(file: Path, right: str | Path | None) -> Path:
 
 def _with_partner(file: Path, right: str | Path | None, table: dict[str, Any]) -> dict[str, Any]:
     """The entries of a file and of the one that goes with it, where there is one and it is needed."""
-    if _first(table, "R", "T", "Stereo.T_c1_c2", "Stereo.b", "Camera.bf", "RIGHT.P") is not None:
+    if first_of(table, "R", "T", "Stereo.T_c1_c2", "Stereo.b", "Camera.bf", "RIGHT.P") is not None:
         return table
-    return {**_table(_partner(file, right)), **table}
-
-
-def _table(path: Path) -> dict[str, Any]:
-    """Content of a YAML or JSON file; what OpenCV writes beyond YAML is taken out."""
-    if path.suffix == ".json":
-        found = read_json(path)
-    else:
-        text = re.sub(r"^%YAML.*$|!!opencv-\w+", "", read_text(path, most_bytes=MOST_BYTES), flags=re.MULTILINE)
-        try:
-            found = parse_yaml(text)
-        except ValueError as error:
-            raise ValueError(f"{path} is no YAML that is read ({error}): take the calibration again") from error
-    if not isinstance(found, dict):
-        raise ValueError(f"{path} holds no entries 'name: value': take the calibration again")
-    return {str(key): value for key, value in found.items()}
-
-
-def _first(table: Mapping[str, Any], *names: str) -> Any:
-    return next((table[name] for name in names if name in table), None)
-
-
-def _numbers(path: Path, table: Mapping[str, Any], names: str | Sequence[str], *counts: int) -> FloatArray:
-    """The numbers of the first of these entries, flat, of one of these counts (none: of any)."""
-    names = (names,) if isinstance(names, str) else names
-    value = _first(table, *names)
-    if value is None:
-        raise ValueError(f"{path} lacks '{names[0]}': take the calibration of this rig")
-    value = value.get("data", value) if isinstance(value, dict) else value
-    try:
-        numbers = np.array(list(_flat(value)), dtype=np.float64)
-    except (TypeError, ValueError, OverflowError, RecursionError) as error:
-        raise ValueError(f"{path}: '{names[0]}' holds no numbers ({first_line(error)}): correct it") from error
-    if counts and numbers.size not in counts:
-        wanted = " or ".join(map(str, counts))
-        raise ValueError(f"{path}: '{names[0]}' has {numbers.size} numbers where {wanted} were expected")
-    if not np.isfinite(numbers).all():
-        raise ValueError(f"{path}: '{names[0]}' has NaN or infinity: take the calibration again")
-    return numbers
-
-
-def _flat(value: Any) -> Iterator[float]:
-    if isinstance(value, list):
-        for one in value:
-            yield from _flat(one)
-    else:
-        yield float(value)
-
-
-def _size(path: Path, table: Mapping[str, Any], names: Sequence[str], given: Size | None) -> Size:
-    if given is None and _first(table, *names) is None and "image_width" not in table:
-        raise ValueError(f"{path} does not say the size of the images: give width and height with it")
-    if given is not None:
-        width, height = given
-    elif _first(table, *names) is not None:
-        width, height = (int(n) for n in _numbers(path, table, names, 2))
-    else:
-        width, height = (int(_numbers(path, table, name, 1)[0]) for name in ("image_width", "image_height"))
-    if width < 1 or height < 1 or width * height > MOST_PIXELS:
-        raise ValueError(f"{path}: resolution {width}x{height} is none of an image that is read: correct it")
-    return width, height
-
-
-def _lens(path: Path, intrinsics: FloatArray, size: Size, distortion: FloatArray, model: Any) -> Lens:
-    """A lens of (fx, fy, cx, cy) or K (9), px."""
-    name = plain(str(model)).strip().lower().replace("_tangential", "-tangential")
-    if name not in _MODELS:
-        known = ", ".join(known for known in _MODELS if known)
-        raise ValueError(f"{path}: the lens model {name!r} cannot be rectified by OpenCV; known are {known}")
-    fx, fy, cx, cy = (float(n) for n in (intrinsics if intrinsics.size == 4 else intrinsics[[0, 4, 2, 5]]))
-    try:
-        return Lens(fx, fy, cx, cy, *size, tuple(map(float, distortion)), _MODELS[name])
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}: take the calibration again") from error
+    return {**table_of(_partner(file, right)), **table}
 
 
 def _kitti(path: Path, size: Size | None) -> StereoCamera:
@@ -247,11 +186,11 @@ def _euroc(paths: tuple[Path, Path], tables: tuple[dict[str, Any], dict[str, Any
     for path, table in zip(paths, tables, strict=True):
         if (model := str(table.get("camera_model", "pinhole"))) != "pinhole":
             raise ValueError(f"{path}: camera_model is {plain(model)!r}, only 'pinhole' can be read")
-        known = _size(path, table, ("resolution",), size)
-        of_lens = _numbers(path, table, "distortion_coefficients")
-        intrinsics = _numbers(path, table, "intrinsics", 4)
-        lenses.append(_lens(path, intrinsics, known, of_lens, table.get("distortion_model", "radial-tangential")))
-        poses.append(_transform(path, table, "T_BS"))
+        known = size_of(path, table, ("resolution",), size)
+        of_lens = numbers_of(path, table, "distortion_coefficients")
+        intrinsics = numbers_of(path, table, "intrinsics", 4)
+        lenses.append(lens_of(path, intrinsics, known, of_lens, table.get("distortion_model", "radial-tangential")))
+        poses.append(transform_of(path, table, "T_BS"))
     return rectification(lenses[0], lenses[1], tuple((np.linalg.inv(poses[1]) @ poses[0]).ravel()), str(paths[1]))
 
 
@@ -263,18 +202,27 @@ def _kalibr(path: Path, table: dict[str, Any], size: Size | None) -> Calibration
             raise ValueError(f"{path} lacks '{name}': a camchain of two cameras is needed")
         if (model := str(camera.get("camera_model", "pinhole"))) != "pinhole":
             raise ValueError(f"{path}: camera_model is {plain(model)!r}, only 'pinhole' can be read")
-        known = _size(path, camera, ("resolution",), size)
-        of_lens = _numbers(path, camera, ("distortion_coeffs", "distortion_coefficients"))
+        known = size_of(path, camera, ("resolution",), size)
+        of_lens = numbers_of(path, camera, ("distortion_coeffs", "distortion_coefficients"))
         model = camera.get("distortion_model", "radtan")
         of_lens = of_lens[: 0 if model == "none" else None]
-        lenses.append(_lens(path, _numbers(path, camera, "intrinsics", 4), known, of_lens, model))
+        lenses.append(lens_of(path, numbers_of(path, camera, "intrinsics", 4), known, of_lens, model))
         poses.append(camera)
     if "T_cn_cnm1" in poses[1]:
-        T_rl = _transform(path, poses[1], "T_cn_cnm1")
+        T_rl = transform_of(path, poses[1], "T_cn_cnm1")
     else:
-        T_ri, T_li = (_transform(path, camera, "T_cam_imu") for camera in (poses[1], poses[0]))
-        T_rl = T_ri @ np.linalg.inv(T_li)
+        T_rl = np.linalg.inv(_of_kalibr(path, table, "cam1")) @ _of_kalibr(path, table, "cam0")
     return rectification(lenses[0], lenses[1], tuple(T_rl.ravel()), str(path))
+
+
+def _of_kalibr(path: Path, table: Mapping[str, Any], name: str) -> FloatArray:
+    """T_imu_cam (4, 4) of a camera, as OpenVINS writes it, or Kalibr's T_cam_imu inverted."""
+    camera = table[name]
+    if not isinstance(camera, dict):
+        raise ValueError(f"{path} lacks '{name}': a camchain of two cameras is needed")
+    if "T_imu_cam" in camera:
+        return transform_of(path, camera, "T_imu_cam")
+    return np.asarray(np.linalg.inv(transform_of(path, camera, "T_cam_imu")), dtype=np.float64)
 
 
 def _vslam_lab(path: Path, table: dict[str, Any], size: Size | None) -> Calibration:
@@ -283,15 +231,15 @@ def _vslam_lab(path: Path, table: dict[str, Any], size: Size | None) -> Calibrat
         raise ValueError(f"{path}: 'cameras' must list two cameras, left and right")
     lenses, poses = [], []
     for camera in cameras[:2]:
-        known = _size(path, camera, ("image_dimension",), size)
-        focal = _numbers(path, camera, "focal_length", 1, 2)
-        intrinsics = np.concatenate([np.resize(focal, 2), _numbers(path, camera, "principal_point", 2)])
-        model = _first(camera, "distortion_type", "cam_model") or "pinhole"
+        known = size_of(path, camera, ("image_dimension",), size)
+        focal = numbers_of(path, camera, "focal_length", 1, 2)
+        intrinsics = np.concatenate([np.resize(focal, 2), numbers_of(path, camera, "principal_point", 2)])
+        model = first_of(camera, "distortion_type", "cam_model") or "pinhole"
         of_lens = (
-            _numbers(path, camera, "distortion_coefficients") if "distortion_coefficients" in camera else np.empty(0)
+            numbers_of(path, camera, "distortion_coefficients") if "distortion_coefficients" in camera else np.empty(0)
         )
-        lenses.append(_lens(path, intrinsics, known, of_lens if of_lens.any() else np.empty(0), model))
-        poses.append(_transform(path, camera, "T_BS") if "T_BS" in camera else np.eye(4))
+        lenses.append(lens_of(path, intrinsics, known, of_lens if of_lens.any() else np.empty(0), model))
+        poses.append(transform_of(path, camera, "T_BS") if "T_BS" in camera else np.eye(4))
     return rectification(lenses[0], lenses[1], tuple((np.linalg.inv(poses[1]) @ poses[0]).ravel()), str(path))
 
 
@@ -300,37 +248,13 @@ def _camera_info(
 ) -> Calibration:
     lenses, turns, P = [], [], []
     for path, table in zip(paths, tables, strict=True):
-        known = _size(path, table, (), size)
-        of_lens = _numbers(path, table, "distortion_coefficients")
+        known = size_of(path, table, (), size)
+        of_lens = numbers_of(path, table, "distortion_coefficients")
         model = table.get("distortion_model", "plumb_bob")
-        lenses.append(_lens(path, _numbers(path, table, "camera_matrix", 9), known, of_lens, model))
-        turns.append(_numbers(path, table, "rectification_matrix", 9).reshape(3, 3))
-        P.append(_numbers(path, table, "projection_matrix", 12).reshape(3, 4))
+        lenses.append(lens_of(path, numbers_of(path, table, "camera_matrix", 9), known, of_lens, model))
+        turns.append(numbers_of(path, table, "rectification_matrix", 9).reshape(3, 3))
+        P.append(numbers_of(path, table, "projection_matrix", 12).reshape(3, 4))
     return stated_rectification((lenses[0], lenses[1]), (turns[0], turns[1]), (P[0], P[1]), str(paths[1]))
-
-
-def calibration_of_infos(messages: tuple[Any, Any], where: str, *, rectified: bool) -> Calibration:
-    """Calibration by the messages `sensor_msgs/CameraInfo` of both cameras, of images that are rectified or raw."""
-    path, tables = Path(where), []
-    for message in messages:
-        # ROS 1 writes these names in capitals.
-        matrices = {name: getattr(message, name, None) for name in "KDRPkdrp"}
-        K, D, R, P = (next(m for m in (matrices[n], matrices[n.lower()]) if m is not None) for n in "KDRP")
-        tables.append(
-            {
-                "image_width": int(message.width),
-                "image_height": int(message.height),
-                "camera_matrix": list(K),
-                "distortion_model": str(message.distortion_model),
-                "distortion_coefficients": list(D),
-                "rectification_matrix": list(R),
-                "projection_matrix": list(P),
-            }
-        )
-    if rectified:
-        P_left, P_right = (_numbers(path, table, "projection_matrix", 12).reshape(3, 4) for table in tables)
-        return rectified_rig(where, P_left, P_right, _size(path, tables[0], (), None))
-    return _camera_info((path, path), (tables[0], tables[1]), None)
 
 
 def _opencv(path: Path, table: dict[str, Any], size: Size | None) -> Calibration:
@@ -338,44 +262,85 @@ def _opencv(path: Path, table: dict[str, Any], size: Size | None) -> Calibration
     of_image = ("image_size", "imageSize", "size", "resolution")
     for width, height in (("Camera.width", "Camera.height"), ("LEFT.width", "LEFT.height")):
         if size is None and width in table and height in table:
-            size = int(_numbers(path, table, width, 1)[0]), int(_numbers(path, table, height, 1)[0])
-    known = _size(path, table, of_image, size)
+            size = int(numbers_of(path, table, width, 1)[0]), int(numbers_of(path, table, height, 1)[0])
+    known = size_of(path, table, of_image, size)
     matrices = {"LEFT": ("M1", "K1", "cameraMatrix1", "LEFT.K"), "RIGHT": ("M2", "K2", "cameraMatrix2", "RIGHT.K")}
     lenses_of = {"LEFT": ("D1", "distCoeffs1", "LEFT.D"), "RIGHT": ("D2", "distCoeffs2", "RIGHT.D")}
-    if _first(table, *matrices["LEFT"]) is None:
+    if first_of(table, *matrices["LEFT"]) is None:
         return _orb_slam(path, table, known)
     lenses = []
     for side, names in matrices.items():
-        of_lens = _numbers(path, table, lenses_of[side])
-        lenses.append(
-            _lens(path, _numbers(path, table, names, 9), known, of_lens if of_lens.any() else np.empty(0), "")
-        )
+        of_lens = numbers_of(path, table, lenses_of[side])
+        model = _opencv_model(path, table, of_lens)
+        of_lens = of_lens if of_lens.any() else np.empty(0)
+        lenses.append(lens_of(path, numbers_of(path, table, names, 9), known, of_lens, model))
     if "LEFT.P" in table:
-        turns = [_numbers(path, table, name, 9).reshape(3, 3) for name in ("LEFT.R", "RIGHT.R")]
-        P = [_numbers(path, table, name, 12).reshape(3, 4) for name in ("LEFT.P", "RIGHT.P")]
+        turns = [numbers_of(path, table, name, 9).reshape(3, 3) for name in ("LEFT.R", "RIGHT.R")]
+        P = [numbers_of(path, table, name, 12).reshape(3, 4) for name in ("LEFT.P", "RIGHT.P")]
         return stated_rectification((lenses[0], lenses[1]), (turns[0], turns[1]), (P[0], P[1]), str(path))
     T_rl = np.eye(4)
-    T_rl[:3, :3] = _numbers(path, table, "R", 9).reshape(3, 3)
-    T_rl[:3, 3] = _numbers(path, table, "T", 3)
+    T_rl[:3, :3] = numbers_of(path, table, "R", 9).reshape(3, 3)
+    T_rl[:3, 3] = numbers_of(path, table, "T", 3)
     return rectification(lenses[0], lenses[1], tuple(T_rl.ravel()), str(path))
 
 
-def _orb_slam(path: Path, table: dict[str, Any], size: Size) -> StereoCamera:
-    """Settings of rectified images: Camera.fx ... and Camera.bf (px m), or Camera1.fx ... and Stereo.b (m)."""
+def _opencv_model(path: Path, table: Mapping[str, Any], of_lens: FloatArray) -> str:
+    """The lens model of OpenCV's coefficients: as the file says it, or by their number and size.
+
+    The pinhole calibration writes 5 or more, the fisheye one 4. Where a file has 4 of a pinhole, the last two are
+    tangential, thousandths, and the first is not.
+    """
+    said = first_of(table, "distortion_model", "camera_model", "model")
+    if said is not None:
+        return plain(str(said))
+    flag = first_of(table, "fisheye_model", "fisheye", "is_fisheye")
+    if flag is not None:
+        return "fisheye" if str(flag).strip().lower() in ("1", "1.0", "true", "yes") else ""
+    if of_lens.size != 4 or not of_lens.any():
+        return ""
+    last = np.abs(of_lens[2:]).max()
+    if last <= _TANGENTIAL and abs(of_lens[0]) >= _RADIAL:
+        return ""
+    if last > _TANGENTIAL:
+        return "fisheye"
+    raise ValueError(
+        f"{path}: four coefficients {of_lens.tolist()} may be a fisheye's (k1 to k4) or a pinhole's (k1, k2, p1, p2): "
+        "write 'fisheye_model: 1' or 'fisheye_model: 0' into it"
+    )
+
+
+def _orb_slam(path: Path, table: dict[str, Any], size: Size) -> Calibration:
+    """Settings of rectified images, Camera.fx ... and Camera.bf (px m) or Stereo.b (m); or of two raw cameras."""
+    kind = str(table.get("Camera.type", "not stated"))
     prefix = "Camera1" if "Camera1.fx" in table else "Camera"
-    fx, fy, cx, cy = (float(_numbers(path, table, f"{prefix}.{name}", 1)[0]) for name in ("fx", "fy", "cx", "cy"))
+    if kind != "Rectified" and "Stereo.T_c1_c2" in table:
+        left, right = (_orb_lens(path, table, one, kind, size) for one in ("Camera1", "Camera2"))
+        return rectification(
+            left, right, tuple(np.linalg.inv(transform_of(path, table, "Stereo.T_c1_c2")).ravel()), str(path)
+        )
+    fx, fy, cx, cy = (float(numbers_of(path, table, f"{prefix}.{name}", 1)[0]) for name in ("fx", "fy", "cx", "cy"))
     bf = table.get("Camera.bf")
-    baseline = _numbers(path, table, "Stereo.b", 1)[0] if bf is None else _numbers(path, table, "Camera.bf", 1)[0] / fx
-    kind = str(table.get("Camera.type", "Rectified"))
-    bent = [f"{prefix}.{name}" for name in ("k1", "k2", "p1", "p2") if table.get(f"{prefix}.{name}")]
+    baseline = (
+        numbers_of(path, table, "Stereo.b", 1)[0] if bf is None else numbers_of(path, table, "Camera.bf", 1)[0] / fx
+    )
+    bent = [f"{prefix}.{name}" for name in _ORB_LENS if table.get(f"{prefix}.{name}")]
     if bent and kind != "Rectified":
         raise ValueError(
-            f"{path}: {bent[0]} is a distortion of raw images: give Kalibr's or OpenCV's file of both cameras"
+            f"{path}: {bent[0]} is a distortion of raw images, and Camera.type is {plain(kind)}, not Rectified: give "
+            "Kalibr's or OpenCV's file of both cameras"
         )
+    if kind == "KannalaBrandt8":
+        raise ValueError(f"{path}: Camera.type KannalaBrandt8 is of raw images: give both cameras, with Stereo.T_c1_c2")
+    require_baseline(path, float(baseline))
     return StereoCamera(fx, fy, cx, cy, float(baseline), *size)
 
 
-def _transform(path: Path, table: Mapping[str, Any], name: str) -> FloatArray:
-    T = _numbers(path, table, name, 16).reshape(4, 4)
-    require_rotation(T[:3, :3], str(path), name)
-    return T
+def _orb_lens(path: Path, table: dict[str, Any], camera: str, kind: str, size: Size) -> Lens:
+    """One of two raw cameras of ORB-SLAM3."""
+    K = np.concatenate([numbers_of(path, table, f"{camera}.{name}", 1) for name in ("fx", "fy", "cx", "cy")])
+    fisheye = kind == "KannalaBrandt8"
+    names = ("k1", "k2", "k3", "k4") if fisheye else ("k1", "k2", "p1", "p2", "k3")
+    of_lens = [
+        float(numbers_of(path, table, f"{camera}.{n}", 1)[0]) if f"{camera}.{n}" in table else 0.0 for n in names
+    ]
+    return lens_of(path, K, size, np.array(of_lens), "fisheye" if fisheye else "")

@@ -12,8 +12,8 @@ import numpy as np
 from filters import StereoCamera
 from filters.contract.known_names import require_known
 from filters.contract.validation import finite_number
-from stereo_slam_env.sensing.projections import LONGEST_BASELINE, LONGEST_FOCAL_LENGTH
-from stereo_slam_env.sensing.rig_files import ENDINGS, Calibration, is_calibration, read_calibration
+from stereo_slam_env.sensing.projections import LONGEST_FOCAL_LENGTH
+from stereo_slam_env.sensing.rig_files import ENDINGS, Calibration, imu_shift, is_calibration, read_calibration
 
 Rig = str | StereoCamera | Mapping[str, Any]
 """A name of `RIGS`, a calibration file, a camera, or its numbers: see `camera_of`."""
@@ -40,7 +40,7 @@ LONGEST_SIDE = 8192
 _BOUNDS = {
     "fx": (1.0, LONGEST_FOCAL_LENGTH, "px"),
     "fy": (1.0, LONGEST_FOCAL_LENGTH, "px"),
-    "baseline": (0.001, LONGEST_BASELINE, "m"),
+    "baseline": (0.001, 10.0, "m"),
 }
 """Beyond these a number is a mistake of units."""
 _NUMBERS = tuple(field.name for field in fields(StereoCamera))
@@ -96,6 +96,12 @@ def calibration_of(rig: Rig, default: str = "reference") -> Calibration:
     if replace(found.camera, baseline=camera.baseline) != camera:
         raise ValueError("rig is a calibration of raw images: beside it only the baseline may be given")
     return found if found.camera == camera else replace(found, camera=camera)
+
+
+def imu_shift_of(rig: Rig) -> float:
+    """Seconds to be added to times of the left camera for those of the inertial unit, as a calibration file says."""
+    name = rig if isinstance(rig, str) else rig.get("name", rig.get("left")) if isinstance(rig, Mapping) else None
+    return imu_shift(name) if isinstance(name, str | Path) and name not in RIGS and is_calibration(str(name)) else 0.0
 
 
 def _base(table: Mapping[str, Any], default: str) -> Calibration:

@@ -38,7 +38,7 @@ from typing import NoReturn, TypeVar, cast
 
 import cloudpickle
 
-from filters.contract.foreign_text import first_line
+from filters.contract.foreign_text import error_line, first_line
 from stereo_slam_env.benchmark.running.process_server import LOADING, READY, STATUS, end_process
 
 Result = TypeVar("Result")
@@ -63,12 +63,26 @@ class WorkTooSlow(TimeoutError):
     """Nothing was heard from the process for too long, and it was ended."""
 
 
+class WorkFailed(Exception):
+    """The work raised; the message says what, in one line."""
+
+
 class NoProcess(ChildProcessError):
     """No process can be had: the server does not start."""
 
 
 class _Lost(Exception):
     """The machinery failed, which says nothing of the work."""
+
+
+def attempted(work: Callable[[Tell], Result], tell: Tell) -> Result:
+    """Do the work there; whatever it raises becomes `WorkFailed`, as no exception of a stranger's may be sent back."""
+    try:
+        return work(tell)
+    except (BrokenPipeError, EOFError):  # nobody listens any more
+        raise
+    except BaseException as error:
+        raise WorkFailed(error_line(error)) from None
 
 
 def run_isolated(work: Callable[[Tell], Result], *, silence_limit: float, progress: Tell | None = None) -> Result:

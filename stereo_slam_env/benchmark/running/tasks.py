@@ -24,10 +24,18 @@ import numpy as np
 
 from filters import ConstantVelocity
 from filters.catalogue.presets import PRESETS
-from filters.contract.foreign_text import error_line, first_line
+from filters.contract.foreign_text import first_line
 from stereo_slam_env.benchmark.recordings.source import OpenedImages
 from stereo_slam_env.benchmark.recordings.sources import StreetSource
-from stereo_slam_env.benchmark.running.isolation import NoProcess, Tell, WorkDied, WorkTooSlow, run_isolated
+from stereo_slam_env.benchmark.running.isolation import (
+    NoProcess,
+    Tell,
+    WorkDied,
+    WorkFailed,
+    WorkTooSlow,
+    attempted,
+    run_isolated,
+)
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, Scenario
 from stereo_slam_env.benchmark.scenarios.streams import (
     as_given,
@@ -240,34 +248,20 @@ def run_trial(task: Task, progress: Tell | None = None) -> Done:
     searched = searches and not task.scenario.source.isolated
     work = partial(_filtered, task, task.choice, make_sequence(task.scenario, task.seed) if searched else None)
     try:
-        packed = _isolated(partial(_attempted, work), silence_limit=limit, progress=progress)
-    except (WorkDied, WorkTooSlow, TrialFailed) as error:
+        packed = _isolated(partial(attempted, work), silence_limit=limit, progress=progress)
+    except (WorkDied, WorkTooSlow, WorkFailed) as error:
         packed = _packed(task, _lost(_given(task), task, task.choice, error), task.provenance)
     return Done(task.cell, task.seed, task.choice, packed)
-
-
-class TrialFailed(Exception):
-    """Something was raised in a trial; the message says what."""
-
-
-def _attempted(work: Callable[[Tell], Result], tell: Tell) -> Result:
-    """What work returns; whatever it raises is told there, as no exception of a stranger's comes out of its process."""
-    try:
-        return work(tell)
-    except (BrokenPipeError, EOFError):  # nobody listens any more
-        raise
-    except BaseException as error:
-        raise TrialFailed(error_line(error)) from None
 
 
 def _drive(task: Task, choice: FilterChoice, limit: float, progress: Tell | None) -> Done:
     """The trial of a policy: its episode, and the run of its filter over what was measured there."""
     made: Done | None = None
     try:
-        attempt = partial(_attempted, partial(_driven, task, choice))
-        run, made = _isolated(attempt, silence_limit=limit, progress=progress)
+        work = partial(attempted, partial(_driven, task, choice))
+        run, made = _isolated(work, silence_limit=limit, progress=progress)
         description = made.description
-    except (WorkDied, WorkTooSlow, TrialFailed) as error:
+    except (WorkDied, WorkTooSlow, WorkFailed) as error:
         look = partial(drive_straight_ahead, task.scenario, task.seed)  # what there was to see, for the figures
         episode = _recorded(task, look)
         run, description = _lost(episode.recording, task, choice, error), _description_of(episode)

@@ -20,7 +20,7 @@ GYRO, FORCE = np.array([0.02, -0.31, 0.1]), np.array([0.3, -9.7, 1.2])  # in the
 RATE_IMU, RATE_WHEELS = 200, 50
 
 
-def robot(folder, *, linked=True, twist=TWIST, sigmas=(0.01, 0.2), units=1, name="robot"):
+def robot(folder, *, linked=True, twist=TWIST, sigmas=(0.01, 0.2), units=1, name="robot", scales=(1.0, 1.0)):
     """The small drive as a robot records it: images, an inertial unit (or two), wheels, and where they are."""
     from rosbags.highlevel import AnyReader
     from rosbags.rosbag2 import StoragePlugin, Writer
@@ -68,9 +68,9 @@ def robot(folder, *, linked=True, twist=TWIST, sigmas=(0.01, 0.2), units=1, name
                 header(t, "unit"),
                 level,
                 np.zeros(9),
-                vector(gyro),
+                vector(scales[0] * gyro),
                 doubts[0],
-                vector(force),
+                vector(scales[1] * force),
                 doubts[1],
             )
             for n in range(units):
@@ -178,3 +178,42 @@ def test_replay_takes_the_topics(tmp_path, capsys):
     assert all(frame.odometry is not None and frame.inertial is not None for frame in frames[1:])
     assert cli.main(["convert", str(bag), str(tmp_path / "u.npz"), "--odometry-topic", "/tf"]) == 2
     assert "has no nav_msgs/msg/Odometry on '/tf'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("scales", "complaint"),
+    [
+        (
+            (1.0, 0.7 / 9.80665),
+            r"the mean specific force is \S+ where m/s\^2 are expected, is it in g\? Multiply it by 9\.8",
+        ),
+        ((1.0, 700 / 9.80665), r"is it in mg\? Multiply it by 0\.0098"),
+        ((np.rad2deg(1), 1.0), r"angular rates reach \S+ where rad/s are expected, are they in degrees per second"),
+    ],
+)
+def test_samples_in_g_or_degrees_are_refused_with_their_unit(tmp_path, scales, complaint):
+    with pytest.raises(ValueError, match=complaint) as error:
+        open_image_sequence(robot(tmp_path, scales=scales), imu="/imu0")
+    assert "\n" not in str(error.value)
+
+
+def test_the_clock_of_the_unit_is_that_of_the_calibration_that_is_given(tmp_path):
+    camera = "  camera_model: pinhole\n  distortion_model: none\n  distortion_coeffs: []\n  timeshift_cam_imu: 0.05\n"
+    camera += f"  intrinsics: [{CAMERA.fx}, {CAMERA.fy}, {CAMERA.cx}, {CAMERA.cy}]\n  resolution: [160, 120]\n"
+    T_rl = np.eye(4)
+    T_rl[0, 3] = -CAMERA.baseline
+    T = "".join(f"  - {numbers.tolist()}\n" for numbers in T_rl)
+    (tmp_path / "camchain.yaml").write_text(f"cam0:\n{camera}cam1:\n  T_cn_cnm1:\n{T}{camera}")
+    bag = robot(tmp_path)
+    plain, shifted = (
+        [pair.inertial for pair in open_image_sequence(bag, rig=rig).pairs()]
+        for rig in (None, str(tmp_path / "camchain.yaml"))
+    )
+    for one, other in zip(plain[1:-1], shifted[1:-1], strict=True):
+        turn = (
+            Rotation.from_quat(one.unit.orientation).as_matrix(),
+            Rotation.from_quat(other.unit.orientation).as_matrix(),
+        )
+        mean = [np.mean(of.angular_rates @ R.T, axis=0) for of, R in zip((one, other), turn, strict=True)]
+        np.testing.assert_allclose(mean[1] - mean[0], 0.05 * GYRO, atol=2e-3)
+    assert shifted[-1] is None  # the unit stops before

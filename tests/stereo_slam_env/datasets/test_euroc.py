@@ -307,6 +307,21 @@ def test_samples_of_imu0_lead_along_the_true_path(tmp_path, kalibr):
     assert up.mean(axis=0) @ R0.inv().apply([0.0, 0.0, 1.0]) == pytest.approx(9.81, abs=0.4)
 
 
+def test_samples_are_those_of_the_units_clock(tmp_path):
+    """Kalibr: the unit's clock is ahead of the camera's by `timeshift_cam_imu`."""
+    folder = write_unit(euroc(tmp_path, lenses="equidistant", kalibr=True), kalibr=True)
+    sheet, table = folder / "dso" / "camchain.yaml", folder / "mav0" / "imu0" / "data.csv"
+    plain = list(open_image_sequence(folder).pairs())
+    sheet.write_text(sheet.read_text().replace("  rostopic", "  timeshift_cam_imu: 0.05\n  rostopic"))
+    head, *lines = table.read_text().splitlines()
+    late = [(int(stamp) + 50_000_000, rest) for stamp, _, rest in (line.partition(",") for line in lines)]
+    table.write_text("\n".join([head, *(f"{stamp},{rest}" for stamp, rest in late)]))
+    shifted = list(open_image_sequence(folder).pairs())
+    for one, other in zip(plain[1:], shifted[1:], strict=True):
+        np.testing.assert_allclose(one.inertial.angular_rates, other.inertial.angular_rates, atol=1e-6)
+        np.testing.assert_allclose(one.inertial.times, other.inertial.times, atol=1e-9)
+
+
 def test_a_unit_without_its_data_sheet_is_named(tmp_path):
     folder = write_unit(euroc(tmp_path))
     sheet = folder / "mav0" / "imu0" / "sensor.yaml"

@@ -1,11 +1,13 @@
 """Accelerations of a camera are those that its tracks show, without what their noise adds."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from filters import ConstantVelocity, StereoCamera, StereoNoise, StereoObservation
-from stereo_slam_env.frontend.camera_motion import needed_motion
+from filters import ConstantVelocity, InertialSamples, InertialUnit, StereoCamera, StereoNoise, StereoObservation
+from stereo_slam_env.frontend.camera_motion import camera_steps, needed_motion, require_gyro_units
 from stereo_slam_env.recording.recording import Frame, Recording
 
 CAMERA = StereoCamera(400.0, 400.0, 319.5, 239.5, 0.25, 640, 480)
@@ -48,3 +50,33 @@ def test_noise_of_the_tracks_is_no_acceleration():
 def test_a_calm_drive_and_one_without_common_tracks_keep_the_usual_motion():
     assert needed_motion(drive(1.0, 0.1)) == ConstantVelocity()
     assert needed_motion(drive(1.0, 0.1)[:1], NOTHING) == NOTHING
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1e3 * 1e-6, 1e-9])
+def test_motions_of_no_camera_are_refused_with_the_doubt_about_their_times(scale):
+    recording = drive(6.0, 0.6)[:60]
+    hasty = replace(
+        recording, frames=tuple(replace(frame, timestamp=scale * frame.timestamp) for frame in recording.frames)
+    )
+    with pytest.raises(
+        ValueError, match=r"accelerations of \S+ m/s\^2 and \S+ rad/s\^2, as no camera has, at .* seconds"
+    ):
+        needed_motion(hasty)
+
+
+@pytest.mark.parametrize("scale", [1.0, 1.1, np.rad2deg(1.0)])
+def test_a_gyro_in_degrees_is_known_by_the_turns_of_the_images(scale):
+    """However slow it turns: its rates are below what any camera turns by."""
+    recording, turn = drive(0.5, 0.5)[:60], Rotation.from_rotvec([0.3, -0.2, 0.5])
+    unit = InertialUnit(np.zeros(3), turn.as_quat(), 1e-4, 1e-3, 1e-6, 1e-4)
+    frames, times = [recording.frames[0]], np.array([0.25 * DT, 0.5 * DT, DT])
+    for frame, found in zip(recording.frames[1:], camera_steps(CAMERA, recording.frames), strict=True):
+        rate = scale * turn.inv().apply(Rotation.from_matrix(found.step.R).as_rotvec()) / DT
+        samples = InertialSamples(times, np.tile(rate, (3, 1)), np.tile([0.0, 0.0, 9.81], (3, 1)), unit)
+        frames.append(replace(frame, inertial=samples))
+    recording = replace(recording, frames=tuple(frames))
+    if scale < 2.0:
+        require_gyro_units(recording)
+        return
+    with pytest.raises(ValueError, match=r"the gyro turns 57\.3 times as far as the images: .*degrees per second"):
+        require_gyro_units(recording)

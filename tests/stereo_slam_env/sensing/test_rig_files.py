@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 from stereo_slam_env.cli import app as cli
 from stereo_slam_env.cli.parts import rig_from
 from stereo_slam_env.sensing.lenses import Rectification
-from stereo_slam_env.sensing.rig_files import read_calibration
-from stereo_slam_env.sensing.rigs import RIGS, calibration_of, camera_of
+from stereo_slam_env.sensing.rig_files import body_of_camera, read_calibration
+from stereo_slam_env.sensing.rigs import RIGS, calibration_of, camera_of, imu_shift_of
 
 SIZE = (640, 400)
 K = [
@@ -167,6 +167,155 @@ def test_numbers_beside_a_file_take_the_place_of_its_own_and_both_files_can_be_n
         camera_of(str(left))
     both = rig_from(f"left={left},right={right}")
     assert camera_of(both).baseline == pytest.approx(np.linalg.norm(T_RL[:3, 3]), rel=1e-9)
+
+
+# --- fields that are read are used, or refused -----------------------------------------------------------------------
+
+
+def kalibr_by_unit(folder, name="T_cam_imu", shift=None):
+    """As Kalibr (T_cam_imu) and OpenVINS (T_imu_cam) write the poses of both cameras to the inertial unit."""
+    text = "%YAML:1.0\n\n"
+    for camera, k, d, T in (("cam0", K[0], D[0], T_BL), ("cam1", K[1], D[1], T_BR)):
+        T = T if name == "T_imu_cam" else np.linalg.inv(T)
+        text += f"{camera}:\n  {name}:\n" + "".join(f"    - {row(numbers)}\n" for numbers in T)
+        text += f"  camera_model: pinhole\n  distortion_coeffs: {row(d)}\n  distortion_model: radtan\n"
+        text += f"  intrinsics: {four(k)}\n  resolution: {list(SIZE)}\n"
+        text += "" if shift is None else f"  timeshift_cam_imu: {shift}\n"
+    path = folder / "kalibr_imucam_chain.yaml"
+    path.write_text(text)
+    return path
+
+
+@pytest.mark.parametrize("name", ["T_cam_imu", "T_imu_cam"])
+def test_poses_to_the_inertial_unit_are_read_in_both_directions(tmp_path, name):
+    path = kalibr_by_unit(tmp_path, name)
+    assert camera_of(str(path)).baseline == pytest.approx(np.linalg.norm(T_RL[:3, 3]), rel=1e-9)
+    np.testing.assert_allclose(calibration_of(str(tmp_path)).R_left, R0, atol=1e-9)
+    np.testing.assert_allclose(body_of_camera(path), T_BL, atol=1e-12)
+
+
+def test_the_clock_of_the_inertial_unit_is_read_and_its_unit_asked_for(tmp_path):
+    assert imu_shift_of(str(kalibr_by_unit(tmp_path))) == 0.0
+    assert imu_shift_of(str(kalibr_by_unit(tmp_path, shift=0.05))) == 0.05
+    assert imu_shift_of({"name": str(tmp_path), "baseline": 0.2}) == 0.05
+    assert imu_shift_of("vga") == 0.0
+    with pytest.raises(ValueError, match="timeshift_cam_imu is 50 s: seconds are expected"):
+        imu_shift_of(str(kalibr_by_unit(tmp_path, shift=50)))
+
+
+def opencv_lens(folder, lens, more=""):
+    D_file = "".join(f"D{n}: {row(lens)}\n" for n in (1, 2))
+    K_file = "".join(matrix(f"K{n + 1}", K[n]) for n in (0, 1))
+    path = folder / "stereo.yml"
+    rest = f"image_size: {list(SIZE)}\nT: [-0.12, 0.0, 0.0]\n"
+    path.write_text("%YAML:1.0\n---\n" + K_file + D_file + matrix("R", np.eye(3)) + rest + more)
+    return str(path)
+
+
+@pytest.mark.parametrize(
+    ("lens", "more", "model"),
+    [
+        ([-0.0091, 0.0437, -0.0412, 0.0072], "", "equidistant"),
+        ([-0.0022, 0.0378, -0.0358, 0.0058], "", "equidistant"),
+        ([-0.2, 0.05, 3e-4, -2e-4], "", "radial-tangential"),
+        ([-0.2, 0.05, 3e-4, -2e-4], "fisheye_model: 1\n", "equidistant"),
+        ([-0.01, 0.02, 0.001, -0.001], "fisheye_model: 0\n", "radial-tangential"),
+        ([-0.01, 0.02, 0.001, -0.001], "distortion_model: equidistant\n", "equidistant"),
+        ([-0.2, 0.05, 3e-4, -2e-4, 0.01], "", "radial-tangential"),
+    ],
+)
+def test_the_model_of_opencvs_coefficients_is_that_of_its_calibration(tmp_path, lens, more, model):
+    found = calibration_of(opencv_lens(tmp_path, lens, more))
+    assert [one.model for one in found.lenses] == [model] * 2
+
+
+def test_four_coefficients_that_may_be_of_either_model_are_asked_for(tmp_path):
+    with pytest.raises(ValueError, match=r"may be a fisheye's .* or a pinhole's .* write 'fisheye_model: 1'"):
+        camera_of(opencv_lens(tmp_path, [-0.01, 0.02, 0.001, -0.001]))
+
+
+def orb_slam(folder, more):
+    numbers = {"fx": 512.3, "fy": 513.1, "cx": 318.6, "cy": 200.3}
+    entries = {f"Camera.{key}": value for key, value in numbers.items()}
+    entries |= {"Camera.width": SIZE[0], "Camera.height": SIZE[1], "Camera.bf": 40.0, **more}
+    path = folder / "settings.yaml"
+    path.write_text("%YAML:1.0\n" + "".join(f"{key}: {value}\n" for key, value in entries.items()))
+    return str(path)
+
+
+@pytest.mark.parametrize("name", ["k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2"])
+def test_a_distortion_beside_one_camera_of_orb_slam_is_refused(tmp_path, name):
+    with pytest.raises(
+        ValueError, match=rf"Camera\.{name} is a distortion of raw images, and Camera.type is not stated"
+    ):
+        camera_of(orb_slam(tmp_path, {f"Camera.{name}": 0.2}))
+    assert camera_of(orb_slam(tmp_path, {f"Camera.{name}": 0.0})).fx == 512.3
+    assert camera_of(orb_slam(tmp_path, {f"Camera.{name}": 0.2, "Camera.type": '"Rectified"'})).fx == 512.3
+
+
+def test_two_raw_cameras_of_orb_slam_3_are_rectified(tmp_path):
+    text = f'%YAML:1.0\nCamera.type: "PinHole"\nCamera.width: {SIZE[0]}\nCamera.height: {SIZE[1]}\n'
+    for n, (k, d) in enumerate(zip(K, D, strict=True), start=1):
+        numbers = dict(zip(("fx", "fy", "cx", "cy"), (k[0, 0], k[1, 1], k[0, 2], k[1, 2]), strict=True))
+        numbers |= dict(zip(("k1", "k2", "p1", "p2"), d, strict=True))
+        text += "".join(f"Camera{n}.{key}: {value:.17g}\n" for key, value in numbers.items())
+    (tmp_path / "euroc.yaml").write_text(text + matrix("Stereo.T_c1_c2", np.linalg.inv(T_RL), " !!opencv-matrix"))
+    found = calibration_of(str(tmp_path / "euroc.yaml"))
+    np.testing.assert_allclose(found.R_left, R0, atol=1e-9)
+    assert found.camera.fx == pytest.approx(P0[0, 0], rel=1e-9)
+
+
+@pytest.mark.parametrize("name", sorted({*FORMATS} - {"camera_info"}))
+def test_vertical_pairs_are_named(tmp_path, name, monkeypatch):
+    above = T_RL.copy()
+    above[:3, 3] = 0.001, -0.12, 0.0
+    for what, value in (("T_RL", above), ("T_BR", T_BL @ np.linalg.inv(above))):
+        monkeypatch.setitem(globals(), what, value)
+    rig = FORMATS[name](tmp_path)
+    with pytest.raises(ValueError, match=r"the right camera is \+0\.12 m below .* a vertical pair"):
+        camera_of(rig if isinstance(rig, dict) else str(rig))
+
+
+@pytest.mark.parametrize("name", sorted({*FORMATS} - {"camera_info"}))
+@pytest.mark.parametrize("scale", [1e3, 1e2, 1e-2])
+def test_baselines_in_other_units_are_refused(tmp_path, name, scale, monkeypatch):
+    other = T_RL.copy()
+    other[:3, 3] *= scale
+    for what, value in (("T_RL", other), ("T_BR", T_BL @ np.linalg.inv(other))):
+        monkeypatch.setitem(globals(), what, value)
+    rig = FORMATS[name](tmp_path)
+    unit = {1e3: r", is it in mm \(0\.12 m\)", 1e2: r", is it in cm \(0\.12 m\)", 1e-2: ", and -fx b"}[scale]
+    with pytest.raises(ValueError, match=rf"the baseline is [\d.]+ m: metres are expected.*{unit}"):
+        camera_of(rig if isinstance(rig, dict) else str(rig))
+
+
+@pytest.mark.parametrize("half_angle", [60, 80, 88, 95])
+def test_a_wide_fisheye_is_rectified_to_a_plane_that_is_of_use(tmp_path, caplog, half_angle):
+    """Its middle keeps its resolution, and its rows agree."""
+    width, height = 848, 800
+    f = 0.5 * width / np.deg2rad(half_angle)
+    camera = (
+        "  camera_model: pinhole\n  distortion_model: equidistant\n  distortion_coeffs: [0.001, -0.002, 0.001, 0.0]\n"
+    )
+    camera += f"  intrinsics: [{f}, {f}, 425.0, 397.4]\n  resolution: [{width}, {height}]\n"
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = Rotation.from_rotvec([0.002, 0.005, 0.003]).as_matrix(), [-0.064, 0.0001, 0.0004]
+    T_text = "".join(f"  - {row(numbers)}\n" for numbers in T)
+    (tmp_path / "camchain.yaml").write_text(f"cam0:\n{camera}cam1:\n  T_cn_cnm1:\n{T_text}{camera}")
+    with caplog.at_level("WARNING"):
+        found = calibration_of(str(tmp_path / "camchain.yaml"))
+    rig = found.camera
+    assert 0.3 * f < rig.fx <= 1.01 * f
+    assert rig.baseline == pytest.approx(np.linalg.norm(T[:3, 3]), rel=1e-6)
+    assert ("too wide for a plane" in caplog.text) == (rig.fx == f)
+    point, both = np.array([0.3, -0.2, 2.0]), []
+    for turn, t, lens in zip(found.turns, (np.zeros(3), T[:3, 3]), found.lenses, strict=True):
+        seen = (T[:3, :3] @ point if t.any() else point) + t
+        raw = cv2.fisheye.projectPoints(seen[None, None], np.zeros(3), np.zeros(3), lens.K, lens.coefficients)[0]
+        flat = cv2.fisheye.undistortPoints(raw, lens.K, lens.coefficients, R=turn, P=found.projections[0][:, :3])
+        both.append(flat.ravel())
+    assert both[0][1] == pytest.approx(both[1][1], abs=0.01)
+    assert both[0][0] > both[1][0]
 
 
 HOSTILE = {
