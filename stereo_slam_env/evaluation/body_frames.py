@@ -30,6 +30,8 @@ _BEYOND = 5.0
 """... nor one of fewer claimed deviations, which may be an error as claimed."""
 _LINE = 0.01
 """Positions that spread by a smaller share of the path are on a line."""
+_ROUNDING = 1e-7
+"""rad and m: differences that say nothing."""
 _FITS_BETTER = 5.0
 """A swapped reading is named where it fits so many times better; errors of a degree leave no more."""
 
@@ -114,6 +116,14 @@ def find_body_offset(estimate: Trajectory, reference: Trajectory) -> BodyOffset:
         metrics.root_mean_square(rotations.log((world @ R @ body).swapaxes(1, 2) @ R_ref))
         for world, body in ((plain, np.eye(3)), (G, R_bc))
     ]
+    if not on_a_line:  # a drift to the side turns positions against orientations that are right, too
+        by_turns = _mean_rotation(R_ref @ R.swapaxes(1, 2))
+        left = [
+            metrics.root_mean_square((q - q.mean(0)) - (p_ref - p_ref.mean(0))) for q in (p @ by_turns.T, p @ plain.T)
+        ]
+        if left[0] < _DOMINATES * left[1]:
+            error = metrics.root_mean_square(rotations.log((by_turns @ R).swapaxes(1, 2) @ R_ref))
+            turned[0] = min(turned[0], error)
     apart = [metrics.ate_rigid(p + R @ lever, p_ref) for lever in (np.zeros(3), t_bc)]
     apart[0] = min(apart[0], metrics.ate_scaled(p, p_ref))  # a scale of its own is none of the body
     least_turn, least_lever = _TURNED, _APART
@@ -151,9 +161,9 @@ def swapped_reading(estimate: Trajectory, reference: Trajectory) -> str:
     plain = _misfit(estimate, reference)
     for words, swapped in _READINGS.items():
         other = _misfit(swapped(estimate), reference)
-        turned = other[0] * _FITS_BETTER < plain[0] and other[1] < 1.1 * plain[1]
-        moved = other[1] * _FITS_BETTER < plain[1] and other[0] < 1.1 * plain[0]
-        if turned or moved:
+        worse = [mine > 1.1 * before + _ROUNDING for mine, before in zip(other, plain, strict=True)]
+        better = [mine * _FITS_BETTER < before - _ROUNDING for mine, before in zip(other, plain, strict=True)]
+        if any(better) and not any(worse[:2]):
             return f"the files fit five times better where {words}: write it so"
     return ""
 
@@ -178,8 +188,11 @@ _READINGS: Mapping[str, Callable[[Trajectory], Trajectory]] = {
 """Other readings, as what they do to the estimate; in words."""
 
 
-def _misfit(estimate: Trajectory, reference: Trajectory) -> tuple[float, float]:
-    """Error of relative rotations, rad, and of positions after a rigid alignment, m: no world counts, and no body."""
+def _misfit(estimate: Trajectory, reference: Trajectory) -> tuple[float, float, float]:
+    """Error of relative rotations, rad, of positions after a rigid alignment, m, and of rotations in that world, rad.
+
+    Neither world nor body count in the first two; the last tells readings apart that differ by a turn of the body.
+    """
     rows = np.unique(np.linspace(0, len(estimate) - 1, _POSES).astype(int))
     R, p, R_ref, p_ref = (
         part
@@ -190,7 +203,9 @@ def _misfit(estimate: Trajectory, reference: Trajectory) -> tuple[float, float]:
     step = max(1, len(rows) // 20)
     turn, turn_ref = (one[:-step].swapaxes(1, 2) @ one[step:] for one in (R, R_ref))
     left = rotations.log((R_bc.T @ turn @ R_bc).swapaxes(1, 2) @ turn_ref)
-    return metrics.root_mean_square(left), metrics.ate_rigid(p, p_ref)
+    G, _ = metrics.rigid_motion(p, p_ref)
+    whole = rotations.log((G @ R).swapaxes(1, 2) @ R_ref)
+    return metrics.root_mean_square(left), metrics.ate_rigid(p, p_ref), metrics.root_mean_square(whole)
 
 
 def _inside(R: FloatArray, vectors: FloatArray) -> FloatArray:

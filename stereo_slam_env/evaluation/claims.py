@@ -74,7 +74,7 @@ class ClaimScore:
     def verdict(self) -> str:
         """What one run can tell of the claim, in words."""
         if self.obstacle:
-            return f"not judged: {self.obstacle}"
+            return self.obstacle
         if self.unusable:
             return f"none: {self.unusable} of {self.frames + self.unusable} covariances are not positive definite"
         if not self.of_a_pair:
@@ -163,13 +163,17 @@ def energy_scores(errors: FloatArray, covariances: FloatArray) -> FloatArray:
 
 
 def claimed_numbers(trajectory: Trajectory) -> dict[str, FloatArray]:
-    """What each claim is of, as matrices (n, 6), or (K, n, 6), that take the error of a pose to its numbers."""
+    """What each claim is of, as matrices (n, 6), or (K, n, 6), that take the error of a pose to its numbers.
+
+    Of positions without orientations there is no claim but that on the position.
+    """
+    parts = PARTS if trajectory.is_oriented else {"position": POSITION}
     if trajectory.plane is None:
-        return {name: np.eye(POSE_SIZE)[part] for name, part in PARTS.items()}
+        return {name: np.eye(POSE_SIZE)[part] for name, part in parts.items()}
     in_plane = np.zeros((len(trajectory), 3, POSE_SIZE))
     in_plane[:, :2, POSITION] = trajectory.plane[:2]
     in_plane[:, 2, ROTATION] = trajectory.plane[2] @ rotations.matrix(trajectory.orientations)
-    return {name: in_plane[:, part] for name, part in _PLANE.items()}
+    return {name: in_plane[:, _PLANE[name]] for name in parts}
 
 
 def nees_of(numbers: FloatArray, errors: FloatArray, covariances: FloatArray) -> FloatArray:

@@ -1,15 +1,25 @@
-"""Obstacles to a comparison of estimate and reference: body, world, scale, clock, reading, divergence."""
+"""Obstacles to a comparison of estimate and reference: fillers, clock, reading, body, scale, blocks, divergence.
+
+Nobody is condemned before the input is: where a clock, a frame, a scale or the order of blocks explains the errors, the
+covariance is not judged, and what fits best is named.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from filters import nees
+from filters.checks.consistency import are_definite
+from filters.geometry import rotations
+from filters.geometry.arrays import FloatArray
+from filters.motions.model import POSE_SIZE, ROTATION
 from stereo_slam_env.evaluation import trajectory_metrics as metrics
 from stereo_slam_env.evaluation.body_frames import find_body_offset, swapped_reading
+from stereo_slam_env.evaluation.claims import PARTS, ClaimScore, claimed_numbers, nees_of
+from stereo_slam_env.evaluation.gauge_scores import turned_as
 from stereo_slam_env.evaluation.gauges import Alignment, AlignmentKind, own_gauge
 from stereo_slam_env.evaluation.synchronisation import PosePairs, find_time_offset, paired, share_at_risk, shifted
 from stereo_slam_env.recording.trajectory import Trajectory
@@ -24,6 +34,10 @@ _LEAST = 1e-6
 """m: smaller errors are rounding, and nothing is looked for in them."""
 _WORTH = 0.1
 """Share of poses at risk by their time above which that is said."""
+_CONSTANT = 1e-6
+"""rad: quaternions that differ by less, digits of a text, are the same."""
+_TURNS, _TURNS_MUCH, _BENDS = np.deg2rad([3.0, 20.0, 10.0])
+"""Beside orientations that never change: another trajectory that turns, on a path that bends, or on any; and a path."""
 _ELSEWHERE = 100.0
 """A start whose NEES is so many times too large is in another world."""
 
@@ -39,21 +53,103 @@ class Findings:
     notes: tuple[str, ...]
     """What is to be known beside the figures, each in a sentence."""
 
+    @property
+    def verdicts(self) -> dict[str, str]:
+        """The verdict on each claim that is not judged; empty text where it is."""
+        kind = "calibration, frames or truth" if self.diverged_at_s is None else "not judged"
+        return {part: f"{kind}: {why}" if why else "" for part, why in self.obstacles.items()}
+
 
 def gauge_of(estimate: Trajectory, reference: Trajectory) -> tuple[AlignmentKind, str]:
     """The alignment of paired trajectories that the file of the estimate asks for, and what is to be said of it."""
     how = own_gauge(estimate)
     if how != "none" or estimate.gauge is not None or estimate.covariances is None:
         return how, ""
-    first, truth = estimate.rows(slice(0, 1)), reference.rows(slice(0, 1))
+    first = estimate.rows(slice(0, 1))
+    truth = turned_as(reference.rows(slice(0, 1)), first)
     assert first.covariances is not None
-    apart = nees(first.errors(truth.positions, truth.orientations), first.covariances)[0]
-    if not apart > 6.0 * _ELSEWHERE:
+    numbers = next(iter(claimed_numbers(first).values()))
+    apart = nees_of(numbers, first.errors(truth.positions, truth.orientations), first.covariances)[0]
+    if not apart > numbers.shape[-2] * _ELSEWHERE:
         return how, ""
+    kind: AlignmentKind = "start" if estimate.is_oriented else "rigid"
     return (
-        "start",
-        f"the world of {estimate.name} is not that of the reference, and no header says which: aligned by start",
+        kind,
+        f"the world of {estimate.name} is not that of the reference, and no header says which: aligned by {kind}",
     )
+
+
+def without_fillers(estimate: Trajectory, reference: Trajectory) -> tuple[Trajectory, Trajectory, list[str]]:
+    """Paired trajectories, both marked as positions alone where the orientations of one are no data; and notes.
+
+    Orientations that never change are a filler where the path or the other trajectory turns.
+    """
+    notes = []
+    if estimate.is_oriented and reference.is_oriented:
+        bends = max(_turn_of_path(estimate), _turn_of_path(reference)) > _BENDS
+        spread = [_spread(estimate), _spread(reference)]
+        for one, own, other in ((estimate, spread[0], spread[1]), (reference, spread[1], spread[0])):
+            other_turns = other > _TURNS_MUCH or (bends and other > _TURNS)
+            if own < _CONSTANT and (other_turns or (bends and other < _CONSTANT)):
+                notes.append(f"all quaternions of {one.name} are equal, which is a filler: positions alone are judged")
+        if not notes:
+            return estimate, reference, []
+    return replace(estimate, is_oriented=False), replace(reference, is_oriented=False), notes
+
+
+def _spread(trajectory: Trajectory) -> float:
+    """Angle from the first orientation that a tenth of the others exceed, rad."""
+    R = rotations.matrix(trajectory.orientations)
+    return float(np.quantile(np.linalg.norm(rotations.log(R[0].T @ R), axis=1), 0.9))
+
+
+def _turn_of_path(trajectory: Trajectory) -> float:
+    """Angle between directions of the path, twentieths of its poses apart, that a tenth of them exceed, rad."""
+    steps = np.diff(trajectory.positions[:: max(1, len(trajectory) // _PIECES)], axis=0)
+    length = np.linalg.norm(steps, axis=1)
+    moving = length > 0.1 * length.max(initial=0.0)
+    if np.count_nonzero(moving) < 2:
+        return 0.0
+    ahead = steps[moving] / length[moving, None]
+    return float(np.quantile(np.arccos(np.clip(ahead @ ahead[0], -1.0, 1.0)), 0.9))
+
+
+def explanation(
+    claims: Mapping[str, ClaimScore], estimate: Trajectory, reference: Trajectory, covariances: FloatArray | None
+) -> str:
+    """A reading of an aligned estimate under which its claim would be true where it seems too tight or too loose.
+
+    Blocks of the covariances in the other order; a constant turn of the body. Empty text where there is none.
+    """
+    if covariances is None or "pose" not in claims or estimate.plane is not None:
+        return ""
+    errors = estimate.errors(reference.positions, reference.orientations)
+    usable = are_definite(covariances)
+    parts = {name: PARTS[name] for name in ("position", "rotation")}
+    bands = {name: claims[name].band for name in parts}
+    if all(low <= claims[name].nees.mean <= high for name, (low, high) in bands.items()):
+        return ""
+    turn = np.zeros(POSE_SIZE)
+    turn[ROTATION] = np.median(errors[:, ROTATION], axis=0)
+    exchanged = np.roll(np.arange(POSE_SIZE), 3)
+    readings = {
+        "the covariances fit where the rotation block stands first: exchange the blocks": (
+            errors,
+            covariances[:, exchanged[:, None], exchanged],
+        )
+    }
+    turned, left = (metrics.root_mean_square(e[:, ROTATION]) for e in (errors, errors - turn))
+    if estimate.tangent != "left" and left * _MUCH < turned:
+        angle = np.rad2deg(np.linalg.norm(turn))
+        words = (
+            f"a constant turn of {angle:.3g}° between the bodies explains the errors of rotation: give it by --body, "
+        )
+        readings[words + "or let --body-estimated apply what is found"] = errors - turn, covariances
+    for words, (e, P) in readings.items():
+        means = {name: float(np.mean(nees(e[usable][:, p], P[usable][:, p, p]))) for name, p in parts.items()}
+        if all(low <= means[name] <= high for name, (low, high) in bands.items()):
+            return words
+    return ""
 
 
 def find_obstacles(pairs: PosePairs, whole: tuple[Trajectory, Trajectory], alignment: Alignment) -> Findings:
@@ -71,7 +167,11 @@ def find_obstacles(pairs: PosePairs, whole: tuple[Trajectory, Trajectory], align
     error = metrics.ate_unaligned(aligned.positions, truth.positions)
     if error < _LEAST:
         return Findings(None, obstacles, ())
-    if reading := swapped_reading(pairs.estimate, truth):
+    if clock := _of_clocks(whole, rigid):
+        return Findings(None, dict.fromkeys(obstacles, clock), (clock,))
+    if not pairs.estimate.is_oriented:
+        pass
+    elif reading := swapped_reading(pairs.estimate, truth):
         obstacles = dict.fromkeys(obstacles, reading)
         notes.append(reading)
     elif (offset := find_body_offset(pairs.estimate, truth)).words:
@@ -88,7 +188,11 @@ def find_obstacles(pairs: PosePairs, whole: tuple[Trajectory, Trajectory], align
             f"the error is {_length(rigid)} after a rigid alignment: where the estimate has a world of its own, "
             "--align start, gravity-yaw or rigid says so"
         )
-    notes += _of_time(pairs, whole, rigid)
+    if (risk := share_at_risk(pairs)) > _WORTH:
+        notes.append(
+            f"at {100.0 * risk:.0f} % of the poses the time to the reference's pose could explain a third of a claimed "
+            "deviation or more: --interpolate takes the reference in between"
+        )
     return Findings(None, obstacles, tuple(notes))
 
 
@@ -118,21 +222,16 @@ def _diverged_at(aligned: Trajectory, reference: Trajectory, path: float) -> flo
     return float(row) if times is None else float(times[row] - times[0])
 
 
-def _of_time(pairs: PosePairs, whole: tuple[Trajectory, Trajectory], rigid: float) -> list[str]:
-    notes = []
-    if (risk := share_at_risk(pairs)) > _WORTH:
-        notes.append(
-            f"at {100.0 * risk:.0f} % of the poses the time to the reference's pose could explain a third of a claimed "
-            "deviation or more: --interpolate takes the reference in between"
-        )
+def _of_clocks(whole: tuple[Trajectory, Trajectory], rigid: float) -> str:
+    """How the clocks differ, where that explains most of the error, in a sentence; empty where it does not."""
     try:
         offset = find_time_offset(*whole)
-        found = paired(shifted(whole[0], offset), whole[1], interpolate=True)
-    except ValueError:  # without times, or on a straight path, none is found
-        return notes
-    if metrics.ate_rigid(found.estimate.positions, found.reference.positions) * _MUCH < rigid:
-        notes.append(f"the clocks seem to differ by {offset:+.3g} s: --time-offset auto applies what fits best")
-    return notes
+        matched = paired(shifted(whole[0], offset), whole[1], interpolate=True)
+    except ValueError:  # without times, or on a path that fits anywhere, none is to be had
+        return ""
+    if metrics.ate_rigid(matched.estimate.positions, matched.reference.positions) * _MUCH < rigid:
+        return f"the clocks seem to differ by {offset:+.6g} s: --time-offset auto applies what fits best"
+    return ""
 
 
 def _length(metres: float) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -33,9 +33,9 @@ class GaugeScore:
     alignment: AlignmentKind
     """How the world would be aligned, by all poses but for "start"."""
     nees: float
-    """Mean NEES of the pose, `dof` is ideal."""
+    """Mean NEES of the pose, or of the position where that is all there is; `dof` is ideal."""
     dof: int
-    """Numbers of an error of the pose: 6, or 3 in a plane."""
+    """Numbers of an error: 6, or 3 of a position or in a plane."""
     position_rmse_m: float
     """Root mean square of the distance, m."""
     verdict: str
@@ -71,11 +71,16 @@ def scored_rows(
     return scored
 
 
+def turned_as(reference: Trajectory, aligned: Trajectory) -> Trajectory:
+    """The reference, with the orientations of the aligned estimate where one of the two has none to be compared."""
+    return reference if aligned.is_oriented else replace(reference, orientations=aligned.orientations)
+
+
 def score_gauges(
     estimate: Trajectory, reference: Trajectory, chosen: Alignment, correlation: Correlation
 ) -> tuple[GaugeScore, ...]:
     """The claim on the pose under every alignment; without those of a world or a scale that the chosen one denies."""
-    kinds: list[AlignmentKind] = ["start", "gravity-yaw", "rigid"]
+    kinds: list[AlignmentKind] = [*(["start"] if estimate.is_oriented else []), "gravity-yaw", "rigid"]  # type: ignore[list-item]
     if chosen.kind == "none":
         kinds.insert(0, "none")
     elif chosen.kind == "sim3":
@@ -87,12 +92,13 @@ def score_gauges(
         except ValueError:
             continue  # what the poses do not determine is no choice
         aligned = alignment.apply(estimate)
-        as_claimed, covariances = claimed_through(aligned, reference, alignment, correlation)
+        truth = turned_as(reference, aligned)
+        as_claimed, covariances = claimed_through(aligned, truth, alignment, correlation)
         assert as_claimed is not None
         assert covariances is not None
         scored = scored_rows(aligned, alignment, as_claimed, covariances)
-        errors = aligned.errors(reference.positions, reference.orientations)
-        numbers = claimed_numbers(aligned.rows(scored))["pose"]
+        errors = aligned.errors(truth.positions, truth.orientations)
+        numbers = next(iter(claimed_numbers(aligned.rows(scored)).values()))
         values, dof = nees_of(numbers, errors[scored], covariances[scored]), numbers.shape[-2]
         mean = float(np.nanmean(values)) if np.isfinite(values).any() else float("nan")
         found.append(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy  # its `optimize`, slow to import, is loaded where it is used
+import scipy  # its `optimize` and `signal`, slow to import, are loaded where they are used
 from scipy.spatial.transform import Rotation, Slerp
 
 from filters.geometry.arrays import FloatArray, IntArray
@@ -20,6 +20,10 @@ RISKY = 0.3
 """Share of the claimed deviation that the reference moves in the time between it and the estimate."""
 _SEARCHED = 1.0
 """s, to either side, that an offset of the clocks is searched in."""
+_CLEARLY = 0.5
+"""An offset farther away is taken where it leaves a smaller share of the error."""
+_SAMPLES, _FEWEST_SAMPLES = 20_000, 10
+"""Of the motion, that are correlated: most, and least in common."""
 _POSES = 500
 """Poses that it is searched with."""
 _HOLE = 5.0
@@ -69,18 +73,37 @@ def paired(
 
 
 def find_time_offset(estimate: Trajectory, reference: Trajectory) -> float:
-    """Time to add to those of the estimate so that its path fits that of the reference best, s; up to 1 s.
+    """Time to add to those of the estimate so that its path fits that of the reference best, s.
+
+    It is searched within a second of no offset at all, and of those at which speeds and turns of the two paths are
+    correlated most over the whole of what they may have in common.
 
     Raises
     ------
     ValueError
         They have no times or too few poses in common, or the path fits at any offset, as a straight one does.
     """
-    if estimate.timestamps is None or reference.timestamps is None:
+    a, b = estimate.timestamps, reference.timestamps
+    if a is None or b is None:
         raise ValueError("time_offset cannot be searched: a file has no times")
     few = estimate.rows(np.unique(np.linspace(0, len(estimate) - 1, _POSES).astype(int)))
+    best = _offset_near(0.0, few, reference)
+    for start in _correlated_offsets(estimate, reference):
+        other = _offset_near(start, few, reference)
+        if other is not None and (best is None or other[1] < _CLEARLY * best[1]):
+            best = other
+    if best is not None:
+        return best[0]
+    if a[0] > b[-1] or b[0] > a[-1]:
+        raise ValueError(_apart(0, a, b, _SEARCHED))
+    raise ValueError("time_offset is not determined: the path fits at any offset, give it in seconds")
+
+
+def _offset_near(start: float, few: Trajectory, reference: Trajectory) -> tuple[float, float] | None:
+    """The offset near another one and the error that is left, m; None where none is better than those around it."""
     a, b, p = few.timestamps, reference.timestamps, reference.positions
     assert a is not None
+    assert b is not None
 
     def misfit(offset: float) -> float:
         """The position error of a rigid alignment, over the positions between those of the reference."""
@@ -90,17 +113,77 @@ def find_time_offset(estimate: Trajectory, reference: Trajectory) -> float:
         at = np.column_stack([np.interp(a[inside] + offset, b, axis) for axis in p.T])
         return metrics.ate_rigid(few.positions[inside], at)
 
-    grid = np.linspace(-_SEARCHED, _SEARCHED, 81)
+    grid = start + np.linspace(-_SEARCHED, _SEARCHED, 81)
     errors = np.array([misfit(offset) for offset in grid])
-    if not np.isfinite(errors).any():
-        raise ValueError(_apart(0, estimate.timestamps, reference.timestamps, _SEARCHED))
+    finite = np.flatnonzero(np.isfinite(errors))
+    if not finite.size:
+        return None
     best = int(np.argmin(errors))
-    if np.median(errors[np.isfinite(errors)]) < 1.1 * errors[best] + 1e-9 * np.ptp(p):
-        raise ValueError("time_offset is not determined: the path fits at any offset, give it in seconds")
-    ends = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
+    if best in (finite[0], finite[-1]):  # the edge of a search is no minimum
+        return None
+    if np.median(errors[finite]) < 1.1 * errors[best] + 1e-9 * np.ptp(p):
+        return None
     with np.errstate(invalid="ignore"):  # an end of the search may have too few poses in common
-        found = scipy.optimize.minimize_scalar(misfit, bounds=ends, method="bounded", options={"xatol": 1e-5})
-    return float(found.x)
+        least = scipy.optimize.minimize_scalar(
+            misfit, bounds=(grid[best - 1], grid[best + 1]), method="bounded", options={"xatol": 1e-5}
+        )
+    return float(least.x), float(least.fun)
+
+
+def _correlated_offsets(estimate: Trajectory, reference: Trajectory) -> list[float]:
+    """Offsets, s, at which the speeds, and the turns, of two paths are correlated most."""
+    a, b = estimate.timestamps, reference.timestamps
+    assert a is not None
+    assert b is not None
+    if min(len(a), len(b)) < 2 * _FEWEST_SAMPLES:
+        return []
+    step = max(float(np.median(np.diff(a))), float(np.median(np.diff(b))), max(np.ptp(a), np.ptp(b)) / _SAMPLES)
+    offsets = []
+    for mine, other in zip(_motion(estimate, step), _motion(reference, step), strict=True):
+        at = _lag(mine, other)
+        if at is not None:
+            offsets.append(float(b[0] - a[0]) + step * at)
+    return offsets
+
+
+def _motion(trajectory: Trajectory, step: float) -> tuple[FloatArray, FloatArray]:
+    """Speed (K,) and turn of the direction (K,) of a path, at even times, over a second or a few steps; no world."""
+    times = trajectory.timestamps
+    assert times is not None
+    reach = max(2, round(0.5 / step))
+    at = np.arange(times[0], times[-1] + 0.5 * step, step)
+    p = np.column_stack([np.interp(at, times, axis) for axis in trajectory.positions.T])
+    k = np.arange(len(at))
+    moved = p[np.minimum(k + reach, len(at) - 1)] - p[np.maximum(k - reach, 0)]
+    speed = np.linalg.norm(moved, axis=1)
+    ahead = moved / np.maximum(speed, 1e-12)[:, None]
+    turn = np.linalg.norm(ahead[np.minimum(k + reach, len(at) - 1)] - ahead[np.maximum(k - reach, 0)], axis=1)
+    return speed, turn
+
+
+def _lag(a: FloatArray, b: FloatArray) -> int | None:
+    """Samples by which series `a` is to be moved for the largest correlation with `b`; None where there is none.
+
+    The coefficient of what is common at each lag; source: Padfield, "Masked object registration in the Fourier domain",
+    IEEE T-IP 2012. Half of the shorter one has to be common.
+    """
+    a, b = a - a.mean(), b - b.mean()
+    ones = [np.ones_like(one) for one in (a, b)]
+
+    def common(x: FloatArray, y: FloatArray) -> FloatArray:
+        return np.asarray(scipy.signal.correlate(y, x, method="fft"), dtype=np.float64)
+
+    count = np.maximum(np.round(common(*ones)), 1.0)
+    sum_a, sum_b = common(a, ones[1]), common(ones[0], b)
+    var_a = common(a**2, ones[1]) - sum_a**2 / count
+    var_b = common(ones[0], b**2) - sum_b**2 / count
+    least = 1e-6 * min(float(np.sum(a**2)), float(np.sum(b**2)))
+    known = (count >= max(_FEWEST_SAMPLES, 0.5 * min(len(a), len(b)))) & (np.minimum(var_a, var_b) > least)
+    if not known.any():
+        return None
+    with np.errstate(invalid="ignore", divide="ignore"):
+        correlation = np.where(known, (common(a, b) - sum_a * sum_b / count) / np.sqrt(var_a * var_b), -np.inf)
+    return int(np.argmax(correlation)) - (len(a) - 1)
 
 
 def shifted(trajectory: Trajectory, offset: float) -> Trajectory:

@@ -138,4 +138,4 @@ def _unfit(score: TrajectoryScore) -> str:
         return "it claims no covariance"
     if score.unusable:
         return f"{score.unusable} covariances are not positive definite"
-    return score.claims["pose"].obstacle
+    return "positions alone are judged" if "pose" not in score.claims else score.claims["pose"].obstacle

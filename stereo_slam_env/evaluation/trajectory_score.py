@@ -19,8 +19,8 @@ from filters.geometry.arrays import BoolArray, FloatArray
 from stereo_slam_env.evaluation import trajectory_metrics as metrics
 from stereo_slam_env.evaluation.body_frames import find_body_offset
 from stereo_slam_env.evaluation.claims import ClaimScore, score_claims
-from stereo_slam_env.evaluation.comparability import find_obstacles, gauge_of
-from stereo_slam_env.evaluation.gauge_scores import GaugeScore, claimed_through, score_gauges, scored_rows
+from stereo_slam_env.evaluation.comparability import explanation, find_obstacles, gauge_of, without_fillers
+from stereo_slam_env.evaluation.gauge_scores import GaugeScore, claimed_through, score_gauges, scored_rows, turned_as
 from stereo_slam_env.evaluation.gauges import (
     UP,
     AlignmentKind,
@@ -67,8 +67,8 @@ class TrajectoryScore:
     """Length of the reference's path, m."""
     position_rmse_m: float
     """Root mean square of the distance, m."""
-    rotation_rmse_deg: float
-    """Root mean square of the angle, degrees."""
+    rotation_rmse_deg: float | None
+    """Root mean square of the angle, degrees; None where positions alone are compared."""
     ate_rigid_m: float
     """Position RMSE after the best rigid motion, m."""
     end_drift_percent: float | None
@@ -76,7 +76,7 @@ class TrajectoryScore:
     diverged_at_s: float | None
     """Time from the first pair after which the estimate is no trajectory of this drive, s; None where it is one."""
     claims: Mapping[str, ClaimScore]
-    """"pose", "position", "rotation"; empty where nothing is claimed."""
+    """"pose", "position", "rotation", or "position" alone; empty where nothing is claimed."""
     gauges: tuple[GaugeScore, ...]
     """The claim on the pose under each alignment that the poses determine; empty where nothing is claimed."""
     gauge_is_open: bool
@@ -102,6 +102,11 @@ class TrajectoryScore:
         return self.reference_poses.positions - self.poses.positions
 
     @property
+    def claim(self) -> ClaimScore | None:
+        """The claim that the verdict is on: of the pose, or of the position where that is all there is."""
+        return self.claims.get("pose", self.claims.get("position"))
+
+    @property
     def depends_on_the_gauge(self) -> bool:
         """Whether no header says the gauge, and the claim on the pose is another one under another alignment."""
         return self.gauge_is_open and len({gauge.verdict[:8] for gauge in self.gauges}) > 1
@@ -109,10 +114,10 @@ class TrajectoryScore:
     @property
     def verdict(self) -> str:
         """The verdict on the claim, in words."""
-        if not self.claims:
+        if (claim := self.claim) is None:
             return "none: no covariance is claimed"
-        verdict = self.claims["pose"].verdict
-        if not self.depends_on_the_gauge or self.claims["pose"].obstacle:
+        verdict = claim.verdict
+        if not self.depends_on_the_gauge or claim.obstacle:
             return verdict
         dof, others = self.gauges[0].dof, (f"{one.nees / one.dof:.3g} ({one.alignment})" for one in self.gauges)
         return f"{verdict}; but it depends on the alignment, which no header says: NEES / {dof} is {', '.join(others)}"
@@ -126,7 +131,7 @@ class TrajectoryScore:
             "alignment": self.alignment
             + (f" by {self.aligned_by} poses, scale {self.scale:.4g}" if self.aligned_by else ""),
             "position": f"{self.position_rmse_m:.4g} m of {self.path_m:.4g} m{drift}",
-            "rotation": f"{self.rotation_rmse_deg:.3g} degrees",
+            "rotation": "-" if self.rotation_rmse_deg is None else f"{self.rotation_rmse_deg:.3g} degrees",
             "claim": self.verdict,
         }
         for name, claim in self.claims.items():
@@ -169,9 +174,10 @@ class TrajectoryScore:
             ratio = float(np.sqrt(a.mean() / b.mean()))
             low, high = np.quantile(np.sqrt(a[rows].mean(axis=1) / b[rows].mean(axis=1)), [0.025, 0.975])
         scores = None
-        judged = [one.claims and not one.unusable and not one.claims["pose"].obstacle for one in (self, other)]
-        if all(judged) and self.claims["pose"].dof == other.claims["pose"].dof:
-            difference = self.log_scores["pose"][mine] - other.log_scores["pose"][others]
+        judged = [one.claim and not one.unusable and not one.claim.obstacle for one in (self, other)]
+        name = "pose" if "pose" in self.claims else "position"
+        if all(judged) and name in other.claims and self.claims[name].dof == other.claims[name].dof:
+            difference = self.log_scores[name][mine] - other.log_scores[name][others]
             scores = mean_interval(difference)
         return PairedVerdict(self.estimate, other.estimate, len(mine), (ratio, float(low), float(high)), scores)
 
@@ -280,7 +286,16 @@ def evaluate_trajectory(
     )
     if offset:
         estimate = shifted(estimate, offset)
-    pairs = paired(estimate, reference, max_gap, interpolate)
+    try:
+        pairs = paired(estimate, reference, max_gap, interpolate)
+    except ValueError as error:
+        raise ValueError(f"{error}{_other_clock(estimate, reference)}") from error
+    matched, truth, fillers = without_fillers(pairs.estimate, pairs.reference)
+    pairs = replace(pairs, estimate=matched, reference=truth)
+    notes += fillers
+    if not matched.is_oriented and (body is not None or align == "start"):
+        wanted = "body" if body is not None else "align 'start'"
+        raise ValueError(f"{wanted} needs orientations, and positions alone are to be had: align by 'rigid', or 'none'")
     if body is not None:
         T_bc = body if isinstance(body, Pose) else find_body_offset(pairs.estimate, pairs.reference).T_bc
         pairs = replace(pairs, estimate=pairs.estimate.of_body(T_bc))
@@ -292,22 +307,35 @@ def evaluate_trajectory(
         if truth.covariances is None or matched.covariances is None:
             raise ValueError("pair needs covariances in both files: without a truth they are all there is to judge")
         asked, said = ("start" if is_zero_at_start(matched) and is_zero_at_start(truth) else "rigid"), ""
+    if not matched.is_oriented and asked == "start":
+        asked = "rigid"
     if align is None and said:
         notes.append(said)
     correlation = correlation_of(matched)
-    alignment = find_alignment(align or asked, matched, truth, _rows_within(truth, align_seconds), UP[up])
+    rows = _rows_within(truth, align_seconds)
+    if not matched.is_oriented and np.count_nonzero(rows) < FEWEST and (align or asked) != "none":
+        raise ValueError(f"align_seconds leaves {np.count_nonzero(rows)} positions to align by: give more seconds")
+    alignment = find_alignment(align or asked, matched, truth, rows, UP[up])
     found = find_obstacles(pairs, (estimate, reference), alignment)
     times = np.arange(len(matched), dtype=np.float64)
     if (stamps := truth.timestamps if truth.timestamps is not None else matched.timestamps) is not None:
         times = stamps
     aligned = alignment.apply(matched)
+    truth = turned_as(truth, aligned)
     as_claimed, covariances = claimed_through(aligned, truth, alignment, correlation)
-    windows = [score_windows(length, aligned, truth, times) for length in LENGTHS] if stamps is not None else []
+    windows = [
+        score_windows(length, aligned, truth, times) for length in LENGTHS if stamps is not None and aligned.is_oriented
+    ]
     scored = scored_rows(aligned, alignment, as_claimed, covariances)
     own, truth = aligned.rows(scored), truth.rows(scored)
     covariances = None if covariances is None else covariances[scored]
     as_claimed = None if as_claimed is None else as_claimed[scored]
-    claims = score_claims(own, truth, covariances, as_claimed, found.obstacles, pair)
+    obstacles = found.verdicts
+    claims = score_claims(own, truth, covariances, as_claimed, obstacles, pair)
+    if not pair and not any(obstacles.values()) and (why := explanation(claims.claims, own, truth, covariances)):
+        obstacles = dict.fromkeys(obstacles, f"calibration, frames or truth: {why}")
+        claims = score_claims(own, truth, covariances, as_claimed, obstacles, pair)
+        notes.append(why)
     path = metrics.path_length(truth.positions)
     return TrajectoryScore(
         estimate=estimate.name,
@@ -319,10 +347,10 @@ def evaluate_trajectory(
         time_offset_s=offset,
         frames=len(own),
         unmatched=len(estimate) - len(pairs.rows),
-        unusable=claims.claims["pose"].unusable if claims.claims else 0,
+        unusable=next((claim.unusable for claim in claims.claims.values()), 0),
         path_m=path,
         position_rmse_m=metrics.ate_unaligned(own.positions, truth.positions),
-        rotation_rmse_deg=_rotation_rmse_deg(own.orientations, truth.orientations),
+        rotation_rmse_deg=_rotation_rmse_deg(own.orientations, truth.orientations) if own.is_oriented else None,
         ate_rigid_m=metrics.ate_rigid(own.positions, truth.positions),
         end_drift_percent=metrics.end_drift_percent(own.positions, truth.positions) if path > 0 else None,
         diverged_at_s=found.diverged_at_s,
@@ -341,6 +369,15 @@ def evaluate_trajectory(
 
 def _loaded(trajectory: Trajectory | str | Path) -> Trajectory:
     return trajectory if isinstance(trajectory, Trajectory) else load_trajectory(trajectory)
+
+
+def _other_clock(estimate: Trajectory, reference: Trajectory) -> str:
+    """The offset of the clocks that would bring trajectories together, in words; empty where none is found."""
+    try:
+        offset = find_time_offset(estimate, reference)
+    except ValueError:
+        return ""
+    return f"; the paths fit with {offset:+.6g} s added to the times of the estimate: --time-offset auto does that"
 
 
 def _rows_within(reference: Trajectory, seconds: float | None) -> BoolArray:

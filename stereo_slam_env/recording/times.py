@@ -84,7 +84,9 @@ def message_times(stamps: IntArray, logged: IntArray) -> tuple[IntArray, BoolArr
         return stamps, kept, []
     seconds = 1e-9 * (stamps - np.median(stamps).astype(np.int64))
     away = np.abs(seconds - median_filter(seconds, size=_NEIGHBOURS, mode="mirror"))
-    kept = away <= max(_ASTRAY_S, _ASTRAY_STEPS * float(np.median(np.abs(np.diff(seconds)))))
+    in_order = seconds >= np.maximum.accumulate(seconds)
+    in_order &= seconds <= np.minimum.accumulate(seconds[::-1])[::-1]
+    kept = in_order | (away <= max(_ASTRAY_S, _ASTRAY_STEPS * float(np.median(np.abs(np.diff(seconds))))))
     if kept.all():
         return stamps, kept, []
     worst = float(away[~kept].max())

@@ -71,6 +71,8 @@ class Trajectory:
     about up. The others are then filled in, and are no claim. None: of all six numbers."""
     drift: Drift | None = None
     """What the claimed errors of two poses have in common, if they are those of an odometry. None: not said."""
+    is_oriented: bool = True
+    """Whether the orientations are data. False: only the positions are, and the orientations fill their place."""
 
     def __post_init__(self) -> None:
         positions = finite_array("positions", self.positions, ("K", 3))

@@ -25,14 +25,15 @@ from stereo_slam_env.recording.trajectory_transforms import Link, links_of, list
 
 _ENDINGS = (".bag", ".db3", ".mcap")
 _Parts = tuple[Any, Any, Any]
-"""Position, orientation, and 36 covariances or None, of a message."""
+"""Position, orientation or None, and 36 covariances or None, of a message."""
 _TYPES: Mapping[str, Callable[[Any], _Parts]] = {
     "geometry_msgs/msg/PoseStamped": lambda m: (m.pose.position, m.pose.orientation, None),
     "geometry_msgs/msg/PoseWithCovarianceStamped": lambda m: (m.pose.pose.position, *_turn_and_doubt(m.pose)),
     "nav_msgs/msg/Odometry": lambda m: (m.pose.pose.position, *_turn_and_doubt(m.pose)),
     "geometry_msgs/msg/TransformStamped": lambda m: (m.transform.translation, m.transform.rotation, None),
+    "geometry_msgs/msg/PointStamped": lambda m: (m.point, None, None),
 }
-"""Messages that hold one pose."""
+"""Messages that hold one pose, or a position."""
 _PATH = "nav_msgs/msg/Path"
 """A message that holds a whole path: the last one of a topic counts."""
 _TRANSFORMS = "tf2_msgs/msg/TFMessage"
@@ -93,8 +94,9 @@ def read_bag(path: Path, topic: str | None) -> Trajectory:
     times, kept, notes = message_times(stamps, logged)
     order = np.flatnonzero(kept)[np.argsort(times[kept], kind="stable")]
     positions = np.array([[p.x, p.y, p.z] for p, _, _ in parts], dtype=np.float64)[order]
-    orientations = np.array([[q.x, q.y, q.z, q.w] for _, q, _ in parts], dtype=np.float64)[order]
-    covariances = None
+    orientations, covariances = None, None
+    if parts[0][1] is not None:
+        orientations = np.array([[q.x, q.y, q.z, q.w] for _, q, _ in parts], dtype=np.float64)[order]
     if parts[0][2] is not None:
         covariances = np.array([doubt for _, _, doubt in parts], dtype=np.float64)[order]
         covariances = covariances.reshape(-1, POSE_SIZE, POSE_SIZE)

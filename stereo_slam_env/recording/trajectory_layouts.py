@@ -29,6 +29,8 @@ SQUARE_COLUMNS = [*_POSE, *(f"square{i}{j}" for i, j in _LOWER)]
 """Names of the 29 columns under a header of SQUARE: the lower triangle of the covariance, row by row."""
 
 UNNAMED: Mapping[int, Sequence[str]] = {
+    3: _POSE[1:4],
+    4: _POSE[:4],
     7: _POSE[1:],
     8: _POSE,
     11: ["t", "tx", "ty", "tz", "qw", "qx", "qy", "qz", "vx", "vy", "vz"],
@@ -38,7 +40,7 @@ UNNAMED: Mapping[int, Sequence[str]] = {
     20: [*_POSE, *_BLOCKS],
     44: [*_POSE, *(f"covariance{i}" for i in range(36))],
 }
-"""What the columns are of a file that does not say it, by their number: poses alone, TUM, VINS, KITTI,
+"""What the columns are of a file that does not say it, by their number: positions alone, poses alone, TUM, VINS, KITTI,
 KITTI with the frame number or the time in front, EuRoC, OpenVINS, ROS poses with their 36 covariances."""
 _BOTTOM = ["bottom0", "bottom1", "bottom2", "bottom3"]
 _SQUARE_MATRIX = {16: [*_MATRIX, *_BOTTOM], 17: ["number", *_MATRIX, *_BOTTOM]}
@@ -46,7 +48,7 @@ _SQUARE_MATRIX = {16: [*_MATRIX, *_BOTTOM], 17: ["number", *_MATRIX, *_BOTTOM]}
 
 KNOWN = (
     "8 numbers a row (TUM), 12 (KITTI), 13 (frame number and KITTI), 16 or 17 (KITTI-360), 17 (EuRoC), 20 (OpenVINS), "
-    "11 (VINS), 7 (x y z qx qy qz qw), 44 (TUM and the 36 covariances of ROS), 29 under a header of "
+    "11 (VINS), 7 (x y z qx qy qz qw), 4 (t x y z), 44 (TUM and the 36 covariances of ROS), 29 under a header of "
     "SQUARE, or named columns"
 )
 """The layouts, in words."""
@@ -62,6 +64,8 @@ _NAMES = {
     **{f"covariance{i}": rf"(?!.*twist).*cov(ariance)?[._\[]?{i}\]?" for i in range(36)},
 }
 """Names that columns are known by, as patterns, in small letters and without units."""
+_TURNS = r"^q(uat|_|[wxyz])|rot|orient|roll|pitch|yaw|euler|heading"
+"""Names of columns that seem to hold an orientation, as a pattern."""
 _MOST_FRAMES = 1e8
 """Larger numbers in front of a pose are times."""
 _ERRORS: Mapping[str, tuple[Tangent, bool]] = {
@@ -115,7 +119,7 @@ def split_columns(path: Path, text: str, names: Sequence[str] | None = None) -> 
         cells = _cells(lines[above], delimiter)
     named = [_name_and_unit(title) for title in titles]
     known = _known([name for name, _ in named])
-    if not set(_POSE[1:]) <= set(known) or len(named) != len(cells):
+    if not set(_POSE[1:4]) <= set(known) or len(named) != len(cells):
         named = []
         if not any(map(_is_number, cells)):
             raise ValueError(f"{path} is no trajectory: its first row is {lines[first][:60]!r}, not {KNOWN}")
@@ -127,6 +131,10 @@ def split_columns(path: Path, text: str, names: Sequence[str] | None = None) -> 
         if len(usual) != len(cells):
             raise ValueError(f"{path} has {len(cells)} columns where its header has {len(usual)}")
         known = {name: i for i, name in enumerate(usual)}
+    elif not set(_POSE[4:]) <= set(known) and (turns := [name for name, _ in named if re.search(_TURNS, name)]):
+        raise ValueError(
+            f"{path} has orientations that are not read ({', '.join(turns)[:60]}): give unit quaternions qx, qy, qz, qw"
+        )
     only = list(known.values())
     table = parse_table(path, "\n".join(lines[above:]), len(only), delimiter=delimiter, only=only, finite=False)
     words = {name: cell for (name, _), cell in zip(named, cells, strict=False) if not _is_number(cell)}
@@ -144,6 +152,7 @@ def trajectory_of(columns: Columns, about: Mapping[str, Any]) -> Trajectory:
     """
     values, path = columns.values, columns.path
     notes: list[str] = []
+    orientations = None
     if "m00" in values:
         matrices = columns.block("m", 3, 4)
         data: BoolArray = np.asarray(np.isfinite(matrices).all(axis=(1, 2)))
@@ -152,7 +161,8 @@ def trajectory_of(columns: Columns, about: Mapping[str, Any]) -> Trajectory:
         positions[data], orientations[data] = split_poses(matrices[data])
     else:
         positions = np.stack([values[f"t{a}"] for a in "xyz"], axis=1)
-        orientations = np.stack([values[f"q{a}"] for a in "xyzw"], axis=1)
+        if "qx" in values:
+            orientations = np.stack([values[f"q{a}"] for a in "xyzw"], axis=1)
     times, numbers = values.get("t"), values.get("number")
     if numbers is not None and ((numbers != np.round(numbers)).any() or np.abs(numbers).max() >= _MOST_FRAMES):
         times, numbers = numbers, None  # 13 columns with the time in front
@@ -169,7 +179,7 @@ def trajectory_of(columns: Columns, about: Mapping[str, Any]) -> Trajectory:
     return assembled(str(path), positions, orientations, **about, notes=notes)
 
 
-def _covariances(columns: Columns, orientations: FloatArray) -> tuple[FloatArray | None, dict[str, Any]]:
+def _covariances(columns: Columns, orientations: FloatArray | None) -> tuple[FloatArray | None, dict[str, Any]]:
     """Covariances (K, 6, 6) of the columns, position part first, and what they are of."""
     values = columns.values
     count = len(next(iter(values.values())))
@@ -184,7 +194,7 @@ def _covariances(columns: Columns, orientations: FloatArray) -> tuple[FloatArray
             "by_ros": True,
             "notes": ["its covariances are read as those of ROS poses: the rotation about the axes of the world"],
         }
-    if not all(name in values for name in _BLOCKS):
+    if orientations is None or not all(name in values for name in _BLOCKS):
         return None, {}
     for part, kind in ((POSITION, "Pt"), (ROTATION, "Pr")):
         for i in (1, 2, 3):

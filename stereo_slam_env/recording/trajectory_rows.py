@@ -29,7 +29,7 @@ _SERIES = ("timestamps", "frame_numbers", "covariances", "tracks")
 
 
 def assembled(
-    what: str, positions: FloatArray, orientations: FloatArray, *, by_ros: bool = False, **about: Any
+    what: str, positions: FloatArray, orientations: FloatArray | None, *, by_ros: bool = False, **about: Any
 ) -> Trajectory:
     """The trajectory of those of K rows that are data; its notes count the others.
 
@@ -38,7 +38,7 @@ def assembled(
     what : str
         What errors are named by, as a file.
     positions, orientations : (K, 3) and (K, 4) arrays
-        As of `Trajectory`, NaN and zero quaternions among them.
+        As of `Trajectory`, NaN and zero quaternions among them; orientations None: not recorded.
     by_ros : bool
         Whether the covariances are those of ROS: the rotation about fixed axes, -1 and zero for what is not known.
     **about
@@ -50,8 +50,12 @@ def assembled(
         No row is data, or the rows are no trajectory: one line that opens with `what`.
     """
     notes = list(about.pop("notes", ()))
-    if not np.nan_to_num(orientations).any():
-        raise ValueError(f"{what}: its quaternions are all zero, which is no orientation: give those of the poses")
+    about["is_oriented"] = orientations is not None and bool(np.nan_to_num(orientations).any())
+    if orientations is None or not about["is_oriented"]:
+        notes.append(
+            f"it has {'no' if orientations is None else 'only zero'} quaternions: its positions alone are read"
+        )
+        orientations = np.tile([0.0, 0.0, 0.0, 1.0], (len(positions), 1))
     covariances = about.get("covariances")
     if covariances is not None and (np.isnan(covariances).any(axis=(1, 2)) | _is_unknown(covariances)).all():
         about["covariances"] = covariances = None

@@ -75,12 +75,12 @@ def score_rows(scores: Sequence[TrajectoryScore]) -> list[tuple[str, list[str]]]
 def headline(score: TrajectoryScore) -> str:
     """The verdict on one estimate, in a sentence."""
     error = FIGURES["position_rmse_m"].text(score.position_rmse_m)
-    claim = score.claims.get("pose")
+    claim = score.claim
     said = f"its covariance is {score.verdict}"
     if claim is None:
         said = "it claims no covariance"
     elif claim.obstacle:
-        said = f"its covariance is not judged: {claim.obstacle}"
+        said = f"its covariance is not judged ({claim.obstacle})"
     elif claim.of_a_pair:
         said = score.verdict
     return f"{score.estimate}: position error {error} m RMS over {score.path_m:.0f} m; {said}."
@@ -106,7 +106,7 @@ def _frames(score: TrajectoryScore) -> str:
 def _figure(name: str) -> _Row:
     """A figure that runs of filters have, too."""
     figure = FIGURES[name]
-    return figure.title, lambda score: figure.text(getattr(score, name))
+    return figure.title, lambda score: UNKNOWN if (value := getattr(score, name)) is None else figure.text(value)
 
 
 def _of(name: str, dof: int, text: Callable[[ClaimScore], str]) -> Callable[[TrajectoryScore], str]:

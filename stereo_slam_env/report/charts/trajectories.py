@@ -92,17 +92,17 @@ def plot_errors(scores: Sequence[TrajectoryScore]) -> list[Chart]:
 
 def plot_nees_over_time(scores: Sequence[TrajectoryScore]) -> Chart:
     """NEES / 6 (3 in a plane) of the pose over time, of all that claim covariances, against the band of one run."""
-    claimed = {label: score for label, score in zip(labels_of(scores), scores, strict=True) if "pose" in score.claims}
-    dof = max(score.claims["pose"].dof for score in claimed.values())
+    claimed = {label: score for label, score in zip(labels_of(scores), scores, strict=True) if score.claims}
+    dof = max(score.claim.dof for score in claimed.values() if score.claim)
     times = np.unique(np.concatenate([score.times for score in claimed.values()]))
     low, high = (np.full(len(times), end / dof) for end in mean_band(dof, 1))
-    curves = {label: _at(times, score) / score.claims["pose"].dof for label, score in claimed.items()}
-    return band_chart(f"Pose NEES / {dof} (1 is ideal)", times - times[0], curves, (low, high))
+    curves = {label: _at(times, score) / score.claim.dof for label, score in claimed.items() if score.claim}
+    return band_chart(f"NEES / {dof} (1 is ideal)", times - times[0], curves, (low, high))
 
 
 def plot_calibration(scores: Sequence[TrajectoryScore]) -> Chart:
     """How often the truth is inside the ellipsoid of each probability, and how its own probabilities are spread."""
-    claimed = {label: score for label, score in zip(labels_of(scores), scores, strict=True) if "pose" in score.claims}
+    claimed = {label: score for label, score in zip(labels_of(scores), scores, strict=True) if score.claims}
     colours = filter_colours(claimed)
     ideal = np.linspace(0.0, 1.0, 101)
     width = panel_width(2, label_room([*claimed, "right claim"]))
@@ -113,8 +113,8 @@ def plot_calibration(scores: Sequence[TrajectoryScore]) -> Chart:
     spread.rule(y=1.0, dash=DASHED)
     curves, steps = [], []
     for label, score in claimed.items():
-        values = score.nees["pose"][np.isfinite(score.nees["pose"])]
-        own = np.sort(chdtr(score.claims["pose"].dof, values))
+        values = _nees(score)[np.isfinite(_nees(score))]
+        own = np.sort(chdtr(score.claim.dof if score.claim else 0, values))
         share = np.searchsorted(own, ideal, side="right") / len(own)
         curves.append(Curve(label, 100 * ideal, 100 * share, colours[label]))
         density, edges = np.histogram(own, bins=20, range=(0.0, 1.0), density=True)
@@ -163,7 +163,12 @@ def _at(times: FloatArray, score: TrajectoryScore) -> FloatArray:
     """NEES of the pose at `times`; between its own, that of the frame before, so that lines have no gaps."""
     own = np.searchsorted(score.times, times, side="right") - 1
     inside = (own >= 0) & (times <= score.times[-1])
-    return np.where(inside, score.nees["pose"][np.maximum(own, 0)], np.nan)
+    return np.where(inside, _nees(score)[np.maximum(own, 0)], np.nan)
+
+
+def _nees(score: TrajectoryScore) -> FloatArray:
+    """NEES of the pose, or of the position where that is all there is."""
+    return score.nees.get("pose", score.nees.get("position", np.empty(0)))
 
 
 def _across_path(score: TrajectoryScore, plane: Sequence[int]) -> tuple[FloatArray, FloatArray]:
