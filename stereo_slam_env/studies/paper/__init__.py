@@ -203,7 +203,7 @@ def _as_dict(claim: Claim) -> dict[str, Any]:
 def holds_paper(out: Path) -> bool:
     """Whether a directory holds settings of this experiment, and not only a file of their name."""
     about = read_json(out / SETTINGS, inside=out) if (out / SETTINGS).exists() else None
-    return isinstance(about, dict) and {"version", "settings", "versions"} <= about.keys()
+    return isinstance(about, dict) and {"settings", "versions"} <= about.keys()
 
 
 def _finding(finding: ClaimFinding) -> dict[str, Any]:
