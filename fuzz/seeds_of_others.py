@@ -105,7 +105,7 @@ def rigs() -> Files:
     )  # fmt: skip
     tag = " !!opencv-matrix"
     opencv = "%YAML:1.0\n---\n"
-    opencv += "".join(_matrix(f"M{n}", K, tag) + _matrix(f"D{n}", [[0.01, 0, 0, 0]], tag) for n in (1, 2))
+    opencv += "".join(_matrix(f"M{n}", K, tag) + _matrix(f"D{n}", [[0.01, 0, 0, 0, 0]], tag) for n in (1, 2))
     opencv += _matrix("R", np.eye(3), tag) + _matrix("T", [[-CAMERA.baseline], [0], [0]], tag)
     orb = {"Camera.type": "Rectified", "Camera.bf": CAMERA.disparity_constant, "Camera.width": 32, "Camera.height": 24}
     orb |= {f"Camera.{key}": getattr(CAMERA, key) for key in ("fx", "fy", "cx", "cy")}

@@ -31,6 +31,7 @@ from stereo_slam_env.recording.trajectory_bags import read_bag
 from stereo_slam_env.recording.trajectory_files import load_trajectory
 from stereo_slam_env.report.leaderboard import leaderboard
 from stereo_slam_env.sensing.rigs import calibration_of
+from stereo_slam_env.studies.paper import holds_paper
 from stereo_slam_env.training.ppo import LearningCurve, require_own_training
 from stereo_slam_env.world.own_bodies import obj_mesh, urdf_solids
 from stereo_slam_env.world.routes import kitti_route
@@ -61,6 +62,7 @@ _TRAJECTORIES = ("trajectory_score.evaluate_trajectory", "trajectory_files.load_
 _CLAIMS = ("drift_calibration.calibrate", "DriftModel.read", "stereo-slam calibrate", "stereo-slam claim")
 _STUDIES = ("campaign.run_benchmark", "study.load_study", "study.preset_study", "stereo-slam bench")
 _HAND_IN = ("stereo-slam verify", "stereo-slam gate")
+_JSON = ("readers.read_json",)
 _RUNS = ("comparison.compare", "stereo-slam report", "stereo-slam submit", "stereo-slam gate", "settings.holds_run")
 
 
@@ -94,6 +96,12 @@ def targets() -> tuple[Target, ...]:
         Target("packet", others.packets(), _packet, True, _HAND_IN),
         Target("results", seeds.results(), _results, calls=_RUNS),
         Target("finished", seeds.finished(), _finished, calls=(*_RUNS, "drive.revisit", "stereo-slam view")),
+        Target(
+            "paper",
+            {"paper_settings.json": b'{"version": 1, "settings": {}, "versions": {}}'},
+            holds_paper,
+            calls=_JSON,
+        ),
         Target("training", seeds.training(), _training, calls=("ppo.LearningCurve", "ppo.train", "stereo-slam train")),
         Target("arrays", seeds.network(), _arrays, True, ("readers.read_arrays",)),
     )

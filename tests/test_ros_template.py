@@ -125,7 +125,11 @@ def camera_info(shift):
     K = [CAMERA.fx, 0.0, CAMERA.cx, 0.0, CAMERA.fy, CAMERA.cy, 0.0, 0.0, 1.0]
     P = [*K[:3], -CAMERA.fx * shift, *K[3:6], 0.0, *K[6:], 0.0]
     size = {"width": CAMERA.width, "height": CAMERA.height}
-    return SimpleNamespace(**size, k=K, d=[0.0] * 5, r=list(np.eye(3).ravel()), p=P, distortion_model="plumb_bob")
+    size |= {"binning_x": 0, "binning_y": 0}
+    roi = SimpleNamespace(x_offset=0, y_offset=0, width=0, height=0, do_rectify=False)
+    return SimpleNamespace(
+        **size, roi=roi, k=K, d=[0.0] * 5, r=list(np.eye(3).ravel()), p=P, distortion_model="plumb_bob"
+    )
 
 
 def test_the_node_publishes_what_the_odometry_estimates(odometry, node):

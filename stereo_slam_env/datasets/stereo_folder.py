@@ -132,14 +132,17 @@ def _times(path: Path, about: Mapping[str, Any], left: Mapping[int, Path]) -> tu
         return np.arange(count) / positive("rate_hz", about["rate_hz"]), 0.0, path / ABOUT
     if about["times"] != "names":
         file = require_inside(path / str(about["times"]), path)
-        stamps: list[int | float] = read_table(file, 1, finite=False).reshape(-1).tolist()
+        stamps = read_table(file, 1, finite=False).reshape(-1)
+        first: int | float = next(iter(stamps[np.isfinite(stamps)]), 0.0)
+        since = stamps - first
     else:
-        file, stamps = path / "left", [_stamp(left[k]) if k in left else np.nan for k in range(count)]
-    first = next((stamp for stamp in stamps if np.isfinite(stamp)), 0)
-    unit, notes = scale_of(np.array([stamp for stamp in stamps if np.isfinite(stamp)], dtype=np.float64))
+        file, names = path / "left", [_stamp(left[k]) if k in left else np.nan for k in range(count)]
+        first = next((name for name in names if np.isfinite(name)), 0)
+        since, stamps = np.array([name - first for name in names]), np.array(names, dtype=np.float64)
+    unit, notes = scale_of(stamps[np.isfinite(stamps)])
     for note in notes:
         log.warning("%s: %s", file, note)
-    return np.array([unit * (stamp - first) for stamp in stamps]), float(unit * first), file
+    return unit * since, float(unit * first), file
 
 
 def _stamp(image: Path) -> int | float:

@@ -7,3 +7,4 @@ from .folders import write_atomically as write_atomically
 from .folders import write_text as write_text
 from .json_files import write_json as write_json
 from .readers import read_arrays as read_arrays
+from .readers import read_json as read_json

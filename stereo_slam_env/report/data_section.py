@@ -19,7 +19,7 @@ Recordings = Mapping[str, Mapping[str, Path]]
 
 def data_section(out: Path, recordings: Recordings | None = None) -> Markup:
     """Section of links to the files of a run directory, as far as they are there; empty where there are none."""
-    names = sorted(file.name for file in out.iterdir() if file.suffix in _DATA_FILES)
+    names = sorted(file.name for file in out.glob("[!.]*") if file.suffix in _DATA_FILES)
     found = _found(out, recordings or {})
     if not names and not found:
         return Markup()

@@ -29,11 +29,13 @@ def read_entries(path: Path) -> dict[str, FloatArray]:
     entries = {}
     for line in text.splitlines():
         name, colon, rest = line.partition(":")
+        if not colon:
+            continue
         try:
             numbers = np.array([float(word) for word in rest.split()])
         except ValueError:
             continue
-        if colon and numbers.size:
+        if numbers.size:
             entries[name.strip()] = numbers
     return entries
 

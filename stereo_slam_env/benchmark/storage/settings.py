@@ -21,13 +21,13 @@ def refuse_foreign(out: Path) -> None:
         raise ValueError(f"output {out} is not empty and holds no run: choose another directory")
 
 
-def holds_run(out: Path, *, of: str = "scenario") -> bool:
-    """Whether a directory holds a study or settings of ours; `of` is what the settings are of.
+def holds_run(out: Path) -> bool:
+    """Whether a directory holds a study or settings of ours.
 
     Other programs have files of these names, too. A `ValueError` says that one is no JSON.
     """
     settings = _content(out / SETTINGS)
-    known = isinstance(settings.get(of), dict) and ("kind" in settings[of] or "versions" in settings)
+    known = isinstance(settings.get("scenario"), dict) and ("kind" in settings["scenario"] or "versions" in settings)
     return known or isinstance(_content(out / STUDY).get("cells"), list)
 
 

@@ -16,12 +16,13 @@ from typing import Any
 import numpy as np
 
 from stereo_slam_env import run_benchmark
-from stereo_slam_env.benchmark import Backend, holds_run, versions
+from stereo_slam_env.benchmark import Backend, versions
 from stereo_slam_env.files import (
     claimed_folder,
     is_occupied,
     own_files,
     read_arrays,
+    read_json,
     write_atomically,
     write_json,
     write_text,
@@ -119,7 +120,7 @@ def run_paper(
     sequences = {} if karlsruhe_path is None else karlsruhe.sequences(karlsruhe_path)
     if out.exists() and not out.is_dir():
         raise ValueError(f"output {out} is a file: give a directory")
-    if out.is_dir() and is_occupied(out) and not holds_run(out, of="settings"):
+    if out.is_dir() and is_occupied(out) and not holds_paper(out):
         raise ValueError(f"output {out} is not empty and holds no run of the paper: choose another directory")
     with claimed_folder(out):
         about = {"version": VERSION, "settings": asdict(settings), "versions": versions()}
@@ -197,6 +198,12 @@ def _as_dict(claim: Claim) -> dict[str, Any]:
     del sentence["asked"]  # of each finding
     findings = [_finding(finding) for finding in claim.findings]
     return {**sentence, "verdict": claim.verdict.value, "says": claim.says, "findings": findings}
+
+
+def holds_paper(out: Path) -> bool:
+    """Whether a directory holds settings of this experiment, and not only a file of their name."""
+    about = read_json(out / SETTINGS, inside=out) if (out / SETTINGS).exists() else None
+    return isinstance(about, dict) and {"settings", "versions"} <= about.keys()
 
 
 def _finding(finding: ClaimFinding) -> dict[str, Any]:

@@ -13,6 +13,7 @@ from PIL import Image
 from stereo_slam_env.benchmark.statistics.verdict import judge
 from stereo_slam_env.evaluation.landmark_statistics import LandmarkStatistics
 from stereo_slam_env.evaluation.reference_audit import ReferenceAudit
+from stereo_slam_env.files import own_files
 from stereo_slam_env.recording.recording import Reference
 from stereo_slam_env.report import run_report as report_module
 from stereo_slam_env.report.overview import overview
@@ -245,11 +246,15 @@ def test_options_that_a_filter_does_not_get_are_listed(tmp_path):
 def test_failures_are_listed_and_nothing_is_left_from_an_earlier_report(tmp_path):
     stale = tmp_path / "out" / "figures" / "depth.png"
     stale.parent.mkdir(parents=True)
+    own_files(tmp_path / "out", ["figures/depth.png"])
     stale.write_bytes(b"of another run")
+    foreign = stale.with_name("thesis.png")
+    foreign.write_bytes(b"of somebody else")
     runs = make_runs(seeds=[0], frames=30)
     path = report(tmp_path, [replace(run, failure="frame 3: ValueError: no", traces=()) for run in runs])
     assert "seed 0, frame 3: ValueError: no" in path.read_text(encoding="utf-8")
     assert not stale.exists()
+    assert foreign.read_bytes() == b"of somebody else"
 
 
 @pytest.mark.usefixtures("no_figures")

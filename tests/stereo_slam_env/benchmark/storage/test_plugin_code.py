@@ -295,7 +295,7 @@ def test_an_edited_part_and_front_end_leave_no_result_in_the_folder(named, tmp_p
     directory = RunDirectory(tmp_path / "run", Study.of(scenario).cells[0], tmp_path / "run")
     plugins = dict(directory._plugins)
     edit(file, "1.0", "2.0")
-    directory._found_code = None
+    directory = RunDirectory(tmp_path / "run", Study.of(scenario).cells[0], tmp_path / "run")
     assert directory._plugins["a"] != plugins["a"]
     assert directory._plugins[None] != plugins[None]
 
