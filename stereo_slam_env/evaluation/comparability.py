@@ -145,9 +145,12 @@ def explanation(
             f"a constant turn of {angle:.3g}° between the bodies explains the errors of rotation: give it by --body, "
         )
         readings[words + "or let --body-estimated apply what is found"] = errors - turn, covariances
+    as_written = float(np.mean(nees(errors[usable], covariances[usable])))
     for words, (e, P) in readings.items():
         means = {name: float(np.mean(nees(e[usable][:, p], P[usable][:, p, p]))) for name, p in parts.items()}
-        if all(low <= means[name] <= high for name, (low, high) in bands.items()):
+        fits = all(low <= means[name] <= high for name, (low, high) in bands.items())
+        # The determinants are the same, so the smaller NEES is the likelier reading.
+        if fits and float(np.mean(nees(e[usable], P[usable]))) < as_written:
             return words
     return ""
 
@@ -230,7 +233,7 @@ def _of_clocks(whole: tuple[Trajectory, Trajectory], rigid: float) -> str:
     except ValueError:  # without times, or on a path that fits anywhere, none is to be had
         return ""
     if metrics.ate_rigid(matched.estimate.positions, matched.reference.positions) * _MUCH < rigid:
-        return f"the clocks seem to differ by {offset:+.6g} s: --time-offset auto applies what fits best"
+        return f"the clocks seem to differ by {offset:+.3f} s: --time-offset auto applies what fits best"
     return ""
 
 

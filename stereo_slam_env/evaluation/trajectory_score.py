@@ -377,7 +377,7 @@ def _other_clock(estimate: Trajectory, reference: Trajectory) -> str:
         offset = find_time_offset(estimate, reference)
     except ValueError:
         return ""
-    return f"; the paths fit with {offset:+.6g} s added to the times of the estimate: --time-offset auto does that"
+    return f"; the paths fit with {offset:+.3f} s added to the times of the estimate: --time-offset auto does that"
 
 
 def _rows_within(reference: Trajectory, seconds: float | None) -> BoolArray:

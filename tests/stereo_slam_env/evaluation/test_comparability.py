@@ -60,7 +60,7 @@ def test_another_body_is_named_and_is_no_claim(T_bc, parts, words, world):
     score = sse.evaluate_trajectory(other, truth)
     assert {name for name, claim in score.claims.items() if claim.obstacle} == parts
     assert words in score.claims["pose"].verdict
-    assert "not judged: the reference's body seems to be" in score.verdict
+    assert "calibration, frames or truth: the reference's body seems to be" in score.verdict
     found = find_body_offset(other, truth).T_bc
     np.testing.assert_allclose((found @ T_bc.inverse()).log(), 0.0, atol=0.03)
     for body in (T_bc, "estimated"):
@@ -154,7 +154,7 @@ def test_a_swapped_reading_is_named_and_is_no_claim(swap, words, whose):
     estimate, truth = drive(error=0.002)
     pair = (swap(estimate), truth) if whose == "estimate" else (estimate, swap(truth))
     score = sse.evaluate_trajectory(*pair)
-    assert score.verdict.startswith("not judged: the files fit five times better")
+    assert score.verdict.startswith("calibration, frames or truth: the files fit five times better")
     assert words.format(whose) in score.verdict
 
 
