@@ -115,9 +115,9 @@ class HeadToHead:
         if state is Consistency.UNKNOWN:
             raise AssertionError(f"{name} is not known to be consistent: it has no pose NEES.\n{self}")
         mean, band = pose_nees(self.summary)
+        said = f"{name} is {state.value}" if not self.summary.doubt else f"{name} is not judged ({self.summary.doubt})"
         raise AssertionError(
-            f"{name} is {state.value}: its mean pose NEES / 6 is {mean}, the band of {self.summary.runs} runs is "
-            f"{band}.\n{self}"
+            f"{said}: its mean pose NEES / 6 is {mean}, the band of {self.summary.runs} runs is {band}.\n{self}"
         )
 
     def assert_faster_than(self, ms: float) -> None:

@@ -102,9 +102,8 @@ def _claim(run: FilterRun | None) -> dict[str, Any]:
         score = evaluate_trajectory(estimate, reference, align="none")
     except ValueError:
         return {}
-    if "pose" not in score.claims:
+    if (claim := score.claim) is None:
         return {}
-    claim = score.claims["pose"]
     found = {"scale_gap": claim.scale_gap, "coverage_90": claim.coverage[0.9], "log_score": claim.log_score.mean}
     return {"claim": {**{name: _short(value) for name, value in found.items()}, "gauge": score.alignment}}
 

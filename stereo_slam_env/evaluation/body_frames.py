@@ -144,8 +144,8 @@ def _of_relative_motions(
     """R_bc from rotation vectors and displacements between poses, which it turns; the world does not appear in them."""
     step = max(1, len(R) // 20)
     turn, turn_ref = (one[:-step].swapaxes(1, 2) @ one[step:] for one in (R, R_ref))
-    moved = _inside(R[:-step], p[step:] - p[:-step]) + (turn - np.eye(3)) @ t_bc
-    moved_ref = _inside(R_ref[:-step], p_ref[step:] - p_ref[:-step])
+    moved = seen_from(R[:-step], p[step:] - p[:-step]) + (turn - np.eye(3)) @ t_bc
+    moved_ref = seen_from(R_ref[:-step], p_ref[step:] - p_ref[:-step])
     ours, theirs = [], []
     for mine, other in ((rotations.log(turn), rotations.log(turn_ref)), (moved, moved_ref)):
         size = np.sqrt(np.mean(other**2)) + 1e-12
@@ -176,7 +176,7 @@ def _rolled(trajectory: Trajectory, places: int) -> Trajectory:
 def _inverted(trajectory: Trajectory) -> Trajectory:
     R = rotations.matrix(trajectory.orientations)
     conjugate = trajectory.orientations * np.array([-1.0, -1.0, -1.0, 1.0])
-    return replace(trajectory, positions=-_inside(R, trajectory.positions), orientations=conjugate, covariances=None)
+    return replace(trajectory, positions=-seen_from(R, trajectory.positions), orientations=conjugate, covariances=None)
 
 
 _READINGS: Mapping[str, Callable[[Trajectory], Trajectory]] = {
@@ -208,7 +208,7 @@ def _misfit(estimate: Trajectory, reference: Trajectory) -> tuple[float, float, 
     return metrics.root_mean_square(left), metrics.ate_rigid(p, p_ref), metrics.root_mean_square(whole)
 
 
-def _inside(R: FloatArray, vectors: FloatArray) -> FloatArray:
+def seen_from(R: FloatArray, vectors: FloatArray) -> FloatArray:
     """R^T v of each."""
     return rotations.turned(R.swapaxes(1, 2), vectors)
 

@@ -6,7 +6,7 @@ covariance is not judged, and what fits best is named.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,14 +15,16 @@ from filters import nees
 from filters.checks.consistency import are_definite
 from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray
-from filters.motions.model import POSE_SIZE, ROTATION
+from filters.motions.model import POSE_SIZE, POSITION, ROTATION
 from stereo_slam_env.evaluation import trajectory_metrics as metrics
-from stereo_slam_env.evaluation.body_frames import find_body_offset, swapped_reading
-from stereo_slam_env.evaluation.claims import PARTS, ClaimScore, claimed_numbers, nees_of
-from stereo_slam_env.evaluation.gauge_scores import turned_as
-from stereo_slam_env.evaluation.gauges import Alignment, AlignmentKind, own_gauge
+from stereo_slam_env.evaluation.body_frames import find_body_offset, seen_from, swapped_reading
+from stereo_slam_env.evaluation.claims import PARTS, claimed_numbers, nees_of
+from stereo_slam_env.evaluation.gauge_scores import claimed_through, turned_as
+from stereo_slam_env.evaluation.gauges import UP, Alignment, AlignmentKind, correlation_of, find_alignment, own_gauge
+from stereo_slam_env.evaluation.results import ConsistencyFigure, FilterRun
+from stereo_slam_env.evaluation.run_trajectories import estimate_of, reference_of
 from stereo_slam_env.evaluation.synchronisation import PosePairs, find_time_offset, paired, share_at_risk, shifted
-from stereo_slam_env.recording.trajectory import Trajectory
+from stereo_slam_env.recording.trajectory import Tangent, Trajectory, transformed
 
 _ASTRAY = 0.1
 """Share of the reference's path; the last time that the error was below it is when an estimate diverged."""
@@ -40,6 +42,12 @@ _TURNS, _TURNS_MUCH, _BENDS = np.deg2rad([3.0, 20.0, 10.0])
 """Beside orientations that never change: another trajectory that turns, on a path that bends, or on any; and a path."""
 _ELSEWHERE = 100.0
 """A start whose NEES is so many times too large is in another world."""
+_AS_CLAIMED = 2.0
+"""Innovations within this factor of their claim, by their NIS, show that the noise is as the filter assumes."""
+_BEYOND_NOISE = 100.0
+"""... and a NEES of more for each degree of freedom beside them is no matter of noise."""
+_RUNS = 3
+"""Runs that are looked at for what explains their errors; all have to agree."""
 
 
 @dataclass(frozen=True)
@@ -115,44 +123,81 @@ def _turn_of_path(trajectory: Trajectory) -> float:
 
 
 def explanation(
-    claims: Mapping[str, ClaimScore], estimate: Trajectory, reference: Trajectory, covariances: FloatArray | None
+    bands: Mapping[str, tuple[float, float]],
+    estimate: Trajectory,
+    reference: Trajectory,
+    covariances: FloatArray | None,
 ) -> str:
     """A reading of an aligned estimate under which its claim would be true where it seems too tight or too loose.
 
-    Blocks of the covariances in the other order; a constant turn of the body. Empty text where there is none.
+    Blocks of the covariances in the other order; a constant turn or lever arm of the body, seen in one world. `bands`
+    are those of the mean NEES of "position" and "rotation". Empty text where there is none.
     """
-    if covariances is None or "pose" not in claims or estimate.plane is not None:
+    if (
+        covariances is None
+        or estimate.plane is not None
+        or not estimate.is_oriented
+        or not _HALVES.keys() <= bands.keys()
+    ):
         return ""
     errors = estimate.errors(reference.positions, reference.orientations)
     usable = are_definite(covariances)
-    parts = {name: PARTS[name] for name in ("position", "rotation")}
-    bands = {name: claims[name].band for name in parts}
-    if all(low <= claims[name].nees.mean <= high for name, (low, high) in bands.items()):
+    errors, R = errors[usable], rotations.matrix(estimate.orientations[usable])
+    covariances, R_inverse = covariances[usable], R.swapaxes(1, 2)
+    readings = [
+        (_EXCHANGED, errors, transformed(_exchange(first, second), covariances), 1.0)
+        for first, second in ((np.eye(3), np.eye(3)), (R, R_inverse))  # as given; or about the axes of the world
+    ]
+    for words, left in _constant_offsets(estimate.tangent, R, errors):
+        readings.append((words, left, covariances, _MUCH**2))
+    if _fits(errors, covariances, bands):
         return ""
-    turn = np.zeros(POSE_SIZE)
-    turn[ROTATION] = np.median(errors[:, ROTATION], axis=0)
-    exchanged = np.roll(np.arange(POSE_SIZE), 3)
-    readings = {
-        "the covariances fit where the rotation block stands first: exchange the blocks": (
-            errors,
-            covariances[:, exchanged[:, None], exchanged],
-        )
-    }
-    turned, left = (metrics.root_mean_square(e[:, ROTATION]) for e in (errors, errors - turn))
-    if estimate.tangent != "left" and left * _MUCH < turned:
-        angle = np.rad2deg(np.linalg.norm(turn))
-        words = (
-            f"a constant turn of {angle:.3g}° between the bodies explains the errors of rotation: give it by --body, "
-        )
-        readings[words + "or let --body-estimated apply what is found"] = errors - turn, covariances
-    as_written = float(np.mean(nees(errors[usable], covariances[usable])))
-    for words, (e, P) in readings.items():
-        means = {name: float(np.mean(nees(e[usable][:, p], P[usable][:, p, p]))) for name, p in parts.items()}
-        fits = all(low <= means[name] <= high for name, (low, high) in bands.items())
-        # The determinants are the same, so the smaller NEES is the likelier reading.
-        if fits and float(np.mean(nees(e[usable], P[usable]))) < as_written:
+    as_written = float(np.mean(nees(errors, covariances)))
+    for words, e, P, factor in readings:
+        # Exchanged blocks have the same determinant, so the smaller NEES is the likelier reading.
+        if _fits(e, P, bands) and factor * float(np.mean(nees(e, P))) < as_written:
             return words
     return ""
+
+
+_HALVES = {name: PARTS[name] for name in ("position", "rotation")}
+_EXCHANGED = "the covariances fit where the rotation block stands first: exchange the blocks"
+
+
+def _fits(errors: FloatArray, covariances: FloatArray, bands: Mapping[str, tuple[float, float]]) -> bool:
+    """Whether the mean NEES of position and rotation are both in their bands."""
+    means = {name: float(np.mean(nees(errors[:, p], covariances[:, p, p]))) for name, p in _HALVES.items()}
+    return all(bands[name][0] <= mean <= bands[name][1] for name, mean in means.items())
+
+
+def _exchange(first: FloatArray, second: FloatArray) -> FloatArray:
+    """(..., 6, 6) matrix that takes `first` times the rotation for the position, `second` times that for the other."""
+    S = np.zeros((*first.shape[:-2], POSE_SIZE, POSE_SIZE))
+    S[..., POSITION, ROTATION], S[..., ROTATION, POSITION] = first, second
+    return S
+
+
+def _constant_offsets(tangent: Tangent, R: FloatArray, errors: FloatArray) -> Iterator[tuple[str, FloatArray]]:
+    """Constant turn and lever arm of the body, each and both: in words, and the errors (K, 6) that they leave."""
+    if tangent == "left":
+        return
+    inside = np.array(errors)
+    if tangent != "right":
+        inside[:, POSITION] = seen_from(R, errors[:, POSITION])
+    offset = np.median(inside, axis=0)
+    turn = f"a constant turn of {np.rad2deg(np.linalg.norm(offset[ROTATION])):.3g}°"
+    lever = f"a constant lever arm of {_length(float(np.linalg.norm(offset[POSITION])))}"
+    for words, parts in ((turn, [ROTATION]), (lever, [POSITION]), (f"{turn} and {lever}", [ROTATION, POSITION])):
+        left = np.array(inside)
+        for part in parts:
+            left[:, part] -= offset[part]
+        if tangent != "right":
+            left[:, POSITION] = rotations.turned(R, left[:, POSITION])
+        yield (
+            f"{words} between the bodies explains the errors: give it by --body, or let --body-estimated apply what is "
+            "found",
+            left,
+        )
 
 
 def find_obstacles(pairs: PosePairs, whole: tuple[Trajectory, Trajectory], alignment: Alignment) -> Findings:
@@ -197,6 +242,48 @@ def find_obstacles(pairs: PosePairs, whole: tuple[Trajectory, Trajectory], align
             "deviation or more: --interpolate takes the reference in between"
         )
     return Findings(None, obstacles, tuple(notes))
+
+
+def doubt_of_runs(runs: Sequence[FilterRun], figures: Mapping[str, ConsistencyFigure]) -> str:
+    """An explanation of the errors of overconfident runs of a filter other than its claim; empty where there is none.
+
+    Clock, body, scale and reading of the truth, as for any trajectory; or innovations that are as claimed beside errors
+    that are far from it, which is what wrong calibrations look like. `figures` are those of the same runs.
+    """
+    pose, nis = figures.get("pose"), figures.get("nis")
+    if pose is None or pose.mean <= pose.band[1]:
+        return ""
+    bands = {name: figures[name].band for name in _HALVES if name in figures}
+    doubts = [_doubt_of(run, bands) for run in runs[:_RUNS]]
+    if doubts and all(doubts):
+        return doubts[0]
+    excess = pose.mean / pose.dof
+    if nis is None or excess < _BEYOND_NOISE or not 1.0 / _AS_CLAIMED < nis.mean / nis.dof < _AS_CLAIMED:
+        return ""
+    return (
+        f"the innovations are as claimed, NIS / dof {nis.mean / nis.dof:.2f}, beside a pose NEES / 6 of {excess:,.0f}"
+    )
+
+
+def _doubt_of(run: FilterRun, bands: Mapping[str, tuple[float, float]]) -> str:
+    estimate, truth = estimate_of(run), reference_of(run)
+    if estimate is None or truth is None:
+        return ""
+    try:
+        pairs = paired(estimate, truth)
+    except ValueError:  # too few poses have a truth
+        return ""
+    matched, reference, fillers = without_fillers(pairs.estimate, pairs.reference)
+    if fillers:
+        return fillers[0].partition(":")[0]
+    alignment = find_alignment("none", matched, reference, np.ones(len(matched), dtype=bool), UP["z"])
+    findings = find_obstacles(pairs, (estimate, truth), alignment)
+    if findings.diverged_at_s is not None:
+        return ""
+    matched, reference = (one.rows(slice(1, None)) for one in (matched, reference))  # the first frame is given
+    _, covariances = claimed_through(matched, reference, alignment, correlation_of(matched))
+    why = next(filter(None, findings.obstacles.values()), "") or explanation(bands, matched, reference, covariances)
+    return why.partition(":")[0]  # the remedy behind it is that of files of trajectories
 
 
 def _diverged_at(aligned: Trajectory, reference: Trajectory, path: float) -> float | None:

@@ -174,6 +174,8 @@ class FilterSummary:
     """Two-sided 95 % band of the mean pose NEES over this number of runs."""
     consistency: Mapping[str, ConsistencyFigure] = field(default_factory=dict)
     """The "pose", "position", "rotation", "landmark", "nis"; what is not known is left out."""
+    doubt: str = ""
+    """What explains a NEES above its band other than the claim: calibration, frames or truth; empty where nothing."""
     rpe: tuple[SegmentError, ...] = ()
     """By segment length, ascending."""
     landmark_by_range: tuple[RangeError, ...] = ()

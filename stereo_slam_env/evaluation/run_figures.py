@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from filters.geometry.arrays import BoolArray, FloatArray
+from stereo_slam_env.evaluation.comparability import doubt_of_runs
 from stereo_slam_env.evaluation.cramer_rao import Bound
 from stereo_slam_env.evaluation.figures import FIGURES, Figure, has_diverged, trial_figures
 from stereo_slam_env.evaluation.landmark_statistics import depth_convergence, range_errors
@@ -144,6 +145,7 @@ def summarise(runs: Sequence[FilterRun], figures: RunFigures) -> FilterSummary:
         efficiency_by_run=tuple(sample.column("efficiency_percent").tolist()) if bounded else (),
         pose_anees_band=None if pose is None else pose.band,
         consistency=sample.consistency,
+        doubt=doubt_of_runs(sample.completed, sample.consistency),
         rpe=_by_length(segments),
         landmark_by_range=range_errors(statistics),
         depth_convergence=depth_convergence(statistics),

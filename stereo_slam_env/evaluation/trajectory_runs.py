@@ -54,18 +54,23 @@ class RunsScore:
     left_out: Mapping[str, str]
     """Names of the others, and why: diverged, no claim, or not comparable."""
     claims: Mapping[str, RunsClaim]
-    """"pose", "position", "rotation"."""
+    """"pose", "position", "rotation", or "position" alone."""
     times: FloatArray = field(repr=False)
     """(T,), s."""
 
     @property
+    def judged(self) -> str:
+        """The claim that the verdict is on: "pose", or "position" where that is all there is."""
+        return next(iter(self.claims))
+
+    @property
     def words(self) -> str:
         """The verdict, and how it differs from what each run shows alone, in two sentences."""
-        pose = self.claims["pose"]
+        pose = self.claims[self.judged]
         low, high = (end / pose.dof for end in pose.band)
         text = (
-            f"{len(self.runs)} runs together: pose ANEES / {pose.dof} is {pose.mean / pose.dof:.3g}, band {low:.2f} to "
-            f"{high:.2f}: {pose.verdict}. One by one they have {min(pose.each) / pose.dof:.3g} to "
+            f"{len(self.runs)} runs together: {self.judged} ANEES / {pose.dof} is {pose.mean / pose.dof:.3g}, "
+            f"band {low:.2f} to {high:.2f}: {pose.verdict}. One by one they have {min(pose.each) / pose.dof:.3g} to "
             f"{max(pose.each) / pose.dof:.3g}, and {pose.alone} of {len(self.runs)} would pass for consistent."
         )
         if not self.left_out:
@@ -103,8 +108,10 @@ def score_runs(scores: Sequence[TrajectoryScore]) -> RunsScore:
     """
     left_out = {score.estimate: why for score in scores if (why := _unfit(score))}
     judged = [score for score in scores if not _unfit(score)]
-    if len({score.claims["pose"].dof for score in judged}) > 1:
-        raise ValueError("runs must be of one estimator: some claim the whole pose, some motion in a plane")
+    if len({(score.claim and score.claim.dof) for score in judged}) > 1:
+        raise ValueError(
+            "runs must be of one estimator: some claim the whole pose, some its position or motion in a plane alone"
+        )
     if len(judged) < 2:
         why = "; ".join(f"{name}: {reason}" for name, reason in left_out.items())
         raise ValueError(f"runs are judged together from two on, {len(judged)} of {len(scores)} can be ({why})")
@@ -134,8 +141,8 @@ def score_runs(scores: Sequence[TrajectoryScore]) -> RunsScore:
 
 def _unfit(score: TrajectoryScore) -> str:
     """Why a run has no part in the mean; empty where it has."""
-    if not score.claims:
+    if score.claim is None:
         return "it claims no covariance"
     if score.unusable:
         return f"{score.unusable} covariances are not positive definite"
-    return "positions alone are judged" if "pose" not in score.claims else score.claims["pose"].obstacle
+    return score.claim.obstacle

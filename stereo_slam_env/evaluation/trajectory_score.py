@@ -332,7 +332,9 @@ def evaluate_trajectory(
     as_claimed = None if as_claimed is None else as_claimed[scored]
     obstacles = found.verdicts
     claims = score_claims(own, truth, covariances, as_claimed, obstacles, pair)
-    if not pair and not any(obstacles.values()) and (why := explanation(claims.claims, own, truth, covariances)):
+    bands = {name: claim.band for name, claim in claims.claims.items()}
+    doubted = pair or "pose" not in claims.claims or any(obstacles.values())
+    if not doubted and (why := explanation(bands, own, truth, covariances)):
         obstacles = dict.fromkeys(obstacles, f"calibration, frames or truth: {why}")
         claims = score_claims(own, truth, covariances, as_claimed, obstacles, pair)
         notes.append(why)

@@ -37,6 +37,7 @@ from stereo_slam_env.report.tables import FINDING_TONES
 TONES: dict[Consistency, Tone] = {
     Consistency.CONSISTENT: "good",
     Consistency.OVERCONFIDENT: "bad",
+    Consistency.DOUBTFUL: "none",
     Consistency.CAUTIOUS: "fair",
     Consistency.UNKNOWN: "none",
 }

@@ -46,6 +46,14 @@ class Agreement(Enum):
     NOTHING_SHOWN = "neither claim nor truth shows a difference"
 
 
+_CLAIMS = {
+    Consistency.OVERCONFIDENT: "is overconfident",
+    Consistency.DOUBTFUL: "cannot be judged before calibration, frames and truth",
+    Consistency.CAUTIOUS: "claims more uncertainty than it has",
+}
+_UNTRUE = (Consistency.OVERCONFIDENT, Consistency.DOUBTFUL)
+
+
 @dataclass(frozen=True)
 class ClaimAndTruth:
     """A policy against the baseline: the claimed uncertainty of the final position, and the true position error."""
@@ -62,7 +70,7 @@ class ClaimAndTruth:
     @property
     def is_sound(self) -> bool:
         """Whether the claim may be believed."""
-        return self.agreement is not Agreement.DISAGREE and self.consistency is not Consistency.OVERCONFIDENT
+        return self.agreement is not Agreement.DISAGREE and self.consistency not in _UNTRUE
 
 
 @dataclass(frozen=True)
@@ -122,9 +130,9 @@ def _compared(
     said = agreement.value
     if claim.too_few:
         said += f", for {claim.evidence}"
-    if state in (Consistency.OVERCONFIDENT, Consistency.CAUTIOUS):
+    if state in (*_UNTRUE, Consistency.CAUTIOUS):
         but = "and" if agreement is Agreement.DISAGREE else "but"
-        what = "is overconfident" if state is Consistency.OVERCONFIDENT else "claims more uncertainty than it has"
+        what = _CLAIMS[state]
         said += f"; {but} it {what}, {sureness(summary)}: {_nees(summary)}"
     words = f"{_claim(policy, baseline, claim)}, {_truth(path, final)}: {said}."
     return ClaimAndTruth(policy, baseline, claim, final, path, state, agreement, words)
@@ -196,8 +204,8 @@ def _headline(
     unseen = [c.policy for c in comparisons.values() if c.is_sound and c.agreement is Agreement.OPEN]
     if unseen:
         sentences.append(f"Claimed, and possible, but not shown by the true error of so many runs: {listed(unseen)}.")
-    if consistency(held_against) is Consistency.OVERCONFIDENT:
-        sentences.append(f"{baseline} itself is overconfident, {sureness(held_against)}: {_nees(held_against)}.")
+    if (state := consistency(held_against)) in _UNTRUE:
+        sentences.append(f"{baseline} itself {_CLAIMS[state]}, {sureness(held_against)}: {_nees(held_against)}.")
     lost = [f"{s.filter_name} {lost_words(s)}" for s in summaries if s.diverged]
     if lost:
         sentences.append(f"Lost: {listed(lost)}.")

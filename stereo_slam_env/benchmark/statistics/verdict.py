@@ -29,10 +29,11 @@ from stereo_slam_env.evaluation.trial import FEWEST_FRAMES
 
 
 class Consistency(Enum):
-    """Consistency of a filter: its mean NEES with respect to the band."""
+    """Consistency of a filter: its mean NEES with respect to the band, or what is to be doubted before it."""
 
     CONSISTENT = "consistent"
     OVERCONFIDENT = "overconfident"
+    DOUBTFUL = "calibration, frames or truth"
     CAUTIOUS = "too cautious"
     UNKNOWN = "not known"
 
@@ -128,12 +129,12 @@ def against_best(
 
 
 def consistency(summary: FilterSummary) -> Consistency:
-    """Judge the mean pose NEES against its band."""
+    """Judge the mean pose NEES against its band; where something else explains it, that is to be settled first."""
     if summary.pose_anees is None or summary.pose_anees_band is None:
         return Consistency.UNKNOWN
     low, high = summary.pose_anees_band
     if summary.pose_anees > high:
-        return Consistency.OVERCONFIDENT
+        return Consistency.DOUBTFUL if summary.doubt else Consistency.OVERCONFIDENT
     return Consistency.CAUTIOUS if summary.pose_anees < low else Consistency.CONSISTENT
 
 
@@ -286,6 +287,7 @@ _MOST_WORDED = 3
 _HONESTY = {
     Consistency.CONSISTENT: "inside its band ({band}): it is consistent",
     Consistency.OVERCONFIDENT: "above its band ({band}): it is overconfident",
+    Consistency.DOUBTFUL: "above its band ({band}), and its covariance is not judged: calibration, frames or truth",
     Consistency.CAUTIOUS: "below its band ({band}): it claims more uncertainty than it has",
 }
 
@@ -295,7 +297,9 @@ def _consistency_words(best: FilterSummary) -> str:
     if state is Consistency.UNKNOWN:
         return f"The consistency of {best.filter_name} is not known."
     mean, band = pose_nees(best)
-    return f"The pose NEES / 6 of {best.filter_name} is {mean}, {_HONESTY[state].format(band=band)}, {sureness(best)}."
+    doubt = f": {best.doubt}" if state is Consistency.DOUBTFUL else ""
+    judged = f"{_HONESTY[state].format(band=band)}{doubt}"
+    return f"The pose NEES / 6 of {best.filter_name} is {mean}, {judged}, {sureness(best)}."
 
 
 def pose_nees(summary: FilterSummary) -> tuple[str, str]:

@@ -152,11 +152,16 @@ def plot_windows(scores: Sequence[TrajectoryScore]) -> Chart:
 
 
 def plot_runs(score: RunsScore) -> Chart:
-    """Mean NEES / 6 of the pose over several runs, over time, against its 95 % band."""
-    pose = score.claims["pose"]
+    """Mean NEES of the pose, or of the position alone, by its dof, over several runs, against its 95 % band."""
+    pose = score.claims[score.judged]
     low, high = (end / pose.dof for end in pose.bands)
     curves = {f"{len(score.runs)} runs": pose.by_frame / pose.dof}
-    return band_chart("Pose ANEES / 6 (1 is ideal)", score.times - score.times[0], curves, (low, high))
+    return band_chart(
+        f"{score.judged.capitalize()} ANEES / {pose.dof} (1 is ideal)",
+        score.times - score.times[0],
+        curves,
+        (low, high),
+    )
 
 
 def _at(times: FloatArray, score: TrajectoryScore) -> FloatArray:

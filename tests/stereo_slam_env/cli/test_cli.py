@@ -465,20 +465,22 @@ def test_calibrate_and_claim_say_in_one_line_what_is_wrong(command, tmp_path, mo
     assert err.count("\n") == 1
 
 
-def test_runs_are_judged_together_and_a_pair_without_a_truth(command, tmp_path):
+@pytest.mark.parametrize("turn", [0.0, 0.5])
+def test_runs_are_judged_together_and_a_pair_without_a_truth(command, tmp_path, turn):
     rng = np.random.default_rng(0)
     t = 0.1 * np.arange(40)
     path = np.column_stack([np.cos(t), np.sin(t), 0.1 * t])
-    unturned = np.tile([0.0, 0.0, 0.0, 1.0], (40, 1))
+    turned = Rotation.from_rotvec(np.outer(turn * t, [0.0, 0.0, 1.0])).as_quat()
     names = [tmp_path / f"run{k}.square" for k in range(3)]
     for name in names:
         claimed = np.tile(1e-4 * np.eye(6), (40, 1, 1))
         noise = 0.01 * rng.normal(size=(40, 3))
-        sse.save_trajectory(name, sse.Trajectory(path + noise, unturned, t, claimed, name=name.stem))
-    sse.save_trajectory(tmp_path / "truth.tum", sse.Trajectory(path, unturned, t))
+        sse.save_trajectory(name, sse.Trajectory(path + noise, turned, t, claimed, name=name.stem))
+    sse.save_trajectory(tmp_path / "truth.tum", sse.Trajectory(path, turned, t))
     code, out, _ = command("evaluate", *names, tmp_path / "truth.tum", "--out", tmp_path / "out")
     assert code == 0
-    assert "3 runs together: pose ANEES / 6 is" in " ".join(out.split())
+    judged = "pose ANEES / 6" if turn else "position ANEES / 3"
+    assert f"3 runs together: {judged} is" in " ".join(out.split())
     assert json.loads((tmp_path / "out" / "score.json").read_text())["runs"]["runs"] == ["run0", "run1", "run2"]
     code, out, _ = command("evaluate", names[0], names[1], "--pair")
     assert code == 0

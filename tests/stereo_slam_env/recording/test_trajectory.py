@@ -172,7 +172,7 @@ def test_smfeval_reads_what_is_written(tmp_path, tangent):
 @pytest.mark.parametrize(
     ("content", "complaint"),
     [
-        ("1 2 3\n4 5 6\n", "has 3 columns: a trajectory has 8"),
+        ("1 2\n4 5\n", "has 2 columns: a trajectory has 8"),
         ("", "has no rows: a trajectory has 8"),
         ("0 1 2 3 0 0 0 2\n", "row 0 has length 2"),
         ("1 1 2 3 0 0 0 1\n0 1 2 3 0 0 0 1\n", "timestamps must ascend, row 1"),
