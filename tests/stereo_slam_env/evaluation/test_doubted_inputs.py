@@ -174,6 +174,26 @@ def test_a_constant_body_is_named_and_nothing_is_judged(tmp_path, T_bc, words):
     assert "--body" in found.verdict
 
 
+@pytest.mark.parametrize("drift", [0.005, 0.02, 0.05])
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_drift_to_one_side_turns_no_body(tmp_path, drift, axis):
+    """It turns the path against orientations that are right."""
+    gone = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(TRUTH.positions, axis=0), axis=1))])
+    aside = replace(TRUTH, positions=TRUTH.positions + drift * np.outer(gone, np.eye(3)[axis]))
+    found = score(tmp_path, text(tum(aside)), T_TUM, align="none")
+    assert not any("body" in note for note in found.notes)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_quaternions_with_the_scalar_first_are_named_so_whatever_axis_they_turn_about(tmp_path, axis):
+    t = TRUTH.timestamps
+    turns = Rotation.from_rotvec(np.outer(0.1 * t + 0.2 * np.sin(t), np.eye(3)[axis])).as_quat()
+    truth = np.column_stack([t, TRUTH.positions, turns])
+    scalar_first = np.column_stack([t, TRUTH.positions + 0.01 * np.sin(3 * tum(TRUTH)[:, 1:4]), np.roll(turns, 1, 1)])
+    found = score(tmp_path, text(scalar_first), text(truth))
+    assert any("the estimate's quaternions are read as qw qx qy qz" in note for note in found.notes), found.notes
+
+
 # ---- runs of filters ------------------------------------------------------------------------------------------------
 
 
