@@ -227,7 +227,8 @@ def find_obstacles(pairs: PosePairs, whole: tuple[Trajectory, Trajectory], align
         for part, is_hit in (("rotation", offset.turned), ("position", offset.apart), ("pose", True)):
             obstacles[part] = offset.words if is_hit else ""
     scale, _, _ = metrics.similarity(pairs.estimate.positions, truth.positions)
-    if scale > 0.0 and alignment.kind != "sim3" and metrics.ate_scaled(pairs.estimate.positions, truth.positions) * _MUCH < rigid:
+    scaled = metrics.ate_scaled(pairs.estimate.positions, truth.positions)
+    if scale > 0.0 and alignment.kind != "sim3" and scaled * _MUCH < rigid:
         why = f"the estimate has a scale of its own, {1.0 / scale:.3g} m for a metre: --align sim3 takes it off"
         obstacles = dict.fromkeys(obstacles, why)
         notes.append(why)
