@@ -57,7 +57,10 @@ def require_rate(times: FloatArray, what: str) -> None:
         return
     likely = [
         f"as {name} they would be at {1.0 / (step * unit):.3g} Hz"
-        for unit, name in ((1e-3, "milliseconds"), (1e-6, "microseconds"), (1e-9, "nanoseconds"))
+        for unit, name in (
+            *((1e-3, "milliseconds"), (1e-6, "microseconds"), (1e-9, "nanoseconds")),
+            *((1e3, "times of a unit 1000 times as long"), (1e6, "times of a unit a million times as long")),
+        )
         if 1.0 <= 1.0 / (step * unit) <= 500.0
     ]
     raise ValueError(

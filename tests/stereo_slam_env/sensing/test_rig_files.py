@@ -301,7 +301,7 @@ def test_a_calibration_of_images_of_another_size_is_refused(tmp_path):
     P = [f"{rig.fx} 0 {rig.cx} {x} 0 {rig.fy} {rig.cy} 0 0 0 1 0" for x in (0, -rig.disparity_constant)]
     (tmp_path / "calib.txt").write_text("".join(f"P{n}: {P[n % 2]}\n" for n in range(4)))
     given = {"name": str(tmp_path / "calib.txt"), "width": rig.width // 2, "height": rig.height // 2}
-    with pytest.raises(ValueError, match="principal point .* is not in the middle of images of 672x195"):
+    with pytest.raises(ValueError, match=r"the principal point .* is not in the middle of images of \d+x188: the"):
         camera_of(given)
 
 
