@@ -69,7 +69,7 @@ def record_tracks(
     for number, pair in enumerate(islice(sequence.pairs(), wanted)):
         dt = pair.timestamp - taken[-1].timestamp if taken else None
         if dt is not None and dt > LONGEST_STEP:
-            said = f"pair {number} comes {dt:.6g} s after the one before, farther apart than the {LONGEST_STEP:g} s of a gap"
+            said = f"pair {number} comes {dt:.6g} s after the one before, more than {LONGEST_STEP:g} s"
             raise ValueError(f"{sequence.name}: {said}: the clock jumps, so read the part before or the one after it")
         tracked = tracker.track(pair.left, pair.right, dt)
         if watch is not None:

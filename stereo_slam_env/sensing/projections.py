@@ -100,7 +100,9 @@ def require_principal_point(path: Path | str, P: FloatArray, size: tuple[int, in
     share = np.array([P[0, 2] + 0.5, P[1, 2] + 0.5]) / size
     if ((share > _EDGE) & (share < 1.0 - _EDGE)).all():
         return
-    said = f"the principal point ({P[0, 2]:.6g}, {P[1, 2]:.6g}) px is not in the middle of images of {size[0]}x{size[1]}"
+    said = (
+        f"the principal point ({P[0, 2]:.6g}, {P[1, 2]:.6g}) px is not in the middle of images of {size[0]}x{size[1]}"
+    )
     raise ValueError(f"{path}: {said}: the calibration is of images of another size, so give that of these")
 
 

@@ -33,7 +33,14 @@ from stereo_slam_env.sensing.lenses import (
     rectification,
     stated_rectification,
 )
-from stereo_slam_env.sensing.projections import entry, projections, read_entries, rectified_rig, require_baseline, require_principal_point
+from stereo_slam_env.sensing.projections import (
+    entry,
+    projections,
+    read_entries,
+    rectified_rig,
+    require_baseline,
+    require_principal_point,
+)
 
 Calibration = StereoCamera | Rectification
 """A rig whose images are rectified, or how raw ones are."""
@@ -218,7 +225,9 @@ def _kalibr(path: Path, table: dict[str, Any], size: Size | None) -> Calibration
         T_by_unit = np.linalg.inv(_of_kalibr(path, table, "cam1")) @ _of_kalibr(path, table, "cam0")
         if T_rl is not None and not np.allclose(T_rl, T_by_unit, atol=_SAME_POSE):
             apart = np.linalg.norm((T_rl - T_by_unit)[:3, 3])
-            said = f"T_cn_cnm1 and the poses of the cameras to the inertial unit contradict each other, by {apart:.3g} m"
+            said = (
+                f"T_cn_cnm1 and the poses of the cameras to the inertial unit contradict each other, by {apart:.3g} m"
+            )
             raise ValueError(f"{path}: {said}: one of them is inverted or of another calibration, so correct it")
         T_rl = T_by_unit if T_rl is None else T_rl
     return rectification(lenses[0], lenses[1], tuple(T_rl.ravel()), str(path))

@@ -78,7 +78,7 @@ def test_few_corners_convict_nobody():
 
 
 class Yawed(DrawnStreet):
-    """The right camera looks away from the left one, or towards it: all seems nearer or farther, and rows hardly tell."""
+    """The right camera looks away from the left one, or towards it: rows hardly tell."""
 
     def __init__(self, count, yaw):
         super().__init__(count)

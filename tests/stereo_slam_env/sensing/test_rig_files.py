@@ -290,7 +290,7 @@ def test_poses_of_kalibr_that_contradict_each_other_are_refused(tmp_path):
         both = text + "  T_cn_cnm1:\n" + "".join(f"    - {row(numbers)}\n" for numbers in T)
         (tmp_path / "both.yaml").write_text(both)
         if contradicts:
-            with pytest.raises(ValueError, match="T_cn_cnm1 and the poses .* contradict each other, by "):
+            with pytest.raises(ValueError, match=r"T_cn_cnm1 and the poses .* contradict each other, by "):
                 camera_of(str(tmp_path / "both.yaml"))
         else:
             assert camera_of(str(tmp_path / "both.yaml")).baseline == pytest.approx(np.linalg.norm(T_RL[:3, 3]))
