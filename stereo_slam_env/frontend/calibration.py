@@ -16,7 +16,7 @@ import numpy as np
 
 from filters import StereoCamera
 from stereo_slam_env.frontend.ego_motion import Pairs, Step, most_likely_step, robust_step
-from stereo_slam_env.frontend.row_offsets import require_rectified, row_offsets
+from stereo_slam_env.frontend.row_offsets import FEWEST, RowOffsets, require_rectified, row_offsets, turns_of_rows
 from stereo_slam_env.frontend.settings import TrackerSettings, settings_for
 from stereo_slam_env.frontend.tracker import StereoTracker
 from stereo_slam_env.frontend.tracks import MEMORY
@@ -33,6 +33,8 @@ _SIGNIFICANT = 3.0
 
 _IMPOSSIBLE = 5.0
 """A value of more standard deviations, with what a careful calibration leaves, is a mistake and no remainder."""
+_LEAST_YAW = 0.0035
+"""rad: twice what the noise of tracks allows for (`track_noise.RIGHT_TURN`)."""
 _LOOKED_AT = 8
 """Pairs whose rows are compared."""
 
@@ -60,15 +62,25 @@ def calibrated(
         before = pair.timestamp
         if (far_apart := tracker.longest_pairs()) is not None:
             offset.learn(*far_apart, shared=MEMORY - 1)
-    require_rectified(row_offsets(looked_at), sequence.camera, sequence.name)
+    rows = row_offsets(looked_at)
+    require_rectified(rows, sequence.camera, sequence.name)
     shift, doubt = offset.unbiased
-    if abs(shift) > _IMPOSSIBLE * np.hypot(doubt, PRIOR_SIGMA):
+    if abs(shift) > _IMPOSSIBLE * np.hypot(doubt, PRIOR_SIGMA) or _is_yaw(rows, sequence.camera, shift, doubt):
         raise ValueError(
             f"{sequence.name}: all disparities are off by {-shift:+.1f} ± {doubt:.1f} px, by the motion, a yaw of "
             f"{1e3 * abs(shift) / sequence.camera.fx:.1f} mrad between the cameras: calibrate the pair again"
         )
     _log.info("%s: disparity offset %.3f +- %.3f px", sequence.name, offset.value, offset.sigma)
     return dataclasses.replace(settings, disparity_offset=settings.disparity_offset + offset.correction)
+
+
+def _is_yaw(rows: RowOffsets, camera: StereoCamera, shift: float, doubt: float) -> bool:
+    """Whether rows and motion, which share no error, show one yaw between the cameras that no calibration leaves."""
+    if len(rows.offset) < FEWEST or not abs(shift) > _IMPOSSIBLE * doubt:
+        return False
+    found, sigma = turns_of_rows(rows, camera)
+    yaw, by_motion = float(found[1]), -shift / camera.fx
+    return abs(yaw) > max(_LEAST_YAW, _IMPOSSIBLE * float(sigma[1])) and bool(0.25 < by_motion / yaw < 4.0)
 
 
 class DisparityOffset:

@@ -9,6 +9,7 @@ from itertools import islice
 import numpy as np
 
 from filters import ColouredNoise, LandmarkDrift, Start, StereoCamera, StereoFilter, StereoObservation
+from filters.contract.stereo_filter import LONGEST_STEP
 from filters.geometry import rotations
 from stereo_slam_env.frontend.camera_motion import require_gyro_units
 from stereo_slam_env.frontend.ego_motion import Pairs, Step, robust_step
@@ -67,6 +68,9 @@ def record_tracks(
     start = sequence.start
     for number, pair in enumerate(islice(sequence.pairs(), wanted)):
         dt = pair.timestamp - taken[-1].timestamp if taken else None
+        if dt is not None and dt > LONGEST_STEP:
+            said = f"pair {number} comes {dt:.6g} s after the one before, more than {LONGEST_STEP:g} s"
+            raise ValueError(f"{sequence.name}: {said}: the clock jumps, so read the part before or the one after it")
         tracked = tracker.track(pair.left, pair.right, dt)
         if watch is not None:
             watch(pair, tracked)

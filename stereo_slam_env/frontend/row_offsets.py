@@ -32,13 +32,15 @@ _RETURNS_WITHIN = 1.0
 FEWEST = 30
 """Fewer matches say nothing."""
 _SIGNIFICANT = 5.0
-_LEFT = np.array([0.33, 3e-3, 1.8e-3])
+_LEFT = np.array([0.33, 3e-3, 1e-3])
 """Standard deviations of what a careful calibration leaves: of the rows, px (as the matcher supposes), and yaw and roll
 between the cameras as their rows show them, rad. The rows of KITTI 06 show 0.2 px, 9 mrad and 0.4 mrad."""
 _SWAPPED, _TURNED = 0.5, 0.03
 """Shares of corners beyond infinity by which left and right are swapped, or the cameras are turned to each other: of
 rendered and real pairs that are rectified there are none among 1,500."""
 _FEWEST_BEYOND = 4
+_SAME_IMAGE = 0.05
+"""Nine of ten corners are no further apart, px, in one image that is given twice."""
 _HUBER = 1.5
 _STEPS = 10
 
@@ -84,15 +86,17 @@ def require_rectified(rows: RowOffsets, camera: StereoCamera, name: str) -> None
     beyond, count = rows.beyond_infinity, int(np.count_nonzero(rows.disparity < -1.0))
     if beyond > _SWAPPED:
         raise ValueError(
-            f"{name}: {100 * beyond:.0f} % of its disparities are negative: are left and right swapped, or the "
-            "cameras turned to each other (yaw)?"
+            f"{name}: {100 * beyond:.0f} % of its disparities are negative: are left and right swapped, the images of "
+            "both upside down, or the cameras turned to each other (yaw)?"
         )
+    if np.quantile(np.hypot(rows.disparity, rows.offset), 0.9) < _SAME_IMAGE:
+        raise ValueError(f"{name}: left and right images are the same: name the topic or folder of each camera")
     if count >= _FEWEST_BEYOND and beyond > _TURNED:
         raise ValueError(
             f"{name}: {count} of {len(rows.offset)} corners lie beyond infinity, with disparities down to "
             f"{rows.disparity.min():.1f} px, so the cameras are turned to each other (yaw), or the images raw: {remedy}"
         )
-    found, sigma = _turns(rows, camera)
+    found, sigma = turns_of_rows(rows, camera)
     if (np.abs(found) > _SIGNIFICANT * np.hypot(sigma, _LEFT)).any():
         said = ", ".join(
             f"{what} {scale * value:+.2f} ± {scale * error:.2f} {unit}"
@@ -103,7 +107,7 @@ def require_rectified(rows: RowOffsets, camera: StereoCamera, name: str) -> None
         raise ValueError(f"{name}: the rows of its images are those of no rectified pair ({said}): {remedy}")
 
 
-def _turns(rows: RowOffsets, camera: StereoCamera) -> tuple[FloatArray, FloatArray]:
+def turns_of_rows(rows: RowOffsets, camera: StereoCamera) -> tuple[FloatArray, FloatArray]:
     """Pitch, px, yaw and roll, rad, of the right camera that explain the rows best, and their standard errors.
 
     A small turn moves the row of a point (x, y, 1) of the right camera by f (1 + y^2), f x y and f x.

@@ -51,9 +51,13 @@ def samples_of_steps(
     if len(times) < 2 or not (np.diff(times) > 0.0).all():
         raise ValueError(f"{path} must have two rows or more with increasing times: copy it again")
     _require_units(path, numbers)
+    apart, of_frames = float(np.median(np.diff(times))), np.diff(frames[np.isfinite(frames)])
+    if of_frames.size and apart > _GAP * (step := float(np.median(of_frames))):
+        said = f"its rows are {apart:.3g} s apart, the frames {step:.3g} s: are its times of another unit?"
+        raise ValueError(f"{path}: {said} Write those of both in one")
     steps: list[InertialSamples | None] = [None]
     integral = np.vstack([np.zeros(6), np.cumsum(np.diff(times)[:, None] * 0.5 * (numbers[1:] + numbers[:-1]), axis=0)])
-    longest = _GAP * float(np.median(np.diff(times)))
+    longest = _GAP * apart
     for begin, end in pairwise(frames.tolist()):
         first, last = np.searchsorted(times, [begin + _SAME, end - _SAME])
         covered = times[0] - _SAME <= begin < end <= times[-1] + _SAME

@@ -57,7 +57,10 @@ def require_rate(times: FloatArray, what: str) -> None:
         return
     likely = [
         f"as {name} they would be at {1.0 / (step * unit):.3g} Hz"
-        for unit, name in ((1e-3, "milliseconds"), (1e-6, "microseconds"), (1e-9, "nanoseconds"))
+        for unit, name in (
+            *((1e-3, "milliseconds"), (1e-6, "microseconds"), (1e-9, "nanoseconds")),
+            *((1e3, "times of a unit 1000 times as long"), (1e6, "times of a unit a million times as long")),
+        )
         if 1.0 <= 1.0 / (step * unit) <= 500.0
     ]
     raise ValueError(
@@ -86,7 +89,12 @@ def message_times(stamps: IntArray, logged: IntArray) -> tuple[IntArray, BoolArr
     away = np.abs(seconds - median_filter(seconds, size=_NEIGHBOURS, mode="mirror"))
     in_order = seconds >= np.maximum.accumulate(seconds)
     in_order &= seconds <= np.minimum.accumulate(seconds[::-1])[::-1]
-    kept = in_order | (away <= max(_ASTRAY_S, _ASTRAY_STEPS * float(np.median(np.abs(np.diff(seconds))))))
+    limit = max(_ASTRAY_S, _ASTRAY_STEPS * float(np.median(np.abs(np.diff(seconds)))))
+    kept = in_order | (away <= limit)
+    kept[[0, -1]] &= np.abs(seconds[[0, -1]] - seconds[[1, -2]]) <= limit  # one alone is in any order
+    if (stamps == 0).any() and 1e-9 * float(stamps[stamps != 0].min()) > limit:
+        kept &= stamps != 0  # no times, beside others that are
+        away = np.where(stamps == 0, 1e-9 * np.median(stamps), away)
     if kept.all():
         return stamps, kept, []
     worst = float(away[~kept].max())

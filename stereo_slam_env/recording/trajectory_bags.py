@@ -100,8 +100,12 @@ def read_bag(path: Path, topic: str | None) -> Trajectory:
     if parts[0][2] is not None:
         covariances = np.array([doubt for _, _, doubt in parts], dtype=np.float64)[order]
         covariances = covariances.reshape(-1, POSE_SIZE, POSE_SIZE)
-    seconds = np.asarray(1e-9 * times[order], dtype=np.float64)
-    require_rate(seconds, f"{path}, {plain(wanted)}")
+    seconds = None
+    if types[wanted] == _PATH and times is logged:  # its poses have no log of their own
+        notes = ["its poses have no stamps: they belong to those of the other one by their order"]
+    else:
+        seconds = np.asarray(1e-9 * times[order], dtype=np.float64)
+        require_rate(seconds, f"{path}, {plain(wanted)}")
     return assembled(
         f"{path}, {plain(wanted)}",
         positions,

@@ -17,7 +17,7 @@ import numpy as np
 from filters.geometry.arrays import FloatArray
 from stereo_slam_env.sensing.calibration_entries import Size, lens_of
 from stereo_slam_env.sensing.lenses import Lens, Rectification, stated_rectification
-from stereo_slam_env.sensing.projections import rectified_rig
+from stereo_slam_env.sensing.projections import rectified_rig, require_principal_point
 from stereo_slam_env.sensing.rig_files import Calibration
 
 _FEW = 0.1
@@ -87,22 +87,28 @@ class CameraInfo:
 def agreed(messages: Iterable[CameraInfo], where: str) -> tuple[CameraInfo, tuple[str, ...]]:
     """The content that the messages of a topic agree on, and a note where a few at its start were others.
 
+    Empty messages say nothing, and are left out.
+
     Raises
     ------
     ValueError
         The calibration changes: one line that begins with `where` and counts.
     """
-    every = list(messages)
+    received = list(messages)
+    every = [one for one in received if any(one.K) or any(one.P)] or received
+    notes: tuple[str, ...] = ()
+    if empty := len(received) - len(every):
+        notes = (f"{where}: {empty} of {len(received)} messages are empty: left out",)
     counts = Counter(map(repr, every))  # NaN differs from itself
     ((most, count),) = counts.most_common(1)
     usual = next(one for one in every if repr(one) == most)
     if (odd := len(every) - count) == 0:
-        return usual, ()
+        return usual, notes
     other = next(one for one in every if repr(one) != most)
     said = f"{where} says {usual} in {count} of {len(every)} messages and {other} in others"
     if odd > _FEW * len(every) or any(repr(one) != most for one in every[odd:]):
         raise ValueError(f"{said}: the calibration changes, so cut the bag where it does, or give the right one as rig")
-    return usual, (f"{said}: the first {odd} are taken for those of a calibration before",)
+    return usual, (*notes, f"{said}: the first {odd} are taken for those of a calibration before")
 
 
 def calibration_of_infos(messages: tuple[Any, Any], where: str, *, rectified: bool) -> Calibration:
@@ -146,6 +152,8 @@ def calibration_of_images(
         fitted, note = _of_images(info, size, where)
         notes += [one for one in note if one not in notes]
         both.append(fitted)
+        if any(fitted.P) and not any(info.roi[:2]):
+            require_principal_point(where, np.reshape(fitted.P, (3, 4)), size)
     P = tuple(_projection(one, where) for one in both)
     if not all(one.has_lens for one in both):
         return rectified_rig(where, P[0], P[1], sizes[0]), (*notes, f"{where}: K is not filled in, P alone is used")
@@ -172,9 +180,12 @@ def _of_images(info: CameraInfo, size: Size, where: str) -> tuple[CameraInfo, tu
     if bins == (1, 1) and (x, y) == (0, 0):
         return info, ()
     K_whole = info.K if info.has_lens else (*info.P[0:3], *info.P[4:7], *info.P[8:11])
-    off = abs(K_whole[2] / info.size[0] - 0.5)
-    if off > _MIDDLE and abs(bins[0] * K_whole[2] / info.size[0] - 0.5) < 0.5 * _MIDDLE and not (x or y):
+    middle = np.array([K_whole[2], K_whole[5]])
+    of_sensor, of_images = (np.abs(middle / of - 0.5) for of in (info.size, size))
+    if of_sensor.max() > _MIDDLE and of_images.max() < 0.5 * _MIDDLE:
         said = f"binning is {bins[0]}x{bins[1]}, but K has its principal point in the middle of the binned images"
+        if (x, y) != (0, 0):
+            said = f"the region is {info.roi}, but K has its principal point in the middle of its images"
         return replace(_plain(info), size=size), (
             f"{where}: {said}: K and P are taken as those of these (REP 104: of the whole sensor)",
         )

@@ -15,6 +15,8 @@ LONGEST_FOCAL_LENGTH = 1e5
 """Beyond this, px, a lens is a mistake."""
 BASELINES = (0.005, 2.0)
 """Beyond these, m, the baseline of real images is a mistake of units."""
+_EDGE = 0.05
+"""Share of an image beside its edges in which no principal point is."""
 _BY_UNIT = (("mm", 1e-3), ("cm", 1e-2), ("inches", 0.0254))
 _SAME_K = 1e-6
 """Relative difference of the K of both cameras that is taken for rounding."""
@@ -70,7 +72,10 @@ def rectified_rig(path: Path | str, P_left: FloatArray, P_right: FloatArray, siz
     if abs(below) > abs(beside):
         raise ValueError(f"{path}: the right camera is {below:+.4g} m below the left one: a vertical pair is not read")
     if not baseline > 0:
-        raise ValueError(f"{path}: the baseline is {baseline:.6g} m, it must be > 0: are left and right swapped?")
+        raise ValueError(
+            f"{path}: the baseline is {baseline:.6g} m, it must be > 0: are left and right swapped, or is the "
+            "transform between them inverted?"
+        )
     require_baseline(path, baseline)
     fx, fy, cx, cy = (float(K[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2)))
     if max(fx, fy) > LONGEST_FOCAL_LENGTH:
@@ -88,6 +93,17 @@ def require_baseline(path: Path | str, baseline: float) -> None:
         fits = [f"{unit} ({baseline * of_unit:.3g} m)" for unit, of_unit in _BY_UNIT if 0.02 < baseline * of_unit < 1.0]
         likely = f", is it in {' or '.join(fits)}?" if fits else ""
         raise ValueError(f"{path}: the baseline is {baseline:.6g} m: metres are expected{likely}")
+
+
+def require_principal_point(path: Path | str, P: FloatArray, size: tuple[int, int]) -> None:
+    """Raise a `ValueError` that names `path` where P (3, 4) is that of images of another size than these, px."""
+    share = np.array([P[0, 2] + 0.5, P[1, 2] + 0.5]) / size
+    if ((share > _EDGE) & (share < 1.0 - _EDGE)).all():
+        return
+    said = (
+        f"the principal point ({P[0, 2]:.6g}, {P[1, 2]:.6g}) px is not in the middle of images of {size[0]}x{size[1]}"
+    )
+    raise ValueError(f"{path}: {said}: the calibration is of images of another size, so give that of these")
 
 
 def projections(path: Path, names: Sequence[str]) -> tuple[FloatArray, FloatArray]:

@@ -33,7 +33,14 @@ from stereo_slam_env.sensing.lenses import (
     rectification,
     stated_rectification,
 )
-from stereo_slam_env.sensing.projections import entry, projections, read_entries, rectified_rig, require_baseline
+from stereo_slam_env.sensing.projections import (
+    entry,
+    projections,
+    read_entries,
+    rectified_rig,
+    require_baseline,
+    require_principal_point,
+)
 
 Calibration = StereoCamera | Rectification
 """A rig whose images are rectified, or how raw ones are."""
@@ -45,9 +52,12 @@ _IN_FOLDERS = (
     *("calib.txt", "calib_cam_to_cam.txt", "mav0/cam0/sensor.yaml", "cam0/sensor.yaml", "calibration.yaml"),
     *("camchain*.yaml", "*-camchain*.yaml", "*imucam_chain*.yaml", "dso/camchain.yaml", "left.yaml", "intrinsics.yml"),
 )
+_SAME_POSE = 0.01
+"""m and rad by which two poses of one file may differ: digits of a text, and calibrations in two steps."""
 _TANGENTIAL, _RADIAL = 3e-3, 0.02
 """Largest tangential coefficients, and least first radial one, of a pinhole with four."""
 _ORB_STEREO = ("Camera.bf", "Stereo.b", "Stereo.T_c1_c2")
+_ORB_TYPES = ("PinHole", "Pinhole", "pinhole", "KannalaBrandt8", "Rectified", "not stated")
 _ORB_LENS = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
 _KNOWN = "KITTI calib.txt, EuRoC sensor.yaml, Kalibr camchain, ROS CameraInfo, OpenCV, ORB-SLAM or VSLAM-LAB yaml"
 
@@ -172,6 +182,7 @@ def _kitti(path: Path, size: Size | None) -> StereoCamera:
         size = None if image is None else _png_size(image)
     if size is None:
         raise ValueError(f"{path} does not say the size of the images: give width and height with it")
+    require_principal_point(path, P[0], size)
     return rectified_rig(path, *P, size)
 
 
@@ -208,10 +219,17 @@ def _kalibr(path: Path, table: dict[str, Any], size: Size | None) -> Calibration
         of_lens = of_lens[: 0 if model == "none" else None]
         lenses.append(lens_of(path, numbers_of(path, camera, "intrinsics", 4), known, of_lens, model))
         poses.append(camera)
-    if "T_cn_cnm1" in poses[1]:
-        T_rl = transform_of(path, poses[1], "T_cn_cnm1")
-    else:
-        T_rl = np.linalg.inv(_of_kalibr(path, table, "cam1")) @ _of_kalibr(path, table, "cam0")
+    by_unit = [any(name in one for name in ("T_cam_imu", "T_imu_cam")) for one in poses]
+    T_rl = transform_of(path, poses[1], "T_cn_cnm1") if "T_cn_cnm1" in poses[1] or not by_unit[1] else None
+    if T_rl is None or all(by_unit):
+        T_by_unit = np.linalg.inv(_of_kalibr(path, table, "cam1")) @ _of_kalibr(path, table, "cam0")
+        if T_rl is not None and not np.allclose(T_rl, T_by_unit, atol=_SAME_POSE):
+            apart = np.linalg.norm((T_rl - T_by_unit)[:3, 3])
+            said = (
+                f"T_cn_cnm1 and the poses of the cameras to the inertial unit contradict each other, by {apart:.3g} m"
+            )
+            raise ValueError(f"{path}: {said}: one of them is inverted or of another calibration, so correct it")
+        T_rl = T_by_unit if T_rl is None else T_rl
     return rectification(lenses[0], lenses[1], tuple(T_rl.ravel()), str(path))
 
 
@@ -312,6 +330,8 @@ def _opencv_model(path: Path, table: Mapping[str, Any], of_lens: FloatArray) -> 
 def _orb_slam(path: Path, table: dict[str, Any], size: Size) -> Calibration:
     """Settings of rectified images, Camera.fx ... and Camera.bf (px m) or Stereo.b (m); or of two raw cameras."""
     kind = str(table.get("Camera.type", "not stated"))
+    if kind not in _ORB_TYPES:
+        raise ValueError(f"{path}: Camera.type {plain(kind)!r} is not read: PinHole, KannalaBrandt8 and Rectified are")
     prefix = "Camera1" if "Camera1.fx" in table else "Camera"
     if kind != "Rectified" and "Stereo.T_c1_c2" in table:
         left, right = (_orb_lens(path, table, one, kind, size) for one in ("Camera1", "Camera2"))
@@ -339,8 +359,9 @@ def _orb_lens(path: Path, table: dict[str, Any], camera: str, kind: str, size: S
     """One of two raw cameras of ORB-SLAM3."""
     K = np.concatenate([numbers_of(path, table, f"{camera}.{name}", 1) for name in ("fx", "fy", "cx", "cy")])
     fisheye = kind == "KannalaBrandt8"
-    names = ("k1", "k2", "k3", "k4") if fisheye else ("k1", "k2", "p1", "p2", "k3")
+    names = ("k1", "k2", "k3", "k4") if fisheye else ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
     of_lens = [
         float(numbers_of(path, table, f"{camera}.{n}", 1)[0]) if f"{camera}.{n}" in table else 0.0 for n in names
     ]
+    of_lens = of_lens if any(of_lens[5:]) else of_lens[:5]
     return lens_of(path, K, size, np.array(of_lens), "fisheye" if fisheye else "")

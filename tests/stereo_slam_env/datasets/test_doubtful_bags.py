@@ -10,6 +10,7 @@ import pytest
 
 from stereo_slam_env.datasets import open_for_front_end, open_image_sequence
 from stereo_slam_env.datasets.bag_images import shift_of_messages
+from stereo_slam_env.frontend.recorder import record_tracks
 from stereo_slam_env.recording.trajectory_files import load_trajectory
 
 from ..frontend.drawn_street import CAMERA, DT
@@ -177,10 +178,9 @@ OLD[2, 2] = 1.0
         (range(12), "in 12 of 24 messages"),
     ],
 )
-@pytest.mark.parametrize("old", [{"K": OLD}, {"K": np.zeros((3, 3))}])
-def test_all_messages_of_a_topic_are_compared(tmp_path, stale, complaint, old):
+def test_all_messages_of_a_topic_are_compared(tmp_path, stale, complaint):
     def info(eye, k):
-        return {**old, "P": P(eye, OLD) if old["K"].any() else np.zeros((3, 4))} if k in stale else {"P": P(eye)}
+        return {"K": OLD, "P": P(eye, OLD)} if k in stale else {"P": P(eye)}
 
     if complaint is not None:
         with pytest.raises(ValueError, match=complaint) as error:
@@ -190,6 +190,33 @@ def test_all_messages_of_a_topic_are_compared(tmp_path, stale, complaint, old):
     sequence = bag_with(tmp_path, info=info)
     assert_the_street(sequence)
     assert "22 of 24 messages" in notes_of(sequence)
+
+
+@pytest.mark.parametrize("empty", [(0, 1), (11, 12), (22, 23), range(5), range(20)])
+def test_empty_messages_say_nothing(tmp_path, empty):
+    nothing = {"K": np.zeros((3, 3)), "P": np.zeros((3, 4))}
+    sequence = bag_with(tmp_path, info=lambda eye, k: nothing if k in empty else {"P": P(eye)})
+    assert_the_street(sequence)
+    assert f"{len(empty)} of 24 messages are empty: left out" in notes_of(sequence)
+
+
+@pytest.mark.parametrize("given", [{}, {"binning": 2}])
+def test_a_calibration_of_larger_images_is_refused(tmp_path, given):
+    """Their size is stated as it is; K and P are those of images twice as large."""
+    images = tuple(smaller(one, bins=2) for one in street())
+    info = {**given, "size": (WIDTH // 2, HEIGHT // 2)}
+    with pytest.raises(ValueError, match=r"the principal point .* is not in the middle of images of 240x120: the"):
+        bag_with(tmp_path, images=images, info=lambda eye, k: {**info, "P": P(eye)})
+
+
+def test_a_k_of_the_region_contradicts_and_is_said(tmp_path):
+    region = {"x": 240, "y": 0, "width": 240, "height": HEIGHT}
+    of_region = K - [[0, 0, 120], [0, 0, 0], [0, 0, 0]]
+    info = {"roi": (240, 0, HEIGHT, 240, True), "K": of_region}
+    images = tuple(smaller(one, **region) for one in street())
+    sequence = bag_with(tmp_path, images=images, info=lambda eye, k: {**info, "P": P(eye, of_region)})
+    assert sequence.camera.cx == pytest.approx(of_region[0, 2])
+    assert "the region is (240, 0, 240, " in notes_of(sequence)
 
 
 @pytest.mark.parametrize(
@@ -322,11 +349,28 @@ def test_images_without_stamps_have_the_times_of_the_log(tmp_path, eyes):
 
 
 @pytest.mark.parametrize("wild", [0, 9, 23])
-def test_a_stamp_that_is_50_s_early_costs_one_pair(tmp_path, wild):
-    sequence = bag_with(tmp_path, stamp=lambda eye, k: due(k) - (50_000_000_000 if k == wild else 0))
+@pytest.mark.parametrize("off", [-50, 50])
+def test_a_stamp_that_is_50_s_off_costs_one_pair(tmp_path, wild, off):
+    sequence = bag_with(tmp_path, stamp=lambda eye, k: due(k) + (off * 1_000_000_000 if k == wild else 0))
     assert len(list(sequence.pairs())) == COUNT - 1
     assert np.diff([pair.timestamp for pair in sequence.pairs()]).max() < 2.5 * DT
     assert "1 of 24 stamps" in notes_of(sequence)
+
+
+def test_stamps_of_zero_beside_others_are_none(tmp_path):
+    sequence = bag_with(tmp_path, stamp=lambda eye, k: 0 if k < 10 else due(k))
+    np.testing.assert_allclose([pair.timestamp for pair in sequence.pairs()], DT * np.arange(14), atol=1e-6)
+    assert "10 of 24 stamps" in notes_of(sequence)
+
+
+def test_a_clock_that_begins_at_zero_is_one(tmp_path):
+    assert_the_street(bag_with(tmp_path, stamp=lambda eye, k: due(k) - EPOCH_NS))
+
+
+def test_a_clock_that_jumps_is_named_with_the_pair(tmp_path):
+    sequence = bag_with(tmp_path, stamp=lambda eye, k: due(k) + (3_600_000_000_000 if k > 12 else 0))
+    with pytest.raises(ValueError, match=r"bag: pair 13 comes 3600\.\d+ s after the one before"):
+        record_tracks(sequence)
 
 
 def test_repeated_stamps_are_counted(tmp_path):

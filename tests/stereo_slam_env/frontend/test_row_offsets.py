@@ -42,6 +42,8 @@ def test_what_a_calibration_leaves_is_let_pass(rotation):
     [
         ((0.012, 0.0, 0.0), r"no rectified pair \(pitch [+-]3\.\d"),
         ((0.0, 0.0, 0.015), r"no rectified pair .*roll [+-]1[45]\.\d"),
+        ((0.0, 0.0, np.deg2rad(0.35)), r"no rectified pair .*roll [+-][56]\.\d"),
+        ((0.0, 0.0, -np.deg2rad(0.35)), r"no rectified pair .*roll [+-][56]\.\d"),
         ((0.0, 0.06, 0.0), r"corners lie beyond infinity|yaw [+-][56]\d\.\d|turned to each other \(yaw\)"),
         ((0.0, -0.06, 0.0), r"corners lie beyond infinity|yaw [+-][56]\d\.\d|turned to each other \(yaw\)"),
     ],
@@ -57,6 +59,16 @@ def test_left_and_right_that_are_swapped_are_named():
         require_rectified(row_offsets([(right, left) for left, right in pairs()]), CAMERA, "street")
 
 
+def test_one_camera_given_twice_is_named():
+    with pytest.raises(ValueError, match="street: left and right images are the same"):
+        require_rectified(row_offsets([(left, left.copy()) for left, _ in pairs()]), CAMERA, "street")
+
+
+def test_images_upside_down_are_among_the_reasons():
+    with pytest.raises(ValueError, match="the images of both upside down"):
+        require_rectified(row_offsets([(left[::-1, ::-1], right[::-1, ::-1]) for left, right in pairs()]), CAMERA, "s")
+
+
 def test_few_corners_convict_nobody():
     flat = np.zeros((CAMERA.height, CAMERA.width), np.uint8)
     rows = row_offsets([(flat, flat)])
@@ -65,14 +77,23 @@ def test_few_corners_convict_nobody():
     require_rectified(row_offsets([]), CAMERA, "street")
 
 
-class Diverging(DrawnStreet):
-    """The right camera looks away from the left one: everything seems nearer, and no row tells."""
+class Yawed(DrawnStreet):
+    """The right camera looks away from the left one, or towards it: rows hardly tell."""
+
+    def __init__(self, count, yaw):
+        super().__init__(count)
+        self.yaw = yaw
 
     def pair(self, number):
         one = super().pair(number)
-        return StereoPair(one.timestamp, one.left, turned(one.right, (0.0, -0.012, 0.0)), one.truth)
+        return StereoPair(one.timestamp, one.left, turned(one.right, (0.0, self.yaw, 0.0)), one.truth)
 
 
-def test_a_yaw_that_no_row_shows_is_refused_by_the_motion():
+@pytest.mark.parametrize("yaw", [-0.012, np.deg2rad(0.3), -np.deg2rad(0.3)])
+def test_a_yaw_that_no_row_shows_is_refused_by_the_motion(yaw):
     with pytest.raises(ValueError, match=r"all disparities are off by [+-]\d\.\d .* px, by the motion, a yaw of \d"):
-        calibrated(Diverging(30))
+        calibrated(Yawed(30, yaw))
+
+
+def test_a_yaw_that_calibrations_leave_is_let_pass():
+    calibrated(Yawed(30, 0.0005))

@@ -60,3 +60,9 @@ def test_a_table_in_disorder_is_refused() -> None:
         ValueError, match=r"^table.csv must have two rows or more with increasing times: copy it again$"
     ):
         samples_of_steps(FILE, TIMES[::-1], ramp(TIMES), FRAMES, UNIT)
+
+
+@pytest.mark.parametrize("scale", [100.0, 1e3, 1e6])
+def test_rows_much_farther_apart_than_the_frames_are_of_another_unit(scale: float) -> None:
+    with pytest.raises(ValueError, match=r"^table.csv: its rows are .* s apart, the frames 0.0995 s: are its times of"):
+        samples_of_steps(FILE, scale * TIMES, ramp(TIMES), FRAMES, UNIT)

@@ -263,6 +263,46 @@ def test_two_raw_cameras_of_orb_slam_3_are_rectified(tmp_path):
     found = calibration_of(str(tmp_path / "euroc.yaml"))
     np.testing.assert_allclose(found.R_left, R0, atol=1e-9)
     assert found.camera.fx == pytest.approx(P0[0, 0], rel=1e-9)
+    rational = "".join(f"Camera{n}.{name}: {0.01 * n}\n" for n in (1, 2) for name in ("k3", "k4", "k5", "k6"))
+    (tmp_path / "rational.yaml").write_text((tmp_path / "euroc.yaml").read_text() + rational)
+    for n, (lens, d) in enumerate(zip(calibration_of(str(tmp_path / "rational.yaml")).lenses, D, strict=True), start=1):
+        np.testing.assert_allclose(lens.coefficients, [*d[:4], *[0.01 * n] * 4])  # OpenCV's order
+
+
+@pytest.mark.parametrize("kind", ["Mei", "pinhole8", "kannalabrandt8"])
+def test_a_type_of_camera_that_is_not_orb_slams_is_refused(tmp_path, kind):
+    with pytest.raises(ValueError, match=f"Camera.type '{kind}' is not read: PinHole, KannalaBrandt8 and Rectified"):
+        camera_of(orb_slam(tmp_path, {"Camera.type": kind}))
+
+
+@pytest.mark.parametrize("name", sorted({*FORMATS} - {"camera_info"}))
+def test_a_transform_that_is_inverted_is_among_the_reasons(tmp_path, name, monkeypatch):
+    for what, value in (("T_RL", np.linalg.inv(T_RL)), ("T_BR", T_BL @ T_RL)):
+        monkeypatch.setitem(globals(), what, value)
+    rig = FORMATS[name](tmp_path)
+    with pytest.raises(ValueError, match=r"baseline is -.* or is the transform between them inverted\?"):
+        camera_of(rig if isinstance(rig, dict) else str(rig))
+
+
+def test_poses_of_kalibr_that_contradict_each_other_are_refused(tmp_path):
+    text = kalibr_by_unit(tmp_path).read_text()
+    for T, contradicts in ((T_RL, False), (np.linalg.inv(T_RL), True), (T_RL @ T_RL, True)):
+        both = text + "  T_cn_cnm1:\n" + "".join(f"    - {row(numbers)}\n" for numbers in T)
+        (tmp_path / "both.yaml").write_text(both)
+        if contradicts:
+            with pytest.raises(ValueError, match=r"T_cn_cnm1 and the poses .* contradict each other, by "):
+                camera_of(str(tmp_path / "both.yaml"))
+        else:
+            assert camera_of(str(tmp_path / "both.yaml")).baseline == pytest.approx(np.linalg.norm(T_RL[:3, 3]))
+
+
+def test_a_calibration_of_images_of_another_size_is_refused(tmp_path):
+    rig = RIGS["kitti"]
+    P = [f"{rig.fx} 0 {rig.cx} {x} 0 {rig.fy} {rig.cy} 0 0 0 1 0" for x in (0, -rig.disparity_constant)]
+    (tmp_path / "calib.txt").write_text("".join(f"P{n}: {P[n % 2]}\n" for n in range(4)))
+    given = {"name": str(tmp_path / "calib.txt"), "width": rig.width // 2, "height": rig.height // 2}
+    with pytest.raises(ValueError, match=r"the principal point .* is not in the middle of images of \d+x188: the"):
+        camera_of(given)
 
 
 @pytest.mark.parametrize("name", sorted({*FORMATS} - {"camera_info"}))
