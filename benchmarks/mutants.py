@@ -80,7 +80,6 @@ ROOMS = {
             "tests/stereo_slam_env/simulator",
             *(f"tests/stereo_slam_env/envs/test_{name}.py" for name in ("drive", "gaze", "vector", "snapshots")),
         ),
-        compiled=False,
     ),
     "sensing": Room(
         ("stereo_slam_env/sensing/*.py",),
