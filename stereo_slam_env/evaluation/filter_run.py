@@ -11,7 +11,7 @@ from threadpoolctl import threadpool_limits
 
 from filters import StereoNoise
 from filters.catalogue.common_options import make_with_common_options
-from filters.catalogue.registry import FilterFactory, label_of
+from filters.catalogue.registry import FilterFactory, label_of, require_filter
 from filters.checks.consistency import nees
 from filters.checks.pose_errors import InconsistentPoseError
 from filters.contract.foreign_text import error_line, first_line
@@ -37,7 +37,7 @@ def run_filter(
     label: str | None = None,
     common_options: Mapping[str, Any] | None = None,
     noise: StereoNoise | None = None,
-    use_odometry: bool = True,
+    use_odometry: bool | None = None,
     score_map: bool = True,
     windows: bool = False,
     seed: int | None = None,
@@ -58,11 +58,12 @@ def run_filter(
     label : str, optional
         Name in tables and files; None: that of the filter.
     common_options : mapping, optional
-        Options given to every filter of a comparison that leaves them open, see `filters.catalogue.common_options`.
+        Options given to every filter of a comparison that leaves them open, see `filters.catalogue.common_options`;
+        None: those that the recording states.
     noise : StereoNoise, optional
-        Noise to assume; None: what the recording says.
-    use_odometry : bool
-        Whether `predict` is given the odometry of the recording.
+        Noise to assume; None: what the recording states.
+    use_odometry : bool, optional
+        Whether `predict` is given the odometry of the recording; None: what that states.
     score_map : bool
         Whether the landmarks are judged, too, which costs about as much as a quick filter.
     windows : bool
@@ -82,9 +83,11 @@ def run_filter(
     Raises
     ------
     ValueError
-        The recording is empty.
+        The recording is empty, or no filter or option has that name.
     """
     require_frames(recording)
+    require_filter(filter_name, options or {})
+    setup = recording.filter_setup
     name = label or label_of(filter_name)
     log = RunLog(recording)
     memory = peak_memory_mb()
@@ -97,9 +100,9 @@ def run_filter(
             made = make_with_common_options(
                 filter_name,
                 recording.camera,
-                recording.noise if noise is None else noise,
+                setup.assumed_noise(recording.noise) if noise is None else noise,
                 options or {},
-                common_options or {},
+                setup.common_options(options or {}) if common_options is None else common_options,
             )
             used, not_given = made.options, made.not_given
             moments = run(made.filter, recording, use_odometry=use_odometry, observe=observe)

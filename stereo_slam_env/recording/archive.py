@@ -35,6 +35,7 @@ from filters.geometry.arrays import FloatArray
 from stereo_slam_env.files.folders import write_atomically
 from stereo_slam_env.files.opening import NotOpened
 from stereo_slam_env.files.readers import read_arrays
+from stereo_slam_env.recording.filter_setup import FilterSetup
 from stereo_slam_env.recording.recording import (
     GIVEN_TRUTH,
     SIMULATION,
@@ -103,6 +104,7 @@ def packed_recording(recording: Recording) -> bytes:
         "camera": camera,
         "source": dict(recording.source),
         "truth_from": dataclasses.asdict(recording.truth_from),
+        "filter_setup": recording.filter_setup.as_dict(),
         **({"coloured_noise": recording.noise.parts} if isinstance(recording.noise, ColouredNoise) else {}),
     }
     try:
@@ -233,6 +235,7 @@ def _recording_of(about: Mapping[str, Any], arrays: Arrays) -> Recording:
         landmarks,
         about["source"],
         reference_of(about),
+        FilterSetup(**about["filter_setup"]) if "filter_setup" in about else None,
     )
 
 
