@@ -60,7 +60,7 @@ def number(value: float | None, form: str = ".3g", unit: str = "", tone: Tone = 
     """Cell of a number, which may be unknown (None, NaN)."""
     if value is None or not np.isfinite(value):
         return TableCell(UNKNOWN, None, "none")
-    text = format(value, form) if abs(value) < 10_000 or form.endswith("d") else f"{value:.1e}"
+    text = format(value, form) if form.endswith("d") else readable(value, form)
     return TableCell(f"{text}{unit}".replace("-", "−"), float(value), tone)
 
 

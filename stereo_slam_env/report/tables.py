@@ -33,8 +33,12 @@ def consistency_table(summaries: Sequence[FilterSummary], who: str = "Filter", l
         return Markup()
     columns, cells = [], []
     for figure in figures:
+        if figure.ideal is None:  # a count
+            columns.append(figure_column(figure))
+            cells.append([figure_cell(figure, s) for s in summaries])
+            continue
         found = [s.consistency.get(figure.name.removesuffix("_anees")) for s in summaries]
-        ideal = figure.ideal or 1.0
+        ideal = figure.ideal
         bands = {f"{f.band[0] / ideal:.2f}–{f.band[1] / ideal:.2f}" for f in found if f is not None}
         columns.append(_column(figure, "ideal 1" + (f", {next(iter(bands))}" if len(bands) == 1 else "")))
         tones: list[Tone] = [
