@@ -91,8 +91,8 @@ class Gate:
             lines.append(f"| {name} | {row.measure} | {before} | {after} | {change} | {mark}{row.words} |")
         lines += [
             "",
-            "Figures are over runs as in the tables of bench (root mean square of errors, mean of NEES, median of times);"
-            " their change is the geometric mean of it over recordings.",
+            "Figures are over runs as in the tables of bench (root mean square of errors, mean of NEES, median of"
+            " times); their change is the geometric mean of it over recordings.",
         ]
         return "\n".join(lines) + "\n"
 

@@ -120,8 +120,10 @@ class Figure:
         return readable(shown, f".{max(self.digits, 1) - 1}e")
 
 
-def readable(value: float, form: str = ".3g") -> str:
+def readable(value: float | None, form: str = ".3g") -> str:
     """A number for people: two digits from 10,000 on (17,000), no exponents but as in print (1.7·10⁹, 3.2·10⁻⁵)."""
+    if value is None:
+        return UNKNOWN
     text = f"{value:.1e}" if abs(value) >= 1e4 else format(value, form)
     mantissa, exponential, exponent = text.partition("e")
     if not exponential or not np.isfinite(value):

@@ -17,7 +17,7 @@ from scipy.stats import t
 from filters.contract.foreign_text import markdown
 from filters.geometry.arrays import FloatArray
 from stereo_slam_env.benchmark.packets import read_packet
-from stereo_slam_env.evaluation.figures import FIGURES
+from stereo_slam_env.evaluation.figures import FIGURES, readable
 from stereo_slam_env.files.folders import write_atomically
 
 _HEADS = (

@@ -27,7 +27,7 @@ from stereo_slam_env.benchmark.statistics.verdict import (
     timed_words,
 )
 from stereo_slam_env.evaluation.consistency import DOF
-from stereo_slam_env.evaluation.figures import UNKNOWN, Figure
+from stereo_slam_env.evaluation.figures import UNKNOWN, Figure, readable
 from stereo_slam_env.evaluation.results import FilterSummary
 from stereo_slam_env.report.charts.style import filter_colours
 from stereo_slam_env.report.page import part

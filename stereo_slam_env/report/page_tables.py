@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from markupsafe import Markup
 
-from stereo_slam_env.evaluation.figures import UNKNOWN
+from stereo_slam_env.evaluation.figures import UNKNOWN, readable
 from stereo_slam_env.files.folders import own_files, write_text
 from stereo_slam_env.report.latex import latex_table
 from stereo_slam_env.report.page import part

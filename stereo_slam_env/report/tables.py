@@ -39,7 +39,7 @@ def consistency_table(summaries: Sequence[FilterSummary], who: str = "Filter", l
             continue
         found = [s.consistency.get(figure.name.removesuffix("_anees")) for s in summaries]
         ideal = figure.ideal
-        bands = {f"{f.band[0] / ideal:.2f}–{f.band[1] / ideal:.2f}" for f in found if f is not None}
+        bands = {_band_words(f.band[0] / ideal, f.band[1] / ideal) for f in found if f is not None}
         columns.append(_column(figure, "ideal 1" + (f", {next(iter(bands))}" if len(bands) == 1 else "")))
         tones: list[Tone] = [
             "" if f is None else "bad" if f.mean > f.band[1] else "fair" if f.mean < f.band[0] else "good"
@@ -52,6 +52,12 @@ def consistency_table(summaries: Sequence[FilterSummary], who: str = "Filter", l
             )
             cells.append([number(f.inside_percent if f else None, ".0f") for f in found])
     return _rows(summaries, who, columns, list(zip(*cells, strict=True)), latex)
+
+
+def _band_words(low: float, high: float) -> str:
+    """Ends of a band, with as many digits as tell them apart from 1."""
+    digits = next((n for n in (2, 3, 4) if round(low, n) < 1.0 < round(high, n)), 2)
+    return f"{low:.{digits}f}–{high:.{digits}f}"
 
 
 def pair_table(compared: PairwiseTable, who: str = "Filter", latex: Path | None = None) -> Markup:

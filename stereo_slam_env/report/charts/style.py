@@ -11,6 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from stereo_slam_env.evaluation.figures import readable
+
 PAPER = "#ffffff"
 """Behind everything."""
 INK = "#1b1f24"

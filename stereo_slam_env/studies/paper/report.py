@@ -150,7 +150,7 @@ def _findings(claim: Claim) -> str:
         [
             *finding.condition.values(),
             number(finding.measured.value, ".4g"),
-            f"{readable(finding.measured.low, '.4g')} – {readable(finding.measured.high, '.4g')}"
+            " – ".join(readable(end, ".4g") for end in (finding.measured.low, finding.measured.high))
             if finding.measured.known
             else "–",
             str(finding.asked),
