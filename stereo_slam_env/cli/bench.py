@@ -367,7 +367,7 @@ def replay(
             gate=gate,
             consensus=setup.consensus and gate is not None if consensus is None else consensus,
             motion=dict(setup.motion),
-            noise=scenario.noise or (setup.noise and dict(setup.noise)),
+            noise=scenario.noise or (dict(setup.noise) if setup.noise else None),
             divergence_percent=setup.divergence_percent,
         )
         directory = options.directory(Study.of(scenario))

@@ -122,7 +122,7 @@ class Figure:
 
 def readable(value: float | None, form: str = ".3g") -> str:
     """A number for people: two digits from 10,000 on (17,000), no exponents but as in print (1.7·10⁹, 3.2·10⁻⁵)."""
-    if value is None:
+    if value is None or np.isnan(value):
         return UNKNOWN
     text = f"{value:.1e}" if abs(value) >= 1e4 else format(value, form)
     mantissa, exponential, exponent = text.partition("e")

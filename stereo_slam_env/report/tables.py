@@ -130,7 +130,7 @@ def figure_cell(figure: Figure, summary: FilterSummary, tone: Tone = "") -> Tabl
         found = limit_reached(summary)
         return number(None) if found is None else TableCell(found.words, found.percent)
     if figure.per_runs:
-        return TableCell(f"{value}/{summary.runs}", value, "bad" if value else "")
+        return TableCell(f"{value}/{summary.runs}", value, "bad" if value and figure.group == "events" else "")
     return TableCell(figure.text(value).replace("-", "−"), known(figure.shown(value)), tone)
 
 
