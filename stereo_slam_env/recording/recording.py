@@ -199,10 +199,11 @@ class Recording:
     stated_setup: FilterSetup | None = None
     """How filters are set up for it, where its scenario or its reader says so."""
 
-    @property
+    @cached_property
     def filter_setup(self) -> FilterSetup:
-        """Setup of the filters: as stated, else the usual one."""
-        return self.stated_setup or FilterSetup()
+        """Setup of the filters: as stated, else the usual one, with odometry only where there is any."""
+        setup = self.stated_setup or FilterSetup()
+        return replace(setup, use_odometry=setup.use_odometry and any(frame.odometry for frame in self.frames))
 
     @cached_property
     def reference(self) -> Reference:

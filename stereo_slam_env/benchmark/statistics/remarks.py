@@ -92,9 +92,9 @@ def motion_remarks(runs: Sequence[FilterRun], summaries: Sequence[FilterSummary]
             are = "filters assume" if len(group) > 1 else "filter assumes"
             remarks.append(
                 f"NIS is below its band where the {are} accelerations of {readable(linear)} m/s² and "
-                f"{readable(angular)} rad/s²: the true motion has {readable(true[0])} m/s² and {readable(true[1])} rad/s² "
-                "(root mean square per axis), so that innovations are smaller than a true covariance claims. NEES shows "
-                "whether that of the pose is true."
+                f"{readable(angular)} rad/s²: the true motion has {readable(true[0])} m/s² and "
+                f"{readable(true[1])} rad/s² (root mean square per axis), so that innovations are smaller than a true "
+                "covariance claims. NEES shows whether that of the pose is true."
             )
     return remarks
 
