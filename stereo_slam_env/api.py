@@ -237,7 +237,9 @@ def evaluate(
     setup = replace(recording.filter_setup, **{name: value for name, value in given.items() if value is not None})
     recording = replace(recording, stated_setup=setup)
     setup = recording.filter_setup
-    run = run_filter(recording, slam, {**usual_options(slam), **options}, noise=noise)
+    options = {**usual_options(slam), **options}
+    require_filter(slam, options)
+    run = run_filter(recording, slam, options, noise=noise)
     (summary,) = summarise_all([run], figures_of([run], divergence_percent=setup.divergence_percent))
     return Evaluation(summary, run, setup)
 

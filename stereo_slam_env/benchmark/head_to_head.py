@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from filters.catalogue.common_options import usual_options
-from filters.catalogue.registry import FilterFactory, label_of
+from filters.catalogue.registry import FilterFactory, label_of, require_filter
 from stereo_slam_env.benchmark.recordings.sources import ReferenceSource
 from stereo_slam_env.benchmark.scenarios.scenario import Scenario
 from stereo_slam_env.benchmark.scenarios.streams import make_recording
@@ -215,6 +215,7 @@ class Bench:
     ) -> FilterRun:
         if options is None:
             options = usual_options(tested)
+        require_filter(tested, options)
         source = json.dumps(scenario.as_dict(), sort_keys=True)
         key = (tested, f"{label} {json.dumps(dict(options), sort_keys=True)}", source, seed)
         if key not in self._runs:

@@ -73,8 +73,8 @@ def load(source: str | Path, **options: Any) -> Recording:
     -------
     Recording
         The measurements in time order, with what is known of truth and odometry. If it is not simulated, with what its
-        tracks say of errors that last (`with_measured_noise`), unless it says so itself, and with the setup of filters
-        that tracks of real pictures need (`set_up_for_tracks`), unless it states one.
+        tracks say of errors that last (`with_measured_noise`), unless it says so itself. But for a file, which states
+        its own, with the setup of filters that tracks of real pictures need (`set_up_for_tracks`).
 
     Raises
     ------
@@ -87,7 +87,7 @@ def load(source: str | Path, **options: Any) -> Recording:
     path = Path(source)
     if source == EXAMPLE and not is_there(path):
         _require_options(EXAMPLE, kitti00_stereo_tracks.read_example, options)
-        return _with_its_noise(kitti00_stereo_tracks.read_example(**options))
+        return set_up_for_tracks(_with_its_noise(kitti00_stereo_tracks.read_example(**options)))
     if path.suffix == ".npz" and is_there(path) and path.is_file():
         require_known("a recording in one file has no option", options, [])
         return _with_its_noise(load_recording(path))
@@ -100,12 +100,12 @@ def load(source: str | Path, **options: Any) -> Recording:
         return set_up_for_tracks(record_tracks(*open_for_front_end(path, **options)))
     _require_options(layout.NAME, layout.read, options)
     require_links_inside(path)
-    return _with_its_noise(layout.read(path, **options))
+    return set_up_for_tracks(_with_its_noise(layout.read(path, **options)))
 
 
 def _with_its_noise(recording: Recording) -> Recording:
     stated = isinstance(recording.noise, ColouredNoise) or recording.truth_from.kind == "simulation"
-    return set_up_for_tracks(recording if stated else with_measured_noise(recording))
+    return recording if stated else with_measured_noise(recording)
 
 
 def open_for_front_end(path: str | Path, **options: Any) -> tuple[ImageSequence, TrackerSettings]:

@@ -11,7 +11,7 @@ from threadpoolctl import threadpool_limits
 
 from filters import StereoNoise
 from filters.catalogue.common_options import make_with_common_options
-from filters.catalogue.registry import FilterFactory, label_of, require_filter
+from filters.catalogue.registry import FilterFactory, label_of
 from filters.checks.consistency import nees
 from filters.checks.pose_errors import InconsistentPoseError
 from filters.contract.foreign_text import error_line, first_line
@@ -83,10 +83,9 @@ def run_filter(
     Raises
     ------
     ValueError
-        The recording is empty, or no filter or option has that name.
+        The recording is empty.
     """
     require_frames(recording)
-    require_filter(filter_name, options or {})
     setup = recording.filter_setup
     name = label or label_of(filter_name)
     log = RunLog(recording)

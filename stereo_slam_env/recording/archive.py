@@ -104,9 +104,10 @@ def packed_recording(recording: Recording) -> bytes:
         "camera": camera,
         "source": dict(recording.source),
         "truth_from": dataclasses.asdict(recording.truth_from),
-        "filter_setup": recording.filter_setup.as_dict(),
         **({"coloured_noise": recording.noise.parts} if isinstance(recording.noise, ColouredNoise) else {}),
     }
+    if recording.stated_setup is not None:
+        about["filter_setup"] = recording.stated_setup.as_dict()
     try:
         header = json.dumps(about, allow_nan=False)
     except (TypeError, ValueError) as error:

@@ -15,6 +15,8 @@ from stereo_slam_env.datasets import load
 from stereo_slam_env.frontend.camera_motion import needed_motion
 from stereo_slam_env.recording.filter_setup import FilterSetup
 
+from ..datasets.small_folders import kitti07
+
 NAMES = ("inverse-depth", "euclidean")
 PLAIN = Scenario("plain", ReferenceSource("short_turn", {"landmarks": 12}), gate=None, metrics=())
 SETUPS = {
@@ -92,28 +94,28 @@ def test_what_states_nothing_is_set_up_alike_and_options_win():
     assert sse.evaluate("inverse-depth", joint).series.options["consensus"]
 
 
-def test_tracks_of_real_pictures_state_what_replay_does(tmp_path):
-    """Tracks whose truth is of unknown origin are somebody's, unlike simulated ones."""
+def test_a_file_that_states_nothing_is_set_up_as_it_was_before_it_was_saved(tmp_path):
     recording = sse.make_recording(PLAIN, 0)
     theirs = replace(recording, truth_from=replace(recording.truth_from, kind="unknown"), stated_setup=None)
-    sse.save_recording(tmp_path / "plain.npz", theirs)
-    # It was evaluated so before it was saved.
-    assert load(tmp_path / "plain.npz").stated_setup == FilterSetup(use_odometry=False)
-    with np.load(tmp_path / "plain.npz") as arrays:
-        old = dict(arrays)
-    old["about"] = np.array(str(old["about"]).replace('"filter_setup"', '"not known to older versions"'))
-    np.savez(tmp_path / "old.npz", **old)
-    read = load(tmp_path / "old.npz")
+    sse.save_recording(tmp_path / "theirs.npz", theirs)
+    assert load(tmp_path / "theirs.npz").stated_setup is None
+    found = sse.evaluate("inverse-depth", theirs).series.positions
+    np.testing.assert_array_equal(sse.evaluate("inverse-depth", load(tmp_path / "theirs.npz")).series.positions, found)
+    np.testing.assert_allclose(replayed(tmp_path, "theirs.npz"), found, rtol=0.0, atol=1e-9)
+
+
+def test_tracks_of_real_pictures_state_what_replay_does(tmp_path):
+    (tmp_path / "tracks").mkdir()
+    read = sse.load(kitti07(tmp_path / "tracks"))
     assert read.filter_setup.consensus
-    motion = needed_motion(read)
-    assert read.filter_setup.motion["sigma_acceleration"] == motion.sigma_acceleration
-    assert (
-        cli.main(["replay", str(tmp_path / "old.npz"), "--filters", "inverse-depth", "--out", f"{tmp_path}/run"]) == 0
-    )
-    kept = read_study(tmp_path / "run").cells[0]
-    assert kept.scenario.filter_setup == read.filter_setup
+    assert read.filter_setup.motion["sigma_acceleration"] == needed_motion(read).sigma_acceleration
     found = sse.evaluate("inverse-depth", read).series.positions
-    np.testing.assert_allclose(found, kept.load()[0][0].positions, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(replayed(tmp_path, "tracks"), found, rtol=0.0, atol=1e-9)
+
+
+def replayed(folder, name):
+    assert cli.main(["replay", str(folder / name), "--filters", "inverse-depth", "--out", str(folder / "run")]) == 0
+    return read_study(folder / "run").cells[0].load()[0][0].positions
 
 
 def test_cells_that_share_a_recording_keep_their_own_setups(tmp_path):
@@ -123,7 +125,7 @@ def test_cells_that_share_a_recording_keep_their_own_setups(tmp_path):
     kept = read_study(tmp_path / "run").cells
     assert [cell.load()[0][0].options["gate"] for cell in kept] == [None, 0.5]
     (stored,) = (tmp_path / "run").glob("recordings/*/*.npz")
-    assert sse.load(stored).filter_setup == FilterSetup(use_odometry=False)
+    assert sse.load(stored).stated_setup is None
 
 
 MISTAKES = [("inverse-dept", {}, "did you mean 'inverse-depth'"), ("inverse-depth", {"gat": 0.9}, "option 'gat'")]
