@@ -303,20 +303,11 @@ def replay(
         ),
     ],
     odometry: Annotated[
-        bool | None,
-        typer.Option(
-            "--odometry/--no-odometry",
-            help="Use the recording's odometry.",
-            show_default="what the recording states; where there is any",
-        ),
+        bool | None, typer.Option("--odometry/--no-odometry", help="Use it.", show_default="where there is any")
     ] = None,
     consensus: Annotated[
         bool | None,
-        typer.Option(
-            "--consensus/--no-consensus",
-            help="Joint test over each frame.",
-            show_default="what the recording states; with a gate",
-        ),
+        typer.Option("--consensus/--no-consensus", help="Joint test over each frame.", show_default="for real tracks"),
     ] = None,
     reference: Annotated[
         str | None,
@@ -357,19 +348,9 @@ def replay(
         with progress_bar(console(stderr=True), "pairs") as progress:
             recording = make_recording(scenario, None, progress)
         show_recording(console(), recording)
-        setup = source.record(None, scenario.frames).filter_setup
-        gate = setup.gate if options.gate is None else scenario.gate
-        given_odometry = setup.use_odometry if odometry is None else odometry
-        scenario = replace(
-            scenario,
-            # What is stored must be what happened.
-            use_odometry=given_odometry and any(frame.odometry is not None for frame in recording.frames),
-            gate=gate,
-            consensus=setup.consensus and gate is not None if consensus is None else consensus,
-            motion=dict(setup.motion),
-            noise=scenario.noise or (dict(setup.noise) if setup.noise else None),
-            divergence_percent=setup.divergence_percent,
-        )
+        given = {"use_odometry": odometry, "consensus": consensus, "noise": scenario.noise}
+        given |= {} if options.gate is None else {"gate": scenario.gate}
+        scenario = scenario.set_up_for(source.record(None, scenario.frames), given)
         directory = options.directory(Study.of(scenario))
         show(scenario)
     options.run(directory)

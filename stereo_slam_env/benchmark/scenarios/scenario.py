@@ -30,6 +30,8 @@ from stereo_slam_env.recording.filter_setup import FilterSetup
 if TYPE_CHECKING:
     from typing import Self
 
+    from stereo_slam_env.recording.recording import Recording
+
 Label = Annotated[str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9._+-]*\Z", max_length=100)]
 """Name of files: of a filter, a policy or a scenario."""
 Search = Literal["flow", "forecast"]
@@ -304,6 +306,15 @@ class Scenario:
     def filter_setup(self) -> FilterSetup:
         """Statement of its recordings of how filters are set up."""
         return FilterSetup(**{f.name: getattr(self, f.name) for f in dataclasses.fields(FilterSetup)})
+
+    def set_up_for(self, recording: Recording, given: Mapping[str, Any]) -> Scenario:
+        """The scenario with filters set up as a recording states; what is `given` wins, where it is not None."""
+        chosen = {key: value for key, value in given.items() if value is not None or key == "gate"}
+        changes = {**recording.filter_setup.as_dict(), **chosen}
+        if "consensus" not in chosen:
+            changes["consensus"] = changes["consensus"] and changes["gate"] is not None
+        setup = dataclasses.replace(recording, stated_setup=FilterSetup(**changes)).filter_setup
+        return dataclasses.replace(self, **setup.as_dict())  # what is stored is what happens
 
     @property
     def common_options(self) -> dict[str, Any]:

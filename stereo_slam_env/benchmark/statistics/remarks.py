@@ -86,7 +86,9 @@ def motion_remarks(runs: Sequence[FilterRun], summaries: Sequence[FilterSummary]
             motions.setdefault((linear, angular), []).append(summary)
     remarks = []
     for (linear, angular), group in motions.items():
-        true = _accelerations([run for run in runs if run.filter_name == group[0].filter_name])
+        true = _accelerations(
+            [run for run in runs if run.filter_name == group[0].filter_name and run.reference.is_independent]
+        )
         low = all(s.consistency["nis"].mean < s.consistency["nis"].band[0] for s in group)
         if low and true is not None and true[0] < linear and true[1] < angular:
             are = "filters assume" if len(group) > 1 else "filter assumes"
