@@ -348,7 +348,7 @@ def replay(
         with progress_bar(console(stderr=True), "pairs") as progress:
             recording = make_recording(scenario, None, progress)
         show_recording(console(), recording)
-        given = {"use_odometry": odometry, "consensus": consensus, "noise": scenario.noise}
+        given: dict[str, Any] = {"use_odometry": odometry, "consensus": consensus, "noise": scenario.noise}
         given |= {} if options.gate is None else {"gate": scenario.gate}
         scenario = scenario.set_up_for(source.record(None, scenario.frames), given)
         directory = options.directory(Study.of(scenario))
