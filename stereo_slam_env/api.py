@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -15,22 +15,21 @@ from typing import Any
 from rich.console import Console
 
 from filters import StereoNoise
-from filters.catalogue.registry import filter_factory, label_of
+from filters.catalogue.common_options import usual_options
+from filters.catalogue.registry import label_of, require_filter
 from filters.contract.validation import whole_number
 from stereo_slam_env.benchmark.head_to_head import FilterLike, HeadToHead, which_seeds
 from stereo_slam_env.benchmark.scenarios import streams
-from stereo_slam_env.benchmark.scenarios.scenario import Scenario, filter_choice
+from stereo_slam_env.benchmark.scenarios.scenario import Scenario
 from stereo_slam_env.benchmark.scenarios.study import preset
 from stereo_slam_env.benchmark.statistics.verdict import Verdict, judge
 from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
 from stereo_slam_env.evaluation.run_figures import Figures, figures_of, summarise_all
 from stereo_slam_env.files import notebook_html as html
-from stereo_slam_env.recording.recording import Recording
+from stereo_slam_env.recording.filter_setup import FilterSetup
+from stereo_slam_env.recording.recording import Recording, require_frames
 from stereo_slam_env.report.console import show_results
-
-DIVERGENCE_PERCENT = 10.0
-"""A run that ends farther from the truth than this share of the path has diverged, unless a scenario says otherwise."""
 
 
 def record(
@@ -91,7 +90,7 @@ def record(
 
 
 def make_recording(scenario: str | Scenario, seed: int | None = 0) -> Recording:
-    """The recording of a scenario for a seed.
+    """The recording of a scenario for a seed; it states how the scenario sets filters up.
 
     Parameters
     ----------
@@ -103,9 +102,18 @@ def make_recording(scenario: str | Scenario, seed: int | None = 0) -> Recording:
     Raises
     ------
     ValueError
-        An unknown preset, or a source that cannot be used.
+        An unknown preset, a source that cannot be used, or a scenario in whose images each filter searches itself.
     """
-    return streams.make_recording(preset(scenario) if isinstance(scenario, str) else scenario, seed)
+    return _recorded(preset(scenario) if isinstance(scenario, str) else scenario, seed)
+
+
+def _recorded(scenario: Scenario, seed: int | None) -> Recording:
+    if scenario.search == "forecast":
+        raise ValueError(
+            f"search 'forecast' has no recording, each filter of {scenario.name!r} measures for itself: use "
+            "run_benchmark, or search='flow'"
+        )
+    return streams.make_recording(scenario, seed)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -116,9 +124,11 @@ class Evaluation:
     """All figures; None where something is not known, such as an error without truth."""
     series: FilterRun
     """Estimates, errors, covariances and counts, frame by frame."""
+    setup: FilterSetup
+    """How the filter was set up; what it was made with is `series.options`."""
 
     def __repr__(self) -> str:
-        return _table([self.figures])
+        return f"{_table([self.figures])}\n{self.setup}\n"
 
     def _repr_html_(self) -> str:
         return html.fixed_width(str(self))
@@ -189,11 +199,13 @@ def evaluate(
     recording: Recording,
     *,
     noise: StereoNoise | None = None,
-    use_odometry: bool = True,
-    divergence_percent: float = DIVERGENCE_PERCENT,
+    use_odometry: bool | None = None,
+    divergence_percent: float | None = None,
     **options: Any,
 ) -> Evaluation:
     """All figures of one filter on one recording, and its estimates frame by frame.
+
+    The filter is set up as the recording states (`Recording.filter_setup`), but for what is given here.
 
     Parameters
     ----------
@@ -202,11 +214,11 @@ def evaluate(
     recording : Recording
         The stream.
     noise : StereoNoise, optional
-        Noise to assume; None: what the recording says.
-    use_odometry : bool
-        Whether the filter is given the odometry of the recording.
-    divergence_percent : float
-        A run that ends farther from the truth than this share of the path has diverged.
+        Noise to assume; None: what the recording states.
+    use_odometry : bool, optional
+        Whether the filter is given the odometry of the recording; None: what that states.
+    divergence_percent : float, optional
+        A run that ends farther from the truth than this share of the path has diverged; None: what is stated.
     **options
         Of the filter.
 
@@ -218,11 +230,18 @@ def evaluate(
     Raises
     ------
     ValueError
-        The recording is empty.
+        The recording is empty, or no filter or option has that name.
     """
-    run = run_filter(recording, slam, options, noise=noise, use_odometry=use_odometry)
-    (summary,) = summarise_all([run], figures_of([run], divergence_percent=divergence_percent))
-    return Evaluation(summary, run)
+    require_frames(recording)
+    given: dict[str, Any] = {"use_odometry": use_odometry, "divergence_percent": divergence_percent}
+    setup = replace(recording.filter_setup, **{name: value for name, value in given.items() if value is not None})
+    recording = replace(recording, stated_setup=setup)
+    setup = recording.filter_setup
+    options = {**usual_options(slam), **options}
+    require_filter(slam, options)
+    run = run_filter(recording, slam, options, noise=noise)
+    (summary,) = summarise_all([run], figures_of([run], divergence_percent=setup.divergence_percent))
+    return Evaluation(summary, run, setup)
 
 
 def compare(
@@ -256,44 +275,47 @@ def compare(
     Raises
     ------
     ValueError
-        No filters, two with the same label, options for none of them, no seeds, an unknown preset or filter.
+        No filters, two with the same label, options for none of them, no seeds, an unknown preset, filter or option.
     """
     labels = [label_of(one) for one in filters]
-    for one in filters:
-        filter_factory(one)  # an unknown name is refused before any work
     if not labels or len(set(labels)) < len(labels):
         raise ValueError(f"filters must be at least one, with different labels, got {', '.join(labels) or 'none'}")
     given = dict(options or {})
     for label in given:
         if label not in labels:
             raise ValueError(f"options must be for one of {', '.join(labels)}, got {label!r}")
-    usual = {label: filter_choice(one).options for label, one in zip(labels, filters, strict=True) if one is label}
-    chosen = {label: {**usual.get(label, {}), **given.get(label, {})} for label in labels}
+    chosen = {label: {**usual_options(one), **given.get(label, {})} for label, one in zip(labels, filters, strict=True)}
+    for label, one in zip(labels, filters, strict=True):
+        require_filter(one, chosen[label])  # before any work
     on = preset(scenario) if isinstance(scenario, str) else scenario
     if isinstance(on, Scenario):
         which = which_seeds(seeds)
-        recordings: Iterator[tuple[int | None, Recording]] = (
-            (seed, streams.make_recording(on, seed)) for seed in which
-        )
-        count, title, about = len(which), on.name, on.as_dict()
-        limit = on.divergence_percent
+        recordings: Iterator[tuple[int | None, Recording]] = ((seed, _recorded(on, seed)) for seed in which)
+        count, title = len(which), on.name
+        about: dict[str, Any] = {"scenario": on.as_dict()}
     else:
         given_recordings = [on] if isinstance(on, Recording) else list(on)
         alone = len(given_recordings) == 1
         recordings = ((None if alone else number, one) for number, one in enumerate(given_recordings))
         count, title = len(given_recordings), ", ".join(dict.fromkeys(one.name for one in given_recordings))
-        about, limit = {"recordings": [dict(one.source) for one in given_recordings]}, DIVERGENCE_PERCENT
+        about = {"scenario": {"recordings": [dict(one.source) for one in given_recordings]}}
     runs: list[FilterRun] = []
+    setups: dict[str, FilterSetup] = {}
     for seed, recording in recordings:
         if frames is not None:
             recording = recording[:frames]
-        settings = on.filter_arguments(recording.noise) if isinstance(on, Scenario) else {}
+        setups[str(recording.filter_setup)] = recording.filter_setup
         for label, one in zip(labels, filters, strict=True):
-            runs.append(run_filter(recording, one, chosen[label], label=label, seed=seed, **settings))
+            runs.append(run_filter(recording, one, chosen[label], label=label, seed=seed))
             if progress is not None:
                 progress(len(runs), count * len(labels))
-    figures = figures_of(runs, divergence_percent=limit)
-    return Comparison(title, tuple(runs), figures, tuple(summarise_all(runs, figures)), {"scenario": about})
+    limits = {setup.divergence_percent for setup in setups.values()}
+    if len(limits) != 1:
+        raise ValueError(f"recordings must state one divergence_percent, got {sorted(limits)}")
+    figures = figures_of(runs, divergence_percent=limits.pop())
+    about["filter setup"] = ", or ".join(setups)
+    about["options"] = {run.filter_name: dict(run.options) for run in runs}
+    return Comparison(title, tuple(runs), figures, tuple(summarise_all(runs, figures)), about)
 
 
 def _table(summaries: Sequence[FilterSummary]) -> str:

@@ -21,9 +21,9 @@ from filters import (
     StereoNoise,
     StereoObservation,
     UpdateReport,
-    make_filter,
     nees,
 )
+from filters.catalogue.common_options import make_with_common_options, usual_options
 from filters.catalogue.registry import FilterFactory, label_of
 from filters.checks.pose_errors import blind_pose_error, error_jacobian
 from filters.geometry.arrays import FloatArray
@@ -194,11 +194,13 @@ def run(
     recording: Recording,
     *,
     noise: StereoNoise | None = None,
-    use_odometry: bool = True,
+    use_odometry: bool | None = None,
     observe: Observe | None = None,
     **options: Any,
 ) -> Iterator[Moment]:
     """Run a filter over a recording; it computes a frame when its moment is asked for.
+
+    It is set up as the recording states (`Recording.filter_setup`), but for what is given here.
 
     Parameters
     ----------
@@ -208,9 +210,9 @@ def run(
     recording : Recording
         The stream.
     noise : StereoNoise, optional
-        Noise to assume; None: what the recording says. For a filter that is made here.
-    use_odometry : bool
-        Whether `predict` is given the odometry of the recording.
+        Noise to assume; None: what the recording states. For a filter that is made here.
+    use_odometry : bool, optional
+        Whether `predict` is given the odometry of the recording; None: what that states.
     observe : callable, optional
         Measures instead of the recording, see `FilterLoop.step`.
     **options
@@ -228,11 +230,15 @@ def run(
         is made already.
     """
     require_frames(recording)
+    setup = recording.filter_setup
     if not isinstance(slam, StereoFilter):
-        slam = make_filter(slam, camera=recording.camera, noise=noise or recording.noise, **options)
+        own = {**usual_options(slam), **options}
+        assumed, common = noise or setup.assumed_noise(recording.noise), setup.common_options(own)
+        slam = make_with_common_options(slam, recording.camera, assumed, own, common).filter
     elif options or noise is not None:
         given = ", ".join([*(["noise"] if noise is not None else []), *options])
         raise ValueError(f"{given} must be given to {label_of(type(slam))} itself, which is made already")
-    loop = FilterLoop(slam, recording.reference, use_odometry=use_odometry)
+    given_odometry = setup.use_odometry if use_odometry is None else use_odometry
+    loop = FilterLoop(slam, recording.reference, use_odometry=given_odometry)
     loop.reset(recording.start)
     return (loop.step(frame, observe) for frame in recording.frames)

@@ -18,6 +18,11 @@ from filters.parts import SLOTS, make_part
 USUAL: Mapping[str, Any] = {"gate": 0.99, "motion": dataclasses.asdict(ConstantVelocity())}
 """Common options where nobody says otherwise, as scenario files have them."""
 
+_USUAL_OPTIONS: Mapping[str, Mapping[str, Any]] = {
+    # Without a guard XYZ diverges on far points (d <= 0 has no point at all), so it is given the usual one.
+    "euclidean": {"min_disparity": 5.0},
+}
+
 NOT_OPEN = "it does not leave it open"
 
 
@@ -31,6 +36,11 @@ class MadeFilter:
     """Its own and the common ones that it was given, JSON-able."""
     not_given: Mapping[str, str]
     """Common options that it was not given, and why."""
+
+
+def usual_options(name: str | FilterFactory) -> dict[str, Any]:
+    """Options of a filter that is asked for by its name alone."""
+    return dict(_USUAL_OPTIONS.get(name, {})) if isinstance(name, str) else {}
 
 
 def make_with_common_options(

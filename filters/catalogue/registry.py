@@ -11,7 +11,7 @@ The object is called as `MyFilter(camera, noise, **options)` and returns a `Ster
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
@@ -99,6 +99,23 @@ def filter_factory(name: str | FilterFactory) -> FilterFactory:
     raise ValueError(f"filter must be one of {', '.join(names)}, got {name!r}{did_you_mean(name, names)}")
 
 
+def require_filter(name: str | FilterFactory, options: Mapping[str, Any]) -> None:
+    """Refuse a name or an option that does not exist; a filter of a third party that cannot be loaded passes.
+
+    Raises
+    ------
+    ValueError
+        Unknown name or option, with what may have been meant.
+    """
+    try:
+        factory = filter_factory(name)
+    except ValueError:
+        if plugin_of(str(name)) is None:
+            raise
+        return
+    _refuse_unknown_options(label_of(name), factory, options)
+
+
 def _plugins() -> dict[str, EntryPoint]:
     return {point.name: point for point in entry_points(group=ENTRY_POINT_GROUP) if point.name not in PRESETS}
 
@@ -118,7 +135,7 @@ def load_factory(kind: str, entry_point: EntryPoint) -> Any:
     return factory
 
 
-def _refuse_unknown_options(name: str, factory: FilterFactory, options: dict[str, Any]) -> None:
+def _refuse_unknown_options(name: str, factory: FilterFactory, options: Mapping[str, Any]) -> None:
     """Check option names along the class hierarchy, so that a misspelt one is named rather than swallowed."""
     accepted: set[str] = set()
     for layer in inspect.getmro(factory) if inspect.isclass(factory) else (factory,):

@@ -8,7 +8,7 @@ import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,7 +20,7 @@ from filters.contract.noise import StereoNoise
 from filters.geometry.camera import StereoCamera
 from stereo_slam_env.benchmark.running.backends import Backend, BackendName, RunAll
 from stereo_slam_env.benchmark.running.isolation import Tell
-from stereo_slam_env.benchmark.running.tasks import TIMED, Task, batches, make_all, run_all_trials
+from stereo_slam_env.benchmark.running.tasks import TIMED, Done, Task, batches, make_all, run_all_trials
 from stereo_slam_env.benchmark.scenarios.scenario import (
     FilterChoice,
     PolicyChoice,
@@ -41,6 +41,7 @@ from stereo_slam_env.evaluation.body_frames import read_body
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
 from stereo_slam_env.evaluation.run_figures import Figures
 from stereo_slam_env.files.folders import claimed_folder
+from stereo_slam_env.recording.archive import packed_recording, unpacked_recording
 from stereo_slam_env.recording.trajectory_files import load_trajectory
 
 Progress = Callable[[float, int], None]
@@ -317,9 +318,18 @@ class _Work:
         maker = partial(make_all, here=alone or self.backend.in_this_process, progress=self.within if alone else told)
         for batch in (map if alone else run_all)(maker, batches(to_record)):
             for made in batch:
-                self.cells[made.cell].save_recording(made.seed, made.content, made.description)
+                run = self.cells[made.cell]
+                run.save_recording(made.seed, self._shared(run, made), made.description)
                 self.done += 1
                 self.tell()
+
+    def _shared(self, run: RunDirectory, made: Done) -> bytes:
+        """The recording; where cells that share it set filters up differently, it does not say how."""
+        path, setup = run.recording_path(made.seed), run.scenario.filter_setup
+        setups = (cell.scenario.filter_setup for cell in self.cells if cell.recording_path(made.seed) == path)
+        if all(one == setup for one in setups):
+            return made.content
+        return packed_recording(replace(unpacked_recording(made.content), stated_setup=None))
 
     def to_record(self, missing: Sequence[Missing]) -> list[Task]:
         """Recordings that are not there, once for all cells that share one."""

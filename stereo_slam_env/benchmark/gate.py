@@ -25,7 +25,7 @@ from stereo_slam_env.benchmark.statistics.differences import (
     signed,
 )
 from stereo_slam_env.benchmark.statistics.measures import DIVERGED, POSE_NEES, POSITION, ROTATION, TIME, difference_by
-from stereo_slam_env.evaluation.figures import Figure
+from stereo_slam_env.evaluation.figures import Figure, readable
 
 GATED = (POSITION, ROTATION, POSE_NEES)
 """Measures that are looked at; divergences beside them, and the time if it is asked for."""
@@ -42,7 +42,7 @@ class GateRow:
     measure: str
     """In words, with its unit."""
     before: float | None
-    """Median over recordings and runs; of divergences their number."""
+    """Over recordings and runs, as the tables of `bench` have it; of divergences their number."""
     after: float | None
     """The same of the run that is judged."""
     change_percent: float | None
@@ -84,14 +84,15 @@ class Gate:
         heads = ["| filter | measure | baseline | now | change | |", "|---|---|--:|--:|--:|---|"]
         lines = [f"**{markdown(self.headline)}**", "", *heads]
         for row in self.rows:
-            before, after = ("–" if value is None else f"{value:.4g}" for value in (row.before, row.after))
+            before, after = ("–" if value is None else readable(value, ".4g") for value in (row.before, row.after))
             change = "–" if row.change_percent is None else f"{signed(row.change_percent, 1)} %"
             name = markdown(row.filter_name)
             mark = "**worse**: " if row.failed else ""
             lines.append(f"| {name} | {row.measure} | {before} | {after} | {change} | {mark}{row.words} |")
         lines += [
             "",
-            "Figures are medians over recordings, their change is the geometric mean of it over recordings.",
+            "Figures are over runs as in the tables of bench (root mean square of errors, mean of NEES, median of"
+            " times); their change is the geometric mean of it over recordings.",
         ]
         return "\n".join(lines) + "\n"
 
@@ -189,8 +190,9 @@ def _row(
     known = [one[np.isfinite(one)] for one in values]
     if not len(known[0]):
         return None
-    middle, middle_now = (float(np.median(one)) if len(one) else None for one in known)
-    about = partial(GateRow, name, measure.title, middle, middle_now)
+    combined = np.mean if measure.over_runs is None else measure.over_runs.of_values
+    was, now = (float(combined(one)) if len(one) else None for one in known)
+    about = partial(GateRow, name, measure.title, was, now)
     if not len(known[1]):
         return about(None, "limit", True, "it is not known any more")
     means = [np.array([_mean(one) for one in side]) for side in sides]

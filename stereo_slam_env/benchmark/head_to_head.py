@@ -11,9 +11,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from filters.catalogue.registry import FilterFactory, label_of
+from filters.catalogue.common_options import usual_options
+from filters.catalogue.registry import FilterFactory, label_of, require_filter
 from stereo_slam_env.benchmark.recordings.sources import ReferenceSource
-from stereo_slam_env.benchmark.scenarios.scenario import Scenario, filter_choice
+from stereo_slam_env.benchmark.scenarios.scenario import Scenario
 from stereo_slam_env.benchmark.scenarios.streams import make_recording
 from stereo_slam_env.benchmark.scenarios.study import preset
 from stereo_slam_env.benchmark.statistics.differences import Difference, ShareDifference, share_difference, signed
@@ -213,7 +214,8 @@ class Bench:
         self, tested: FilterLike, label: str, options: Mapping[str, Any] | None, scenario: Scenario, seed: int
     ) -> FilterRun:
         if options is None:
-            options = filter_choice(tested).options if isinstance(tested, str) else {}
+            options = usual_options(tested)
+        require_filter(tested, options)
         source = json.dumps(scenario.as_dict(), sort_keys=True)
         key = (tested, f"{label} {json.dumps(dict(options), sort_keys=True)}", source, seed)
         if key not in self._runs:
@@ -226,6 +228,5 @@ class Bench:
                 options,
                 label=label,
                 seed=seed,
-                **scenario.filter_arguments(recording.noise),
             )
         return self._runs[key]

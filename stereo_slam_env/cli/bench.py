@@ -5,7 +5,7 @@ from __future__ import annotations
 import errno
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
@@ -302,10 +302,12 @@ def replay(
             help="Folder of a real recording (known by its files), a ROS bag, or 'gtsam' for the wheel's example."
         ),
     ],
-    odometry: Annotated[bool, typer.Option("--odometry/--no-odometry", help="Use it where there is any.")] = True,
+    odometry: Annotated[
+        bool | None, typer.Option("--odometry/--no-odometry", help="Use it.", show_default="where there is any")
+    ] = None,
     consensus: Annotated[
         bool | None,
-        typer.Option("--consensus/--no-consensus", help="Joint test over each frame.", show_default="with a gate"),
+        typer.Option("--consensus/--no-consensus", help="Joint test over each frame.", show_default="for real tracks"),
     ] = None,
     reference: Annotated[
         str | None,
@@ -331,7 +333,6 @@ def replay(
     from stereo_slam_env.benchmark.recordings.sources import DatasetSource
     from stereo_slam_env.benchmark.scenarios.scenario import REAL_DRIVE_FILTERS
     from stereo_slam_env.benchmark.scenarios.streams import make_recording
-    from stereo_slam_env.frontend.camera_motion import needed_motion
     from stereo_slam_env.report.console import progress_bar, show_recording
 
     where = path if path.partition(":")[0] == "gtsam" else str(Path(path).resolve())
@@ -340,19 +341,16 @@ def replay(
     source = DatasetSource(where, {**images.given(), **({"on_broken": "skip"} if skip_broken else {})}, stated)
     name = f"replay-{Path(where).name.replace(':', '-')}"
     # No bound: the true noise is not known.
-    real = Scenario(name, source, REAL_DRIVE_FILTERS, use_odometry=odometry, metrics=("map", "windows"))
-    scenario = options.adjusted(real)
-    joint = scenario.gate is not None if consensus is None else consensus
-    scenario = replace(scenario, consensus=joint)
+    scenario = options.adjusted(Scenario(name, source, REAL_DRIVE_FILTERS, metrics=("map", "windows")))
+    scenario = replace(scenario, consensus=bool(consensus))
     check_study(Study.of(scenario))
     with options.film(scenario.name) as show:
         with progress_bar(console(stderr=True), "pairs") as progress:
             recording = make_recording(scenario, None, progress)
         show_recording(console(), recording)
-        scenario = replace(scenario, motion=asdict(needed_motion(recording)))
-        # What is stored must be what happened.
-        if not any(frame.odometry is not None for frame in recording.frames):
-            scenario = replace(scenario, use_odometry=False)
+        given: dict[str, Any] = {"use_odometry": odometry, "consensus": consensus, "noise": scenario.noise}
+        given |= {} if options.gate is None else {"gate": scenario.gate}
+        scenario = scenario.set_up_for(source.record(None, scenario.frames), given)
         directory = options.directory(Study.of(scenario))
         show(scenario)
     options.run(directory)

@@ -58,6 +58,8 @@ def paper(
     except KeyboardInterrupt:
         raise Interrupted(directory) from None
     _show_claims(result.claims)
+    if settings.remark:
+        typer.echo(settings.remark)
     if karlsruhe is None:
         typer.echo(HOW_TO_GET_IT)
     show_place(result.report)

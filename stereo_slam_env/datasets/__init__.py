@@ -30,6 +30,7 @@ from stereo_slam_env.datasets.sequence import Choice, OnBroken
 from stereo_slam_env.evaluation.body_frames import read_body
 from stereo_slam_env.files.paths import is_there, require_inside, require_links_inside
 from stereo_slam_env.frontend.calibration import calibrated
+from stereo_slam_env.frontend.camera_motion import set_up_for_tracks
 from stereo_slam_env.frontend.recorder import record_tracks
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.frontend.track_noise import with_measured_noise
@@ -72,7 +73,8 @@ def load(source: str | Path, **options: Any) -> Recording:
     -------
     Recording
         The measurements in time order, with what is known of truth and odometry. If it is not simulated, with what its
-        tracks say of errors that last (`with_measured_noise`), unless it says so itself.
+        tracks say of errors that last (`with_measured_noise`), unless it says so itself. But for a file, which states
+        its own, with the setup of filters that tracks of real pictures need (`set_up_for_tracks`).
 
     Raises
     ------
@@ -85,7 +87,7 @@ def load(source: str | Path, **options: Any) -> Recording:
     path = Path(source)
     if source == EXAMPLE and not is_there(path):
         _require_options(EXAMPLE, kitti00_stereo_tracks.read_example, options)
-        return _with_its_noise(kitti00_stereo_tracks.read_example(**options))
+        return set_up_for_tracks(_with_its_noise(kitti00_stereo_tracks.read_example(**options)))
     if path.suffix == ".npz" and is_there(path) and path.is_file():
         require_known("a recording in one file has no option", options, [])
         return _with_its_noise(load_recording(path))
@@ -95,10 +97,10 @@ def load(source: str | Path, **options: Any) -> Recording:
     if layout is None or not hasattr(layout, "read"):
         if not holds_images(path):
             raise _unknown_layout(path, (*track_layouts(), *image_layouts()))
-        return record_tracks(*open_for_front_end(path, **options))
+        return set_up_for_tracks(record_tracks(*open_for_front_end(path, **options)))
     _require_options(layout.NAME, layout.read, options)
     require_links_inside(path)
-    return _with_its_noise(layout.read(path, **options))
+    return set_up_for_tracks(_with_its_noise(layout.read(path, **options)))
 
 
 def _with_its_noise(recording: Recording) -> Recording:

@@ -2,6 +2,7 @@
 
 from .consistency import mean_band as mean_band
 from .consistency import share_inside as share_inside
+from .figures import readable as readable
 from .filter_run import run_filter as run_filter
 from .intervals import studentised_interval as studentised_interval
 from .map_scoring import LandmarkTrace as LandmarkTrace

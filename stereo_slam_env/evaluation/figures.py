@@ -26,6 +26,7 @@ Group = Literal["trial", "accuracy", "claim", "consistency", "cost", "events"]
 Place = Literal["brief", "console", "report"]
 Kind = Literal["real", "integer", "text"]
 
+_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 UNKNOWN = "–"
 """Shown in place of a figure that is not known."""
 
@@ -36,6 +37,8 @@ class Combination:
 
     words: str
     of: Callable[[Sample, str], float | None]
+    of_values: Callable[[FloatArray], float] = mean
+    """The same of the values of the runs alone, where nothing else of them is kept."""
 
 
 @dataclass(frozen=True)
@@ -114,7 +117,20 @@ class Figure:
         if size == 0.0 or 1e-4 <= size < 1e4:
             place = int(np.floor(np.log10(size))) if size else 0  # of the first digit that counts
             return f"{shown:.{max(self.digits, max(self.digits, 1) - 1 - place) if place < 0 else self.digits}f}"
-        return f"{shown:.1e}" if size >= 1e4 else f"{shown:.{max(self.digits, 1) - 1}e}"
+        return readable(shown, f".{max(self.digits, 1) - 1}e")
+
+
+def readable(value: float | None, form: str = ".3g") -> str:
+    """A number for people: two digits from 10,000 on (17,000), no exponents but as in print (1.7·10⁹, 3.2·10⁻⁵)."""
+    if value is None or np.isnan(value):
+        return UNKNOWN
+    text = f"{value:.1e}" if abs(value) >= 1e4 else format(value, form)
+    mantissa, exponential, exponent = text.partition("e")
+    if not exponential or not np.isfinite(value):
+        return text
+    if 100.0 <= abs(float(text)) < 1e7:
+        return f"{float(text):,.0f}"
+    return f"{mantissa}·10{str(int(exponent)).translate(_RAISED)}"
 
 
 # ---- of one run -----------------------------------------------------------------------------------------------------
@@ -208,7 +224,7 @@ def _of_known(words: str, combine: Callable[[FloatArray], float]) -> Combination
         known = sample.known(name)
         return number(combine(known)) if len(known) else None
 
-    return Combination(words, of)
+    return Combination(words, of, combine)
 
 
 ROOT_MEAN_SQUARE = _of_known("root mean square", root_mean_square)
@@ -243,7 +259,7 @@ def _gated_percent(sample: Sample, _: str) -> float | None:
 
 def _median(series: str) -> tuple[Callable[[Trial], float], Combination]:
     """Median over frames of a series: of one run, and of all frames of all runs."""
-    over_runs = Combination("median over all frames", lambda s, _: number(median(pooled(s.completed, series))))
+    over_runs = Combination("median over all frames", lambda s, _: number(median(pooled(s.completed, series))), median)
     return lambda trial: median(pooled([trial.run], series)), over_runs
 
 

@@ -37,7 +37,7 @@ def run_filter(
     label: str | None = None,
     common_options: Mapping[str, Any] | None = None,
     noise: StereoNoise | None = None,
-    use_odometry: bool = True,
+    use_odometry: bool | None = None,
     score_map: bool = True,
     windows: bool = False,
     seed: int | None = None,
@@ -58,11 +58,12 @@ def run_filter(
     label : str, optional
         Name in tables and files; None: that of the filter.
     common_options : mapping, optional
-        Options given to every filter of a comparison that leaves them open, see `filters.catalogue.common_options`.
+        Options given to every filter of a comparison that leaves them open, see `filters.catalogue.common_options`;
+        None: those that the recording states.
     noise : StereoNoise, optional
-        Noise to assume; None: what the recording says.
-    use_odometry : bool
-        Whether `predict` is given the odometry of the recording.
+        Noise to assume; None: what the recording states.
+    use_odometry : bool, optional
+        Whether `predict` is given the odometry of the recording; None: what that states.
     score_map : bool
         Whether the landmarks are judged, too, which costs about as much as a quick filter.
     windows : bool
@@ -85,6 +86,7 @@ def run_filter(
         The recording is empty.
     """
     require_frames(recording)
+    setup = recording.filter_setup
     name = label or label_of(filter_name)
     log = RunLog(recording)
     memory = peak_memory_mb()
@@ -97,9 +99,9 @@ def run_filter(
             made = make_with_common_options(
                 filter_name,
                 recording.camera,
-                recording.noise if noise is None else noise,
+                setup.assumed_noise(recording.noise) if noise is None else noise,
                 options or {},
-                common_options or {},
+                setup.common_options(options or {}) if common_options is None else common_options,
             )
             used, not_given = made.options, made.not_given
             moments = run(made.filter, recording, use_odometry=use_odometry, observe=observe)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
 
@@ -12,6 +12,7 @@ from filters import ConstantVelocity, StereoCamera, StereoNoise
 from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray
 from stereo_slam_env.frontend.ego_motion import Pairs, Step, robust_step
+from stereo_slam_env.recording.filter_setup import FilterSetup
 from stereo_slam_env.recording.recording import Frame, Recording
 
 _HARDEST = (1e3, 1e3)
@@ -110,6 +111,17 @@ def needed_motion(recording: Recording, usual: ConstantVelocity | None = None) -
         max(usual.sigma_acceleration, float(np.sqrt(max(linear, 0.0)))),
         max(usual.sigma_angular_acceleration, float(np.sqrt(max(angular, 0.0)))),
     )
+
+
+def set_up_for_tracks(recording: Recording) -> Recording:
+    """The recording of real pictures with its setup of filters, unless it states one; a simulated one as it is.
+
+    Tracks have outliers, which the joint test over each frame finds, and accelerations that they show themselves.
+    """
+    if recording.stated_setup is not None or recording.truth_from.kind == "simulation":
+        return recording
+    setup = FilterSetup(consensus=True, motion=asdict(needed_motion(recording)))
+    return replace(recording, stated_setup=setup)
 
 
 def require_gyro_units(recording: Recording) -> None:

@@ -35,6 +35,7 @@ from filters.geometry.arrays import FloatArray
 from stereo_slam_env.files.folders import write_atomically
 from stereo_slam_env.files.opening import NotOpened
 from stereo_slam_env.files.readers import read_arrays
+from stereo_slam_env.recording.filter_setup import FilterSetup
 from stereo_slam_env.recording.recording import (
     GIVEN_TRUTH,
     SIMULATION,
@@ -105,6 +106,8 @@ def packed_recording(recording: Recording) -> bytes:
         "truth_from": dataclasses.asdict(recording.truth_from),
         **({"coloured_noise": recording.noise.parts} if isinstance(recording.noise, ColouredNoise) else {}),
     }
+    if recording.stated_setup is not None:
+        about["filter_setup"] = recording.stated_setup.as_dict()
     try:
         header = json.dumps(about, allow_nan=False)
     except (TypeError, ValueError) as error:
@@ -233,6 +236,7 @@ def _recording_of(about: Mapping[str, Any], arrays: Arrays) -> Recording:
         landmarks,
         about["source"],
         reference_of(about),
+        FilterSetup(**about["filter_setup"]) if "filter_setup" in about else None,
     )
 
 

@@ -18,6 +18,7 @@ from filters.contract.known_names import require_known
 from filters.geometry import rotations
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.geometry.poses import relative_jacobian
+from stereo_slam_env.recording.filter_setup import FilterSetup
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,6 +196,14 @@ class Recording:
     """Everything needed to say where the stream came from (scenario, seed, file, settings); JSON-able."""
     truth_from: Reference = GIVEN_TRUTH
     """What the truth of the frames is, where they have one."""
+    stated_setup: FilterSetup | None = None
+    """How filters are set up for it, where its scenario or its reader says so."""
+
+    @cached_property
+    def filter_setup(self) -> FilterSetup:
+        """Setup of the filters: as stated, else the usual one, with odometry only where there is any."""
+        setup = self.stated_setup or FilterSetup()
+        return replace(setup, use_odometry=setup.use_odometry and any(frame.odometry for frame in self.frames))
 
     @cached_property
     def reference(self) -> Reference:

@@ -31,7 +31,12 @@ from stereo_slam_env.benchmark.scenarios.study import Study
 from stereo_slam_env.benchmark.statistics.changes import RunComparison
 from stereo_slam_env.benchmark.statistics.measures import EFFICIENCY, POSE_NEES
 from stereo_slam_env.benchmark.statistics.policy_verdict import baseline_of, judge_policies
-from stereo_slam_env.benchmark.statistics.remarks import innovation_remarks, limit_reached, reference_remarks
+from stereo_slam_env.benchmark.statistics.remarks import (
+    innovation_remarks,
+    limit_reached,
+    motion_remarks,
+    reference_remarks,
+)
 from stereo_slam_env.benchmark.statistics.verdict import judge, pose_nees
 from stereo_slam_env.benchmark.storage.tables import CellResult
 from stereo_slam_env.evaluation.figures import FIGURES, UNKNOWN, Figure
@@ -307,7 +312,8 @@ def show_cells(console: Console, results: Sequence[CellResult]) -> None:
         if result.cell.factors:
             console.print(f"\n[bold]{escape(result.cell.name)}[/bold]", highlight=False)
         show_results(console, result.summaries, claims=bool(result.cell.scenario.policies))
-        words = [_headline(result), *reference_remarks(result.runs).values(), *innovation_remarks(result.summaries)]
+        about = *innovation_remarks(result.summaries), *motion_remarks(result.runs, result.summaries)
+        words = [_headline(result), *reference_remarks(result.runs).values(), *about]
         console.print("\n" + escape("\n".join(words)) + "\n", highlight=False, soft_wrap=True)
 
 

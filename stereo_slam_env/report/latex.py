@@ -23,6 +23,8 @@ _COMMANDS = {
     "σ": r"$\sigma$",
     "\u00a0": "~",
     "é": r"\'e",
+    "·": r"$\cdot$",
+    **{raised: f"$^{{{plain}}}$" for raised, plain in zip("⁻⁰¹³⁴⁵⁶⁷⁸⁹", "-013456789", strict=True)},
 }
 
 

@@ -17,7 +17,7 @@ from scipy.stats import t
 from filters.contract.foreign_text import markdown
 from filters.geometry.arrays import FloatArray
 from stereo_slam_env.benchmark.packets import read_packet
-from stereo_slam_env.evaluation.figures import FIGURES
+from stereo_slam_env.evaluation.figures import FIGURES, readable
 from stereo_slam_env.files.folders import write_atomically
 
 _HEADS = (
@@ -72,7 +72,7 @@ def _row(label: str, trials: Sequence[Mapping[str, Any]]) -> tuple[tuple[bool, f
     cells = [
         markdown(label),
         str(len(trials)),
-        f"{np.sqrt(np.mean(np.square(errors))):.3g}" if errors else _UNKNOWN,
+        readable(np.sqrt(np.mean(np.square(errors)))) if errors else _UNKNOWN,
         _short(np.mean(nees)) if nees else _UNKNOWN,
         _UNKNOWN if gap is None else _short(gap) + _interval(gaps),
         f"{100.0 * np.mean([claim['coverage_90'] for claim in claims]):.0f}" if claims else _UNKNOWN,
@@ -94,7 +94,7 @@ def _interval(logarithms: FloatArray) -> str:
 
 def _short(value: Any) -> str:
     """Two decimals, or two digits of what is far too large to read."""
-    return f"{value:.2f}" if abs(value) < 1000.0 else f"{value:.1e}"
+    return f"{value:.2f}" if abs(value) < 1000.0 else readable(value, ".2g")
 
 
 _HEAD = """# Leaderboard of claims

@@ -27,7 +27,7 @@ from stereo_slam_env.benchmark.statistics.verdict import (
     timed_words,
 )
 from stereo_slam_env.evaluation.consistency import DOF
-from stereo_slam_env.evaluation.figures import UNKNOWN, Figure
+from stereo_slam_env.evaluation.figures import UNKNOWN, Figure, readable
 from stereo_slam_env.evaluation.results import FilterSummary
 from stereo_slam_env.report.charts.style import filter_colours
 from stereo_slam_env.report.page import part
@@ -156,13 +156,7 @@ def short(value: float | None, unit: str = "") -> str:
     """Three digits that count, or a dash."""
     if value is None or not np.isfinite(value):
         return UNKNOWN
-    return (
-        f"{value:.3g}{unit}"
-        if abs(value) < 1000
-        else f"{value:,.0f}{unit}"
-        if abs(value) < 1e6
-        else f"{value:.1e}{unit}"
-    )
+    return f"{value:,.0f}{unit}" if 1000 <= abs(value) < 1e6 else f"{readable(value)}{unit}"
 
 
 def overview(summaries: Sequence[FilterSummary], verdict: Verdict) -> Markup:

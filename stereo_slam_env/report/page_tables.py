@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from markupsafe import Markup
 
-from stereo_slam_env.evaluation.figures import UNKNOWN
+from stereo_slam_env.evaluation.figures import UNKNOWN, readable
 from stereo_slam_env.files.folders import own_files, write_text
 from stereo_slam_env.report.latex import latex_table
 from stereo_slam_env.report.page import part
@@ -60,7 +60,7 @@ def number(value: float | None, form: str = ".3g", unit: str = "", tone: Tone = 
     """Cell of a number, which may be unknown (None, NaN)."""
     if value is None or not np.isfinite(value):
         return TableCell(UNKNOWN, None, "none")
-    text = format(value, form) if abs(value) < 10_000 or form.endswith("d") else f"{value:.1e}"
+    text = format(value, form) if form.endswith("d") else readable(value, form)
     return TableCell(f"{text}{unit}".replace("-", "−"), float(value), tone)
 
 

@@ -14,7 +14,7 @@ from stereo_slam_env.benchmark.statistics.attribution import Attribution
 from stereo_slam_env.benchmark.statistics.differences import MIN_PAIRS
 from stereo_slam_env.benchmark.statistics.measures import PairwiseTable, compare_all
 from stereo_slam_env.benchmark.statistics.policy_verdict import Looks, judge_policies
-from stereo_slam_env.benchmark.statistics.remarks import innovation_remarks, reference_remarks
+from stereo_slam_env.benchmark.statistics.remarks import innovation_remarks, motion_remarks, reference_remarks
 from stereo_slam_env.benchmark.statistics.repeats import compare_systems, run_spread, systems
 from stereo_slam_env.benchmark.statistics.verdict import Verdict, judge
 from stereo_slam_env.evaluation.reference_audit import ReferenceAudit
@@ -216,7 +216,9 @@ def _sections(
             " its 95 % interval includes 100 %, a filter is at the limit."
         )
         yield part("section", "Distance from the limit", guide, limits)
-    guide = "Above the band a filter is overconfident, below it too cautious."
+    guide = " ".join(
+        ["Above the band a filter is overconfident, below it too cautious.", *motion_remarks(runs, summaries)]
+    )
     table = tables.consistency_table(summaries, who, latex("consistency"))
     yield part("section", "Consistency", guide, [table, *_consistency(runs, summaries, with_nees, draw)])
     if found := [*_audits(audits, draw)]:

@@ -33,9 +33,13 @@ def consistency_table(summaries: Sequence[FilterSummary], who: str = "Filter", l
         return Markup()
     columns, cells = [], []
     for figure in figures:
+        if figure.ideal is None:  # a count
+            columns.append(figure_column(figure))
+            cells.append([figure_cell(figure, s) for s in summaries])
+            continue
         found = [s.consistency.get(figure.name.removesuffix("_anees")) for s in summaries]
-        ideal = figure.ideal or 1.0
-        bands = {f"{f.band[0] / ideal:.2f}–{f.band[1] / ideal:.2f}" for f in found if f is not None}
+        ideal = figure.ideal
+        bands = {_band_words(f.band[0] / ideal, f.band[1] / ideal) for f in found if f is not None}
         columns.append(_column(figure, "ideal 1" + (f", {next(iter(bands))}" if len(bands) == 1 else "")))
         tones: list[Tone] = [
             "" if f is None else "bad" if f.mean > f.band[1] else "fair" if f.mean < f.band[0] else "good"
@@ -48,6 +52,12 @@ def consistency_table(summaries: Sequence[FilterSummary], who: str = "Filter", l
             )
             cells.append([number(f.inside_percent if f else None, ".0f") for f in found])
     return _rows(summaries, who, columns, list(zip(*cells, strict=True)), latex)
+
+
+def _band_words(low: float, high: float) -> str:
+    """Ends of a band, with as many digits as tell them apart from 1."""
+    digits = next((n for n in (2, 3, 4) if round(low, n) < 1.0 < round(high, n)), 2)
+    return f"{low:.{digits}f}–{high:.{digits}f}"
 
 
 def pair_table(compared: PairwiseTable, who: str = "Filter", latex: Path | None = None) -> Markup:
@@ -120,7 +130,7 @@ def figure_cell(figure: Figure, summary: FilterSummary, tone: Tone = "") -> Tabl
         found = limit_reached(summary)
         return number(None) if found is None else TableCell(found.words, found.percent)
     if figure.per_runs:
-        return TableCell(f"{value}/{summary.runs}", value, "bad" if value else "")
+        return TableCell(f"{value}/{summary.runs}", value, "bad" if value and figure.group == "events" else "")
     return TableCell(figure.text(value).replace("-", "−"), known(figure.shown(value)), tone)
 
 

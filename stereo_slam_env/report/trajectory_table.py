@@ -13,7 +13,7 @@ from rich.table import Table
 from filters.checks.consistency import chi_square_quantile
 from stereo_slam_env.evaluation.claims import COVERED, ClaimScore
 from stereo_slam_env.evaluation.consistency import mean_band
-from stereo_slam_env.evaluation.figures import FIGURES, UNKNOWN
+from stereo_slam_env.evaluation.figures import FIGURES, UNKNOWN, readable
 from stereo_slam_env.evaluation.trajectory_runs import RunsScore
 from stereo_slam_env.evaluation.trajectory_score import TrajectoryScore
 from stereo_slam_env.evaluation.trajectory_windows import WindowScore
@@ -52,7 +52,7 @@ def runs_rows(score: RunsScore) -> list[list[str]]:
     rows = []
     for name, claim in score.claims.items():
         mean, low, high, least, most = (
-            f"{value / claim.dof:.3g}" for value in (claim.mean, *claim.band, min(claim.each), max(claim.each))
+            readable(value / claim.dof) for value in (claim.mean, *claim.band, min(claim.each), max(claim.each))
         )
         share = f"{100.0 * claim.inside:.0f}"
         rows.append([name, mean, f"{low} to {high}", share, f"{least} to {most}", claim.verdict])
@@ -121,12 +121,12 @@ def _nees(claim: ClaimScore) -> str:
 def _distances(claim: ClaimScore) -> str:
     if claim.crps is None or claim.energy_score is None:
         return UNKNOWN
-    return f"{claim.crps:.3g}, {claim.energy_score:.3g}"
+    return f"{readable(claim.crps)}, {readable(claim.energy_score)}"
 
 
 def _scale_gap(claim: ClaimScore) -> str:
     changed = abs(claim.claimed_scale_gap / claim.scale_gap - 1.0) > 1e-9 if claim.scale_gap else False
-    return f"{claim.scale_gap:.3g}" + (f" (as claimed {claim.claimed_scale_gap:.3g})" if changed else "")
+    return readable(claim.scale_gap) + (f" (as claimed {readable(claim.claimed_scale_gap)})" if changed else "")
 
 
 def _coverage(claim: ClaimScore) -> str:
@@ -149,7 +149,7 @@ def _claim_rows(name: str, dof: int) -> list[_Row]:
 def gauge_rows(scores: Sequence[TrajectoryScore]) -> list[list[str]]:
     """The claim on the pose under each alignment: a row an alignment and estimate."""
     return [
-        [score.estimate, one.alignment, f"{one.position_rmse_m:.3g}", f"{one.nees / one.dof:.3g}", one.verdict]
+        [score.estimate, one.alignment, readable(one.position_rmse_m), readable(one.nees / one.dof), one.verdict]
         for score in scores
         for one in score.gauges
     ]

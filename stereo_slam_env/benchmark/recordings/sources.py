@@ -185,6 +185,7 @@ class DatasetSource(Source, frozen=True, tag="dataset"):
     def record(self, seed: int | None, frames: int | None = None, progress: Progress | None = None) -> Recording:
         """Read it, or track landmarks through its images."""
         from stereo_slam_env.datasets import load  # OpenCV, only where it is needed
+        from stereo_slam_env.frontend.camera_motion import set_up_for_tracks
         from stereo_slam_env.frontend.recorder import record_tracks
 
         def read() -> Recording:
@@ -194,7 +195,7 @@ class DatasetSource(Source, frozen=True, tag="dataset"):
             return self._stated(_tracked(_Tracking(f"{self.key} {_state_of(Path(self.path))}", None, None, read)))
 
         def track() -> Recording:
-            return record_tracks(*self.sequence(seed), frames=frames, progress=progress)
+            return set_up_for_tracks(record_tracks(*self.sequence(seed), frames=frames, progress=progress))
 
         return self._stated(_tracked(_Tracking(self.key, seed, frames, track)))
 

@@ -273,7 +273,7 @@ def _driven(task: Task, choice: FilterChoice, tell: Tell) -> tuple[FilterRun, Do
     """The filter is run again over the recording: there is one way to judge a filter, and it is timed alone."""
     assert task.seed is not None
     episode = drive_episode(task.scenario, task.seed, choice, lambda done, of: tell(done, 2 * of))
-    recording = episode.recording
+    recording = dataclasses.replace(episode.recording, stated_setup=task.scenario.filter_setup)
     run = _run_on(recording, task, choice, lambda done, of: tell(of + done, 2 * of))
     if episode.failure is not None and run.failure is None:
         run = dataclasses.replace(run, failure=episode.failure)
@@ -309,7 +309,6 @@ def _run_on(
         choice.name,
         choice.options,
         label=choice.label,
-        **scenario.filter_arguments(recording.noise),
         score_map="map" in scenario.metrics,
         windows="windows" in scenario.metrics,
         seed=task.seed,
@@ -337,7 +336,8 @@ def _lost(recording: Recording, task: Task, choice: FilterChoice, error: Excepti
 
 def _given(task: Task) -> Recording:
     assert task.recording is not None
-    return unpacked_recording(task.recording)
+    # Cells that share a recording may set filters up differently.
+    return dataclasses.replace(unpacked_recording(task.recording), stated_setup=task.scenario.filter_setup)
 
 
 def _bound(task: Task) -> Bound | None:
@@ -388,7 +388,6 @@ def watch_search(scenario: Scenario, watch: Watch, progress: Tell | None = None)
         without_measurements(recording),
         choice.name,
         choice.options,
-        **scenario.filter_arguments(recording.noise),
         observe=ActiveSearch(sequence, settings, watch=watch).observe,
         progress=progress,
     )

@@ -5,16 +5,16 @@ from __future__ import annotations
 import dataclasses
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from operator import index
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, get_type_hints
 
 from msgspec import Meta
 
+from filters.catalogue.common_options import USUAL, usual_options
 from filters.contract.known_names import require_known
-from filters.contract.noise import ColouredNoise, StereoNoise
-from filters.contract.validation import finite_array, gate_probability
-from filters.motions.constant_velocity import ConstantVelocity
+from filters.contract.noise import StereoNoise
+from filters.contract.validation import gate_probability
 from stereo_slam_env.benchmark.recordings.source import Renderer, Source, checked
 from stereo_slam_env.benchmark.recordings.sources import StreetSource, known_kinds, source_of
 from stereo_slam_env.benchmark.scenarios.bounds import (
@@ -25,9 +25,12 @@ from stereo_slam_env.benchmark.scenarios.bounds import (
     require_bounded,
 )
 from stereo_slam_env.benchmark.scenarios.outside import OUTSIDE, SEED, require_file, require_place
+from stereo_slam_env.recording.filter_setup import FilterSetup
 
 if TYPE_CHECKING:
     from typing import Self
+
+    from stereo_slam_env.recording.recording import Recording
 
 Label = Annotated[str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9._+-]*\Z", max_length=100)]
 """Name of files: of a filter, a policy or a scenario."""
@@ -36,7 +39,7 @@ Sensor = Literal["landmarks", "images"]
 Metric = Literal["map", "bound", "windows"]
 Positive = Annotated[float, Meta(gt=0, le=MOST_SECONDS)]
 
-_MOTION: Mapping[str, float] = asdict(ConstantVelocity())
+_MOTION: Mapping[str, float] = USUAL["motion"]
 
 
 @dataclass(frozen=True)
@@ -116,11 +119,8 @@ class FilterChoice(_LabelledChoice):
         return str(self.options["file"]).replace(SEED, "recording" if seed is None else str(seed))
 
 
-DEFAULT_FILTERS = (
-    FilterChoice("inverse-depth", "inverse-depth"),
-    FilterChoice("dual-bearing", "dual-bearing"),
-    # Without a guard XYZ diverges on far points (d <= 0 has no point at all), so it is given the usual one.
-    FilterChoice("euclidean", "euclidean", {"min_disparity": 5.0}),
+DEFAULT_FILTERS = tuple(
+    FilterChoice(name, name, usual_options(name)) for name in ("inverse-depth", "dual-bearing", "euclidean")
 )
 """Those of the paper, which take errors for white."""
 REAL_DRIVE_FILTERS = (FilterChoice("coloured-noise", "coloured-noise"), *DEFAULT_FILTERS)
@@ -128,10 +128,10 @@ REAL_DRIVE_FILTERS = (FilterChoice("coloured-noise", "coloured-noise"), *DEFAULT
 
 
 def filter_choice(entry: str | Mapping[str, Any]) -> FilterChoice:
-    """The default choice of that name, or the filter as it comes; or what a table of name, options and label says."""
+    """The filter of that name with its usual options, or what a table of name, options and label says."""
     if not isinstance(entry, str):
         return FilterChoice.from_dict("filters", entry)
-    return next((choice for choice in DEFAULT_FILTERS if choice.label == entry), FilterChoice(entry, entry))
+    return FilterChoice(entry, entry, usual_options(entry))
 
 
 def policy_choice(entry: str | Mapping[str, Any]) -> PolicyChoice:
@@ -234,7 +234,7 @@ class Scenario:
             raise ValueError(f"seeds must be different, got {list(self.seeds)}")
         if self.consensus and self.gate is None:
             raise ValueError("consensus needs a gate: give a probability, or do without consensus")
-        self.assumed_noise(StereoNoise.independent_pixels(1.0))
+        self.assumed_noise(StereoNoise.independent_pixels(1.0))  # refuses an impossible one
         try:
             json.dumps(self.as_dict(), allow_nan=False)
         except (TypeError, ValueError) as error:
@@ -300,32 +300,26 @@ class Scenario:
 
     def assumed_noise(self, of_recording: StereoNoise) -> StereoNoise:
         """The noise filters are told to assume; what a recording says of errors that last holds with any R."""
-        if self.noise is None:
-            return of_recording
-        require_known("noise has no key", self.noise, ("independent_pixels", "diagonal"))
-        if len(self.noise) != 1:
-            raise ValueError("noise must have one key: independent_pixels or diagonal")
-        if "diagonal" in self.noise:
-            given = StereoNoise.diagonal(*finite_array("noise.diagonal", self.noise["diagonal"], (3,)).tolist())
-        else:
-            given = StereoNoise.independent_pixels(self.noise["independent_pixels"])
-        if isinstance(of_recording, ColouredNoise):
-            return dataclasses.replace(of_recording, R=given.R, white=None, lasting_time=None)
-        return given
+        return self.filter_setup.assumed_noise(of_recording)
+
+    @property
+    def filter_setup(self) -> FilterSetup:
+        """Statement of its recordings of how filters are set up."""
+        return FilterSetup(**{f.name: getattr(self, f.name) for f in dataclasses.fields(FilterSetup)})
+
+    def set_up_for(self, recording: Recording, given: Mapping[str, Any]) -> Scenario:
+        """The scenario with filters set up as a recording states; what is `given` wins, where it is not None."""
+        chosen = {key: value for key, value in given.items() if value is not None or key == "gate"}
+        changes = {**recording.filter_setup.as_dict(), **chosen}
+        if "consensus" not in chosen:
+            changes["consensus"] = changes["consensus"] and changes["gate"] is not None
+        setup = dataclasses.replace(recording, stated_setup=FilterSetup(**changes)).filter_setup
+        return dataclasses.replace(self, **setup.as_dict())  # what is stored is what happens
 
     @property
     def common_options(self) -> dict[str, Any]:
         """Options that every filter gets that leaves them open, see `filters.catalogue.common_options`."""
-        common: dict[str, Any] = {"gate": self.gate, "motion": dict(self.motion)}
-        return {**common, "consensus": True} if self.consensus else common
-
-    def filter_arguments(self, of_recording: StereoNoise) -> dict[str, Any]:
-        """Arguments of `run_filter` for a recording with this noise."""
-        return {
-            "common_options": self.common_options,
-            "noise": self.assumed_noise(of_recording),
-            "use_odometry": self.use_odometry,
-        }
+        return self.filter_setup.common_options({})
 
     def with_sensor(self, sensor: Sensor | None, renderer: Renderer | None = None) -> Scenario:
         """The scenario measured by geometry, or in rendered images; None leaves either as it is.

@@ -46,13 +46,13 @@ def make_recordings(
 
 
 def _as_asked(recording: Recording, scenario: Scenario, seed: int | None) -> Recording:
-    """The frames that the scenario wants of a recording, with its corruptions."""
+    """The frames that the scenario wants of a recording, with its corruptions; it states how filters are set up."""
     if scenario.frames is not None:
         recording = dataclasses.replace(recording, frames=recording.frames[: scenario.frames])
     if scenario.corruptions:
         recording = corrupted(recording, scenario.corruptions, seed or 0)
     require_frames(recording)
-    return recording
+    return dataclasses.replace(recording, stated_setup=scenario.filter_setup)
 
 
 def make_sequence(scenario: Scenario, seed: int | None) -> OpenedImages:

@@ -22,6 +22,7 @@ import scipy  # its `stats`, slow to import, is loaded where it is used
 from numpy.typing import ArrayLike
 
 from filters.geometry.arrays import BoolArray, FloatArray
+from stereo_slam_env.evaluation.figures import readable
 from stereo_slam_env.evaluation.intervals import studentised_interval, welch_interval
 
 CONFIDENCE = 0.95
@@ -320,7 +321,7 @@ def share_difference(a: BoolArray, b: BoolArray, *, paired: bool = True, compari
 def signed(value: float, digits: int = 0) -> str:
     """Number with its sign, as in print: "+1,200", "−3"; zero after rounding has none."""
     if abs(value) >= _MOST_DIGITS:
-        return f"{value:+.1e}".replace("-", "−")
+        return f"{'+' if value > 0 else ''}{readable(value)}".replace("-", "−")
     text = f"{value:+,.{digits}f}"
     return (text if any(digit in text for digit in "123456789") else text[1:]).replace("-", "−")
 
@@ -328,7 +329,7 @@ def signed(value: float, digits: int = 0) -> str:
 def percent_words(percent: float, more: str = "larger", less: str = "smaller") -> str:
     """A change in percent, in words: "20 % larger", "1,200 % larger", "4 % smaller"."""
     size = abs(percent)
-    amount = f"{size:.1e}" if size >= _MOST_DIGITS else f"{size:,.{0 if size >= 10.0 else 1}f}"
+    amount = readable(size) if size >= _MOST_DIGITS else f"{size:,.{0 if size >= 10.0 else 1}f}"
     return f"{amount} % {less if percent < 0.0 else more}"
 
 

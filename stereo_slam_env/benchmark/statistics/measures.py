@@ -21,7 +21,7 @@ from stereo_slam_env.benchmark.statistics.differences import (
     percent_words,
     unpaired_difference,
 )
-from stereo_slam_env.evaluation.figures import FIGURES, Figure
+from stereo_slam_env.evaluation.figures import FIGURES, Figure, readable
 from stereo_slam_env.evaluation.results import FilterSummary
 from stereo_slam_env.evaluation.run_figures import Figures, RunFigures, common_keys
 
@@ -139,6 +139,6 @@ def change_words(measure: Figure, difference: Difference) -> str:
         return f"{nearer} its ideal ({difference.evidence})"
     if not measure.is_ratio:
         more = "less" if difference.estimate < 0.0 else "more"
-        return f"{abs(difference.estimate):.3g} {more} ({difference.evidence})"
+        return f"{readable(abs(difference.estimate))} {more} ({difference.evidence})"
     found = difference.reversed if measure.larger_is_better else difference
     return f"{percent_words(found.percent)} ({found.evidence})"

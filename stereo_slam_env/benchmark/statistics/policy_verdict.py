@@ -29,6 +29,7 @@ from stereo_slam_env.benchmark.statistics.verdict import (
     pose_nees,
     sureness,
 )
+from stereo_slam_env.evaluation.figures import readable
 from stereo_slam_env.evaluation.results import FilterSummary
 from stereo_slam_env.evaluation.run_figures import Figures
 from stereo_slam_env.recording.recording import Recording
@@ -214,6 +215,6 @@ def _headline(
 
 def _account(summary: FilterSummary) -> str:
     sigma, determinant, error = summary.final_position_sigma_m, summary.final_pose_logdet, summary.end_error_m
-    claimed = "nothing" if sigma is None else f"σ {sigma:.3g} m"
+    claimed = "nothing" if sigma is None else f"σ {readable(sigma)} m"
     claimed += "" if determinant is None else f", log det {determinant:.1f}".replace("-", "−")
-    return claimed if error is None else f"{claimed}, true error {error:.3g} m"
+    return claimed if error is None else f"{claimed}, true error {readable(error)} m"

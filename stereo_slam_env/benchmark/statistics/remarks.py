@@ -9,7 +9,9 @@ from functools import lru_cache
 
 import numpy as np
 
+from filters.catalogue.common_options import USUAL
 from stereo_slam_env.benchmark.statistics.differences import CONFIDENCE, MIN_PAIRS, listed
+from stereo_slam_env.evaluation.figures import readable
 from stereo_slam_env.evaluation.intervals import rms_ratio_interval
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
 from stereo_slam_env.recording.recording import Reference, ReferenceKind
@@ -68,6 +70,48 @@ def innovation_remarks(summaries: Sequence[FilterSummary]) -> list[str]:
     if larger:
         remarks.append(f"{_far(larger)}: perhaps too little noise is assumed, or outliers come in.")
     return remarks
+
+
+def motion_remarks(runs: Sequence[FilterRun], summaries: Sequence[FilterSummary]) -> list[str]:
+    """A sentence where a motion model assumes harder motion than the drives have, and all its filters show a low NIS.
+
+    What a filter assumes beyond that is in the covariance of its innovations, but not in them. The accelerations are
+    those of the true velocities.
+    """
+    motions: dict[tuple[float, float], list[FilterSummary]] = {}
+    for summary in summaries:
+        assumed = summary.options.get("motion")
+        if "nis" in summary.consistency and isinstance(assumed, Mapping) and len(assumed) == 2:
+            linear, angular = (float(assumed[name]) for name in USUAL["motion"])
+            motions.setdefault((linear, angular), []).append(summary)
+    remarks = []
+    for (linear, angular), group in motions.items():
+        true = _accelerations(
+            [run for run in runs if run.filter_name == group[0].filter_name and run.reference.is_independent]
+        )
+        low = all(s.consistency["nis"].mean < s.consistency["nis"].band[0] for s in group)
+        if low and true is not None and true[0] < linear and true[1] < angular:
+            are = "filters assume" if len(group) > 1 else "filter assumes"
+            remarks.append(
+                f"NIS is below its band where the {are} accelerations of {readable(linear)} m/s² and "
+                f"{readable(angular)} rad/s²: the true motion has {readable(true[0])} m/s² and "
+                f"{readable(true[1])} rad/s² (root mean square per axis), so that innovations are smaller than a true "
+                "covariance claims. NEES shows whether that of the pose is true."
+            )
+    return remarks
+
+
+def _accelerations(runs: Sequence[FilterRun]) -> tuple[float, float] | None:
+    """Root mean squares per axis of the true accelerations, m/s² and rad/s²; None where no velocity is known."""
+    found = []
+    for name in ("true_linear_velocities", "true_angular_velocities"):
+        steps = [np.diff(getattr(run, name), axis=0) / np.diff(run.timestamps)[:, None] for run in runs]
+        values = np.concatenate([np.zeros((0, 3)), *steps])
+        found.append(values[np.isfinite(values).all(axis=1)])
+    if not all(len(values) for values in found):
+        return None
+    linear, angular = (float(np.sqrt(np.mean(np.square(values)))) for values in found)
+    return linear, angular
 
 
 def times_the_claim(factor: float) -> str:

@@ -23,6 +23,7 @@ from stereo_slam_env.benchmark.statistics.differences import (
 from stereo_slam_env.benchmark.statistics.measures import POSE_NEES, POSITION, difference_between
 from stereo_slam_env.benchmark.statistics.remarks import Reach, limit_reached
 from stereo_slam_env.evaluation.consistency import DOF
+from stereo_slam_env.evaluation.figures import readable
 from stereo_slam_env.evaluation.results import FilterSummary
 from stereo_slam_env.evaluation.run_figures import Figures, RunFigures, common_keys
 from stereo_slam_env.evaluation.trial import FEWEST_FRAMES
@@ -224,7 +225,7 @@ def none_left(summaries: Sequence[FilterSummary]) -> str:
 
 
 def _accuracy(best: FilterSummary, rivals: Sequence[FilterSummary], comparisons: Mapping[str, FilterComparison]) -> str:
-    error = f"{best.position_rmse_m:.3g} m"
+    error = f"{readable(best.position_rmse_m)} m"
     if not rivals:
         return f"{best.filter_name} has a position error of {error}."
     tied = [c for c in comparisons.values() if c.tied]
@@ -315,7 +316,7 @@ def _limit_words(best: FilterSummary) -> str:
     found, name = limit_reached(best), best.filter_name
     if found is None:
         return ""
-    bound = "the Cramér–Rao bound" + ("" if best.bound_position_m is None else f", {best.bound_position_m:.3g} m")
+    bound = "the Cramér–Rao bound" + ("" if best.bound_position_m is None else f", {readable(best.bound_position_m)} m")
     tell = "one run can tell" if found.runs == 1 else f"{found.runs} runs can tell"
     if found.reach is Reach.SHORT and found.runs < MIN_PAIRS:
         return f"{name} reaches {found.value} of what theory allows, as far as {tell} ({bound})."
@@ -342,7 +343,7 @@ def _cost(best: FilterSummary, rivals: Sequence[FilterSummary]) -> str:
     if quickest is not None and quickest.ms_per_frame:
         excess = 100.0 * (best.ms_per_frame / quickest.ms_per_frame - 1.0)
         beside = f", {percent_words(excess, 'more')} than {quickest.filter_name}"
-    return f"{best.filter_name} takes {best.ms_per_frame:.3g} ms a frame{beside}{timed_words(best, ' (', ')')}."
+    return f"{best.filter_name} takes {readable(best.ms_per_frame)} ms a frame{beside}{timed_words(best, ' (', ')')}."
 
 
 def timed_words(summary: FilterSummary, before: str = "", after: str = "") -> str:

@@ -106,18 +106,23 @@ def plot_nees(runs: Sequence[FilterRun]) -> Chart:
 def plot_nis(runs: Sequence[FilterRun], points: int = 80) -> Chart:
     """NIS per degree of freedom with its two-sided 95 % band, pooled over runs and short stretches of time.
 
-    A consistent filter's innovations are white, so frames may be pooled (those of NEES may not).
+    A consistent filter's innovations are white, so frames may be pooled (those of NEES may not): as many in each
+    stretch, or the band would be a sawtooth. What is left at the end is too short for one, and left out.
     """
     time = series.elapsed(max(runs, key=len))
-    starts = np.unique(np.linspace(0, len(time), min(points, len(time)) + 1).astype(int)[:-1])
+    first = min(1, len(time) - 1)  # the first frame has no innovations
+    together = max(1, -(-(len(time) - first) // points))
+    starts = np.arange(first, len(time) - together + 1, together)
+    whole = slice(first, first + len(starts) * together)
     curves: dict[str, FloatArray] = {}
     dofs: list[FloatArray] = []
     for name, group in series.by_filter(runs).items():
         nis = series.stack(group, lambda run: run.nis, frames=len(time))
         dof = series.stack(group, lambda run: run.nis_dof.astype(np.float64), frames=len(time))
         dof[~np.isfinite(nis)] = 0.0
-        sums = np.add.reduceat(np.nansum(nis, axis=0), starts)
-        pooled = np.add.reduceat(np.nansum(dof, axis=0), starts)
+        sums, pooled = (
+            np.nansum(values, axis=0)[whole].reshape(len(starts), together).sum(axis=1) for values in (nis, dof)
+        )
         curves[name] = np.divide(sums, pooled, out=np.full(len(starts), np.nan), where=pooled > 0)
         dofs.append(pooled)
     fewest = np.min(dofs, axis=0)

@@ -7,26 +7,28 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from filters.geometry.arrays import FloatArray
+from stereo_slam_env.evaluation.figures import FIGURES, readable
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
 from stereo_slam_env.report.charts import series
 from stereo_slam_env.report.charts.axes import WIDTH, Axis, label_room, panel_width
 from stereo_slam_env.report.charts.drawing import ROW, BoxMark, Chart, Curve, Panel, figure
-from stereo_slam_env.report.charts.style import filter_colours, shared_limit, short_number
+from stereo_slam_env.report.charts.style import filter_colours, shared_limit
 
 
 def plot_cost(summaries: Sequence[FilterSummary]) -> Chart:
     """Median time of predict and update, dimension of the state and growth of the memory of each filter."""
     names = [s.filter_name for s in summaries]
     colours = filter_colours(names)
-    kinds = {"Median time a frame, pale: predict (ms)": [s.ms_per_frame for s in summaries]}
+    kinds = {"Median time a frame, pale: predict (ms)": FIGURES["ms_per_frame"]}
     if any(s.state_size is not None for s in summaries):
-        kinds["State, dimension"] = [s.state_size for s in summaries]
+        kinds["State, dimension"] = FIGURES["state_size"]
     if any(s.memory_mb for s in summaries):
-        kinds["Memory (MB)"] = [s.memory_mb for s in summaries]
+        kinds["Memory (MB)"] = FIGURES["memory_mb"]
     left = label_room(names)
     share = (WIDTH - left - 34.0 * len(kinds)) / (len(kinds) + 1)
     panels: list[Panel] = []
-    for title, values in kinds.items():
+    for title, measure in kinds.items():
+        values = [s.figures[measure.name] for s in summaries]
         width = 2 * share if not panels else share
         longest = max((value for value in values if value is not None), default=1.0) or 1.0
         y = Axis.of_rows(len(names))
@@ -41,7 +43,7 @@ def plot_cost(summaries: Sequence[FilterSummary]) -> Chart:
         for row, value in enumerate(values):
             if value is not None:
                 x, height = panel.place(value, row)
-                panel.text(short_number(value) + ("" if panels else " ms"), x + 6, height)
+                panel.text(measure.text(value) + ("" if panels else " ms"), x + 6, height)
         panels.append(panel)
     panels[0].row_names(names, colours)
     return figure(panels, colours, column=34)
@@ -62,7 +64,7 @@ def _times(s: FilterSummary, row: int, colours: Mapping[str, str]) -> list[BoxMa
 def _bar(
     s: FilterSummary, row: int, x0: float, x1: float, colours: Mapping[str, str], what: str = "", opacity: float = 1.0
 ) -> BoxMark:
-    said = f"{s.filter_name}, {what}: {x1 - x0:.3g} ms" if what else f"{s.filter_name}: {x1:.4g}"
+    said = f"{s.filter_name}, {what}: {readable(x1 - x0)} ms" if what else f"{s.filter_name}: {readable(x1, '.4g')}"
     return BoxMark(x0, x1, row - 0.26, row + 0.26, colours[s.filter_name], s.filter_name, opacity, said)
 
 

@@ -11,6 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from stereo_slam_env.evaluation.figures import readable
+
 PAPER = "#ffffff"
 """Behind everything."""
 INK = "#1b1f24"
@@ -112,6 +114,5 @@ def shared_limit(peaks: Mapping[str, float], spread: float = 10.0) -> Limit:
 
 
 def short_number(value: float) -> str:
-    """Write a number with two digits that count: 0.083, 27, 150,000, 1.4e+09."""
-    rounded = float(f"{value:.2g}")
-    return f"{rounded:,.0f}" if 100 <= abs(rounded) < 1e7 else f"{rounded:g}"
+    """Write a number with two digits that count: 0.083, 27, 150,000, 1.4·10⁹."""
+    return readable(float(f"{value:.2g}"), ".2g")

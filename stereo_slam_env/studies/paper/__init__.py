@@ -69,6 +69,25 @@ class PaperSettings:
             if not numbers or any(type(number) is not int or number < 1 for number in numbers):
                 raise ValueError(f"{field.name} must be whole numbers >= 1, got {value!r}")
 
+    @property
+    def remark(self) -> str:
+        """Warning of a run that measures less than the full one, which its page and its table begin with; or none."""
+        less = [
+            f"{field.name} {getattr(self, field.name)} of {field.default}"
+            for field in fields(self)
+            if _size(getattr(self, field.name)) < _size(field.default)
+        ]
+        if not less:
+            return ""
+        return (
+            f"A quick run ({', '.join(less).replace('_', ' ')}): most intervals are too wide to decide, and what is "
+            "not shown here is not refuted. Do not cite its verdicts."
+        )
+
+
+def _size(number: Any) -> int:
+    return sum(number) if isinstance(number, tuple) else int(number)
+
 
 FULL = PaperSettings()
 QUICK = PaperSettings(turn_seeds=20, drive_seeds=6, drive_frames=150, sizes=(25, 50, 100), repeats=8)
@@ -124,6 +143,8 @@ def run_paper(
         raise ValueError(f"output {out} is not empty and holds no run of the paper: choose another directory")
     with claimed_folder(out):
         about = {"version": VERSION, "settings": asdict(settings), "versions": versions()}
+        if settings.remark:
+            about["remark"] = settings.remark
         own_files(out, (RESULT, ROWS, "report.html"), is_run=True)
         write_json(out / SETTINGS, about)
 

@@ -5,8 +5,9 @@ measured under several conditions, each time with a 95 % confidence interval.
 
 - One condition (`Finding`): the claim *holds* if the whole interval lies in the range, *does not hold* if the whole
   interval lies outside, and is *not shown* where the interval crosses a limit of the range, or there is no interval.
-- The claim (`Claim`): *holds* if it holds under every condition; *holds only if ...* under some of them, which are
-  then named; *does not hold* if it holds under none and is refuted under at least one; else *not shown*.
+- The claim (`Claim`): *holds* if it holds under every condition; *does not hold* if it is refuted under every one;
+  *holds only if ...* if it is shown under some of them, which are then named, and refuted under others; else *not
+  shown*: what is undecided is neither held nor refuted.
 
 Nothing else decides. `claims.json` has every checkable sentence and the limits, each with its reason; they were chosen
 before these runs.
@@ -149,24 +150,25 @@ class Claim:
     def verdict(self) -> ClaimVerdict:
         """By the rule of this module."""
         found = {finding.verdict for finding in self.findings}
-        if found == {ClaimVerdict.HOLDS}:
-            return ClaimVerdict.HOLDS
-        if ClaimVerdict.HOLDS in found:
+        if {ClaimVerdict.HOLDS, ClaimVerdict.DOES_NOT_HOLD} <= found:
             return ClaimVerdict.HOLDS_ONLY_IF
-        return ClaimVerdict.DOES_NOT_HOLD if ClaimVerdict.DOES_NOT_HOLD in found else ClaimVerdict.NOT_SHOWN
+        return found.pop() if len(found) == 1 else ClaimVerdict.NOT_SHOWN
 
     @property
     def says(self) -> str:
-        """The verdict in words: under which conditions it holds, and how many of them show nothing."""
-        words = str(self.verdict.value)
+        """The verdict in words: under which conditions it holds or is refuted, and how many of them show nothing."""
         every = [finding.condition for finding in self.findings]
+        of = {kind: [f.condition for f in self.findings if f.verdict is kind] for kind in ClaimVerdict}
+        undecided = len(of[ClaimVerdict.NOT_SHOWN])
+        words = str(self.verdict.value)
         if self.verdict is ClaimVerdict.HOLDS_ONLY_IF:
-            holding = [finding.condition for finding in self.findings if finding.verdict is ClaimVerdict.HOLDS]
-            words = f"{words} {describe(holding, every)}"
-        open_ = sum(finding.verdict is ClaimVerdict.NOT_SHOWN for finding in self.findings)
-        if 0 < open_ < len(every):
-            words = f"{words} (not shown under {open_} of {len(every)} conditions)"
-        return words
+            words = f"{words} {describe(of[ClaimVerdict.HOLDS], every)}"
+        elif undecided < len(every) and self.verdict is ClaimVerdict.NOT_SHOWN:
+            (kind,) = (kind for kind in (ClaimVerdict.HOLDS, ClaimVerdict.DOES_NOT_HOLD) if of[kind])
+            return f"{words} ({kind.value} if {describe(of[kind], every)}; undecided under {undecided} of {len(every)})"
+        return (
+            f"{words} (not shown under {undecided} of {len(every)} conditions)" if 0 < undecided < len(every) else words
+        )
 
 
 def describe(chosen: Sequence[Mapping[str, str]], every: Sequence[Mapping[str, str]]) -> str:

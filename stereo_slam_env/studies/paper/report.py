@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stereo_slam_env.evaluation import mean_band, share_inside
+from stereo_slam_env.evaluation import mean_band, readable, share_inside
 from stereo_slam_env.files import write_text
 from stereo_slam_env.report import Chart, Column, TableCell, Tone, figure_block, html_page, number, table
 from stereo_slam_env.studies.paper import convergence, figures, karlsruhe, landmark_uncertainty, long_drive, speed
@@ -68,6 +68,7 @@ def write_report(
         return f"{shown}<h3>{heading}</h3>{_numbers(*numbers)}"
 
     sections = [
+        f'<p class="banner">{escape(settings.remark)}</p>' if settings.remark else "",
         f"<h2>Verdicts</h2>{_verdicts(claims)}{rule}{conditions}",
         "" if with_karlsruhe else f'<p class="quiet">{escape(karlsruhe.HOW_TO_GET_IT)}</p>',
         section("4.1 Landmark uncertainty", points, "All shares", uncertainty_table(samples)),
@@ -104,7 +105,7 @@ def measured_range(findings: Sequence[ClaimFinding]) -> str:
     values = [f.measured.value for f in findings if np.isfinite(f.measured.value)]
     if not values:
         return "–"
-    low, high = (f"{value:.3g}" for value in (min(values), max(values)))
+    low, high = (readable(value) for value in (min(values), max(values)))
     return low if low == high else f"{low} to {high}"
 
 
@@ -149,7 +150,9 @@ def _findings(claim: Claim) -> str:
         [
             *finding.condition.values(),
             number(finding.measured.value, ".4g"),
-            f"{finding.measured.low:.4g} – {finding.measured.high:.4g}" if finding.measured.known else "–",
+            " – ".join(readable(end, ".4g") for end in (finding.measured.low, finding.measured.high))
+            if finding.measured.known
+            else "–",
             str(finding.asked),
             TableCell(finding.verdict.value, tone=TONES[finding.verdict]),
         ]

@@ -4,10 +4,11 @@ import copy
 import json
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from stereo_slam_env.benchmark import preset, run_benchmark
-from stereo_slam_env.benchmark.gate import Gate, gate
+from stereo_slam_env.benchmark.gate import GATED, Gate, gate
 from stereo_slam_env.benchmark.packet_form import checked_packet, columns_of, missing_in, with_trials
 from stereo_slam_env.benchmark.packets import packet_of, read_packet, verify, write_packet
 from stereo_slam_env.benchmark.scenarios.study import Study
@@ -274,6 +275,22 @@ def test_the_gate_passes_what_is_the_same_and_stops_what_is_worse(packet):
     assert gate([packet], [changed(packet, 0.5)]).passed
     row = next(row for row in worse.rows if row.measure.startswith("position"))
     assert row.change_percent == pytest.approx(20.0)
+
+
+def test_the_gate_shows_what_the_tables_of_bench_show():
+    """Root mean square of errors over recordings, where the median orders these two the other way round."""
+    steady, astray = packet_like([1.0, 1.0, 1.0]), packet_like([0.9, 0.9, 4.0])
+    (row,) = (row for row in gate([steady], [astray]).rows if row.measure.startswith("position error"))
+    assert row.before == pytest.approx(1.0)
+    assert row.after == pytest.approx(np.sqrt((2 * 0.81 + 16.0) / 3))
+    assert "root mean square" in gate([steady], [astray]).as_markdown()
+
+
+def test_every_measure_of_the_gate_is_combined_as_in_the_summary(packet, run):
+    figures = json.loads((run / "summary.json").read_text())["filters"]["shared-anchor"]
+    rows = {row.measure: row for row in gate([packet], [packet]).rows}
+    for measure in GATED:
+        assert rows[measure.title].before == pytest.approx(measure.of(figures), rel=1e-5)
 
 
 def test_with_enough_recordings_the_gate_asks_what_is_shown():

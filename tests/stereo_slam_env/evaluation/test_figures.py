@@ -16,7 +16,7 @@ from rich.console import Console
 import stereo_slam_env
 from stereo_slam_env.benchmark import FilterChoice, ReferenceSource, Scenario, run_benchmark
 from stereo_slam_env.evaluation.cramer_rao import cramer_rao_bound
-from stereo_slam_env.evaluation.figures import FIGURES, LARGEST, Figure, trial_columns, trial_figures
+from stereo_slam_env.evaluation.figures import FIGURES, LARGEST, Figure, readable, trial_columns, trial_figures
 from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.evaluation.trial import Trial
 from stereo_slam_env.report.console import show_results
@@ -179,9 +179,10 @@ def test_what_a_consistent_filter_has_is_shown_as_one_and_twice_that_as_two(figu
         ("position_rmse_m", 0.0312, "0.0312"),
         ("position_rmse_m", 0.155, "0.155"),
         ("position_rmse_m", 3.25, "3.250"),
-        ("position_rmse_m", 0.0000031, "3.10e-06"),
+        ("position_rmse_m", 0.0000031, "3.10·10⁻⁶"),
         ("position_rmse_m", 0.0, "0.000"),
-        ("position_rmse_m", 31250.0, "3.1e+04"),
+        ("position_rmse_m", 17_123.0, "17,000"),
+        ("position_rmse_m", 1.7e9, "1.7·10⁹"),
         ("pose_anees", 6.3, "1.05"),
         ("pose_anees", 0.12, "0.020"),
         ("efficiency_percent", 93.4, "93"),
@@ -193,3 +194,14 @@ def test_what_a_consistent_filter_has_is_shown_as_one_and_twice_that_as_two(figu
 )
 def test_figures_have_digits_that_count(name, value, text):
     assert FIGURES[name].text(value) == text
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        *((0.0834, "0.0834"), (999.6, "1,000"), (1234.5, "1,230"), (17_123.0, "17,000"), (-320_000.0, "-320,000")),
+        *((1.4e9, "1.4·10⁹"), (-2.5e-12, "-2.5·10⁻¹²"), (0.0, "0"), (float("nan"), "–"), (None, "–")),
+    ],
+)
+def test_numbers_for_people_have_no_exponents_of_programs(value, text):
+    assert readable(value) == text

@@ -82,7 +82,18 @@ def test_tables_are_latex_too(pages):
     assert [text.count(rule) for rule in (r"\toprule", r"\midrule", r"\bottomrule")] == [1, 1, 1]
 
 
+def test_only_what_has_an_ideal_is_said_to_have_one(pages):
+    text = (pages[1].parent / "tables" / "consistency.tex").read_text(encoding="utf-8")
+    head, unit, *_ = [line.rstrip("\\ ").split(" & ") for line in text.splitlines() if line.endswith("\\\\")]
+    ideals = {name: words.strip() for name, words in zip(head, unit, strict=True)}
+    assert {name for name, words in ideals.items() if "ideal 1" in words} == {
+        name for name in ideals if "NEES /" in name or "NIS" in name
+    }
+    assert ideals["Frames not scored"] == ""
+
+
 def test_every_sign_of_the_tables_has_its_latex():
+    assert latex_text("1.7·10⁻⁹") == r"1.7$\cdot$10$^{-}$$^{9}$"
     assert latex_text("−3 % of σ ≤ 2 × 4° – a_b & {c} #1 \\x ^ ~ $") == (
         r"$-$3 \% of $\sigma$ $\leq$ 2 $\times$ 4$^\circ$ -- a\_b \& \{c\} \#1 \textbackslash{}x "
         r"\textasciicircum{} \textasciitilde{} \$"

@@ -85,7 +85,7 @@ def test_k_of_many_recordings_has_its_interval_and_what_is_absurd_is_short():
     cell = {"name": "one", "recordings": [{"reference": "simulation"}], "trials": trials}
     page = leaderboard({"mine.json": {"study": {"name": "mine"}, "cells": [cell], "missing": []}})
     (row,) = [line.split(" | ") for line in page.splitlines() if line.startswith("| a")]
-    assert row[3] == "1.0e+09"
+    assert row[3] == "1.0·10⁹"
     middle, low, high = map(float, re.findall("[0-9.]+", row[4]))
     expected = scipy.stats.ttest_1samp(np.log(gaps), 0.0).confidence_interval(0.95)
     np.testing.assert_allclose(np.log([low, high]), expected, atol=0.01)

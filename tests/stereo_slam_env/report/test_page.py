@@ -109,7 +109,7 @@ def test_a_table_sorts_by_values_and_shows_text():
     colours = {"mine": PALETTE[3]}
     rows = [[filter_cell("mine", colours), number(1234.5678), number(-2.0, ".1f", " %", "bad"), TableCell("<b>")]]
     markup = table([Column("Filter", kind="text"), Column("A", "m", "what A is"), Column("B"), Column("C")], rows)
-    assert 'data-value="1234.5678">1.23e+03<' in markup
+    assert 'data-value="1234.5678">1,230<' in markup
     assert 'class="bad" data-value="-2.0">−2.0 %<' in markup
     assert "--colour: var(--series-3)" in markup
     assert "&lt;b&gt;" in markup

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from filters import StereoNoise
-from stereo_slam_env.benchmark.statistics.remarks import innovation_remarks, reference_remarks
+from stereo_slam_env.benchmark.statistics.remarks import innovation_remarks, motion_remarks, reference_remarks
 from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.recording.recording import SIMULATION, Reference
 
@@ -95,3 +95,43 @@ def test_a_real_filter_is_remarked_on_for_the_noise_it_assumes_wrongly_only():
     assert said(1.0) == ""
     assert "smaller than claimed: perhaps too much noise" in said(8.0)
     assert "larger than claimed: perhaps too little noise" in said(0.1)
+
+
+def moving(ratio, acceleration, name="one", motion=(3.0, 0.6)):
+    """A run with this NIS, whose true velocities change by +- the acceleration, 10 Hz, and what it was told."""
+    (run,) = make_runs(THREE[:1], (0,), frames=20)
+    dofs = np.where(run.nis_dof > 0, 1800, 0)
+    change = np.tile(np.where(np.arange(20) % 2, 0.5, -0.5), (3, 1)).T
+    return replace(
+        run,
+        filter_name=name,
+        nis=ratio * dofs,
+        nis_dof=dofs,
+        timestamps=0.1 * np.arange(20.0),
+        true_linear_velocities=0.1 * acceleration * change,
+        true_angular_velocities=0.01 * change,
+        options={"motion": dict(zip(("sigma_acceleration", "sigma_angular_acceleration"), motion, strict=True))},
+    )
+
+
+def told(*runs):
+    return motion_remarks(runs, [summary_of([run]) for run in runs])
+
+
+def test_a_low_nis_is_explained_by_motion_that_is_gentler_than_assumed():
+    (said,) = told(moving(0.95, 0.5), moving(0.97, 0.5, "two"))
+    assert "the filters assume accelerations of 3 m/s² and 0.6 rad/s²: the true motion has 0.5 m/s² and 0.1" in said
+
+
+@pytest.mark.parametrize(
+    "runs",
+    [
+        [moving(0.95, 4.0)],  # the motion is as hard as assumed
+        [moving(1.0, 0.5)],  # inside its band
+        [moving(0.95, 0.5), moving(1.05, 0.5, "two")],  # not all filters of that motion
+        [moving(0.95, 0.5, motion=(0.4, 0.6))],
+        [replace(moving(0.95, 0.5), true_linear_velocities=np.full((20, 3), np.nan))],  # who knows
+    ],
+)
+def test_a_low_nis_is_not_explained_by_what_is_not_so(runs):
+    assert told(*runs) == []

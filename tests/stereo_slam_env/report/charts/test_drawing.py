@@ -69,7 +69,7 @@ def test_a_limit_without_data_is_harmless(peaks):
     assert shared_limit(peaks) == (1.0, {})
 
 
-@pytest.mark.parametrize(("value", "text"), [(0.0834, "0.083"), (27.2, "27"), (146_000, "150,000"), (1.4e9, "1.4e+09")])
+@pytest.mark.parametrize(("value", "text"), [(0.0834, "0.083"), (27.2, "27"), (146_000, "150,000"), (1.4e9, "1.4·10⁹")])
 def test_short_numbers_have_two_digits_that_count(value, text):
     assert short_number(value) == text
 

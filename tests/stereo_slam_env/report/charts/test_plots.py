@@ -126,3 +126,15 @@ def test_distance_is_measured_over_frames_with_truth():
     assert series.last_known(travelled) == pytest.approx(
         np.linalg.norm(np.diff(run.true_positions[::3], axis=0), axis=1).sum()
     )
+
+
+@pytest.mark.parametrize("frames", [2, 60, 81, 82, 200, 201, 1000])
+def test_the_band_of_nis_has_bins_of_one_size(frames):
+    """With as many innovations in each frame the band is two straight lines: no sawtooth of bins of 2 and 3 frames."""
+    (run,) = make_runs(THREE[:1], (0,), frames=frames)
+    dofs = np.where(np.arange(frames) > 0, 150, 0)
+    (panel,) = panels(plot_nis([replace(run, nis=1.0 * dofs, nis_dof=dofs)]))
+    (band,) = panel.rows("bands")
+    for end in ("low", "high"):
+        assert np.ptp(values(band, end)) < 1e-9
+    np.testing.assert_allclose(values(panel.rows("lines")[0]), 1.0)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from stereo_slam_env.benchmark.statistics.attribution import attribute_runs
+from stereo_slam_env.evaluation.figures import FIGURES
 from stereo_slam_env.evaluation.landmark_statistics import RangeError
 from stereo_slam_env.report.charts.accuracy import plot_efficiency, plot_error_against_bound, plot_segment_errors
 from stereo_slam_env.report.charts.consistency import plot_consistency, plot_depth_convergence, plot_landmark_errors
@@ -95,6 +96,14 @@ def test_the_bar_of_a_filter_has_its_colour_and_the_length_of_its_time():
         assert sum(bar["x1"] - bar["x0"] for bar in own) == pytest.approx(s.ms_predict + s.ms_update, rel=1e-3)
         assert {bar["colour"] for bar in own} == {colours[s.filter_name]}
     assert series_of(chart) == colours
+
+
+def test_bars_say_what_the_table_says():
+    three = summaries("three filters")
+    three = [replace(s, figures={**s.figures, "state_size": 255.0 - 18 * k}) for k, s in enumerate(three)]
+    drawn = panels(plot_cost(three))
+    for panel, name, unit in zip(drawn, ("ms_per_frame", "state_size"), (" ms", ""), strict=False):
+        assert {FIGURES[name].text(s.figures[name]) + unit for s in three} <= set(panel.words())
 
 
 @pytest.mark.parametrize("levels", [(0.5, 1.0, 8.0), ("independent pixels", "independent u, v, d", "measured")])

@@ -58,12 +58,17 @@ def test_one_condition(measured, asked, verdict):
         ([OPEN, OPEN], ClaimVerdict.NOT_SHOWN, "not shown"),
         ([HOLDS, FAILS], ClaimVerdict.HOLDS_ONLY_IF, "holds only if noise: a"),
         ([FAILS, HOLDS], ClaimVerdict.HOLDS_ONLY_IF, "holds only if noise: b"),
-        ([HOLDS, OPEN], ClaimVerdict.HOLDS_ONLY_IF, "holds only if noise: a (not shown under 1 of 2 conditions)"),
-        ([FAILS, OPEN], ClaimVerdict.DOES_NOT_HOLD, "does not hold (not shown under 1 of 2 conditions)"),
+        ([HOLDS, OPEN], ClaimVerdict.NOT_SHOWN, "not shown (holds if noise: a; undecided under 1 of 2)"),
+        ([OPEN, FAILS], ClaimVerdict.NOT_SHOWN, "not shown (does not hold if noise: b; undecided under 1 of 2)"),
+        (
+            [HOLDS, FAILS, OPEN],
+            ClaimVerdict.HOLDS_ONLY_IF,
+            "holds only if noise: a (not shown under 1 of 3 conditions)",
+        ),
     ],
 )
 def test_all_conditions_of_a_claim(measured, verdict, says):
-    judged = claim(measured, grid(noise="ab"))
+    judged = claim(measured, grid(noise="abc"[: len(measured)]))
     assert judged.verdict is verdict
     assert judged.says == says
 

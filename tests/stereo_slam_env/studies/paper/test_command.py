@@ -8,7 +8,7 @@ import pytest
 
 from stereo_slam_env.cli import app as cli
 from stereo_slam_env.files import claimed_folder
-from stereo_slam_env.studies.paper import EXPERIMENTS, PaperSettings, run_paper
+from stereo_slam_env.studies.paper import EXPERIMENTS, FULL, QUICK, PaperSettings, run_paper
 
 TINY = PaperSettings(samples=300, turn_seeds=1, drive_seeds=1, drive_frames=30, sizes=(8, 12), repeats=2)
 
@@ -52,6 +52,14 @@ def test_the_page_has_every_claim_and_figure_and_says_how_to_get_the_recordings(
         assert escape(claim.sentence.claim) in page
     assert "www.cvlibs.net/datasets/karlsruhe_sequences" in page
     assert ">nan" not in page
+    assert escape(TINY.remark) in page
+    assert json.loads((result.out / "paper.json").read_text())["remark"] == TINY.remark
+
+
+def test_a_run_that_is_smaller_than_the_full_one_says_so():
+    assert FULL.remark == PaperSettings(drive_seeds=50).remark == ""
+    assert "drive seeds 6 of 20" in QUICK.remark
+    assert "turn seeds 3 of 200" in PaperSettings(turn_seeds=3).remark
 
 
 def test_one_recording_shows_nothing_of_drives_in_general(result):
