@@ -41,6 +41,7 @@ class Options:
     drift: LandmarkDrift | None
     gauge_walk: float
     iterations: int
+    relinearise_above: float
     drop_unseen: bool
     min_disparity: float | None
     max_landmarks: int | None
@@ -72,6 +73,7 @@ class Options:
         gate_probability(self.gate)
         if type(self.iterations) is not int or self.iterations < 1:
             raise ValueError(f"iterations must be an integer >= 1, got {self.iterations!r}")
+        positive("relinearise_above", self.relinearise_above, allow_zero=True)
         for name in ("drop_unseen", "consensus"):
             if not isinstance(getattr(self, name), bool):
                 raise ValueError(f"{name} must be True or False, got {getattr(self, name)!r}")

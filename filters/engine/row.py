@@ -92,6 +92,7 @@ def recipe_of(camera: StereoCamera, options: Options) -> Recipe:
         consensus=options.consensus,
         tail_dof=np.inf if options.tail_dof is None else float(options.tail_dof),
         iterations=options.iterations,
+        relinearise_above=float(options.relinearise_above),
         drop_unseen=options.drop_unseen,
         sigma_points=np.array(() if by_numbers else sigma_points),
         min_disparity=-np.inf if options.min_disparity is None else float(options.min_disparity),

@@ -86,6 +86,10 @@ class StereoEKF(StereoFilter):
         error="first-estimates" or "right-invariant".
     iterations : int
         Passes of the update; 1 is the plain EKF, more relinearise at the result with the prior held (Gauss-Newton).
+    relinearise_above : float
+        With more than one pass, only the measurements are relinearised whose tangent misses the result by more: the sum
+        of squares of the miss over the variances of the rows. 0: all. Relinearising what its tangent fits makes the way
+        too long where odometry is the scale: the slope at the result has the noise of this frame in it.
     drop_unseen : bool
         The paper's policy: a landmark not in the current observation leaves the map.
     min_disparity : float, optional
@@ -101,7 +105,7 @@ class StereoEKF(StereoFilter):
 
     open_options = frozenset(
         {"motion", "gate", "landmark", "measurement", "error", "update", "consensus", "tail_dof", "drift", "gauge_walk"}
-        | {"iterations", "drop_unseen", "min_disparity", "max_landmarks"}
+        | {"iterations", "relinearise_above", "drop_unseen", "min_disparity", "max_landmarks"}
     )
 
     def __init__(
@@ -120,6 +124,7 @@ class StereoEKF(StereoFilter):
         drift: float | Mapping[str, Any] | LandmarkDrift | None = None,
         gauge_walk: float = 0.0,
         iterations: int = 1,
+        relinearise_above: float = 0.0,
         drop_unseen: bool = True,
         min_disparity: float | None = None,
         max_landmarks: int | None = None,
@@ -141,6 +146,7 @@ class StereoEKF(StereoFilter):
             drift=drift,
             gauge_walk=gauge_walk,
             iterations=iterations,
+            relinearise_above=relinearise_above,
             drop_unseen=drop_unseen,
             min_disparity=min_disparity,
             max_landmarks=max_landmarks,

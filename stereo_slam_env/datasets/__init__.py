@@ -30,7 +30,7 @@ from stereo_slam_env.datasets.sequence import Choice, OnBroken
 from stereo_slam_env.evaluation.body_frames import read_body
 from stereo_slam_env.files.paths import is_there, require_inside, require_links_inside
 from stereo_slam_env.frontend.calibration import calibrated
-from stereo_slam_env.frontend.camera_motion import set_up_for_tracks
+from stereo_slam_env.frontend.camera_motion import set_up_for_tracks, with_moving_start
 from stereo_slam_env.frontend.recorder import record_tracks
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.frontend.track_noise import with_measured_noise
@@ -105,7 +105,7 @@ def load(source: str | Path, **options: Any) -> Recording:
 
 def _with_its_noise(recording: Recording) -> Recording:
     stated = isinstance(recording.noise, ColouredNoise) or recording.truth_from.kind == "simulation"
-    return recording if stated else with_measured_noise(recording)
+    return recording if stated else with_measured_noise(with_moving_start(recording))
 
 
 def open_for_front_end(path: str | Path, **options: Any) -> tuple[ImageSequence, TrackerSettings]:

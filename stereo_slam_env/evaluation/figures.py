@@ -12,6 +12,7 @@ from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
+from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray, IntArray
 from filters.motions.model import POSITION, ROTATION
 from stereo_slam_env.evaluation import trajectory_metrics as metrics
@@ -184,6 +185,17 @@ def _velocity_rmse_m_s(trial: Trial) -> float | None:
     errors = trial.run.linear_velocities[1:] - trial.run.true_linear_velocities[1:]
     errors = errors[np.isfinite(errors).all(axis=1)]
     return root_mean_square(errors) if len(errors) else None
+
+
+def _end_forward_error_sigma(trial: Trial) -> float | None:
+    covariance = trial.final_covariance
+    if covariance is None or not trial.scored.any() or not trial.run.reference.counts_as_truth:
+        return None
+    at = np.flatnonzero(trial.scored & np.isfinite(trial.run.pose_covariances).all(axis=(1, 2)))[-1]
+    ahead = rotations.matrix(trial.run.orientations[at])[:, 2]
+    variance = float(ahead @ covariance[POSITION, POSITION] @ ahead)
+    error = float(ahead @ (trial.run.true_positions[at] - trial.run.positions[at]))
+    return error / np.sqrt(variance) if variance > 0.0 else None
 
 
 def _final_position_sigma_m(trial: Trial) -> float | None:
@@ -370,6 +382,10 @@ _TABLE = (
     Figure("frames_in_band_percent", "frames inside the band", "%", "consistency",
            "share of the frames whose pose NEES, averaged over runs, is inside the 95 % band of that frame",
            None, _consistency("pose", "inside_percent", "share of frames"), digits=0, places=_CONSOLE),
+    Figure("end_forward_error_sigma", "signed error ahead at the end", "σ", "consistency",
+           "true minus estimated position along the axis of the camera in the last scored frame, by its claimed "
+           "standard deviation; a mean over runs beyond 2/√runs is a bias, which no larger covariance mends",
+           _end_forward_error_sigma, MEAN, digits=2, is_ratio=False, places=_REPORT),
     Figure("position_anees", "position NEES", "", "consistency", "mean NEES of the position; 3 is ideal",
            _mean("position_nees"), _consistency("position"), ideal=DOF["position"], **_NEES),
     Figure("rotation_anees", "rotation NEES", "", "consistency", "mean NEES of the rotation; 3 is ideal",

@@ -47,9 +47,9 @@ class ReferenceAudit:
         medians = np.median([self.by_reference, self.by_images], axis=1)
         residuals = f"median residual {medians[0]:.2f} px, by the images {medians[1]:.2f}"
         if not frames:
-            return f"the images do not contradict it in {len(self.frames)} steps ({residuals})"
+            return f"tracks and reference agree in {len(self.frames)} steps ({residuals})"
         listed = ", ".join(map(str, frames[:12])) + (", ..." if len(frames) > 12 else "")
         return (
-            f"doubtful in {len(frames)} of {len(self.frames)} steps, where the images say otherwise: "
+            f"tracks and reference disagree in {len(frames)} of {len(self.frames)} steps, and either may be wrong: "
             f"to frames {listed} ({residuals})"
         )

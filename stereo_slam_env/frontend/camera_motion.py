@@ -89,9 +89,7 @@ def needed_motion(recording: Recording, usual: ConstantVelocity | None = None) -
             continue
         dt, R = now.timestamp - before.timestamp, found.step.R
         velocity = np.concatenate([found.step.t, rotations.log(R)]) / dt
-        guessed = now.observation.R is None
-        scale = float(np.trace(recording.noise.R) / np.trace(FIRST_GUESS.R)) if guessed else 1.0
-        variance = scale * found.variances / dt**2
+        variance = _variances(recording, now, found) / dt**2
         if last is not None:
             R_last, earlier, earlier_variance = last
             change = np.concatenate([R_last @ velocity[:3], velocity[3:]]) - earlier
@@ -122,6 +120,37 @@ def set_up_for_tracks(recording: Recording) -> Recording:
         return recording
     setup = FilterSetup(consensus=True, motion=asdict(needed_motion(recording)))
     return replace(recording, stated_setup=setup)
+
+
+def with_moving_start(recording: Recording) -> Recording:
+    """The recording with the velocity of its first step at the start, where it says none.
+
+    A filter that starts at rest linearises its first update a whole step away, at 10 m/s a metre. The covariance is
+    that of the step, and what the usual acceleration changes within half of it.
+    """
+    start, steps = recording.start, camera_steps(recording.camera, recording.frames)
+    if start.covariance is not None or start.linear_velocity.any() or not steps or (first := steps[0]) is None:
+        return recording
+    usual = ConstantVelocity()
+    dt = recording.frames[1].timestamp - recording.frames[0].timestamp
+    sigmas = np.repeat([usual.sigma_acceleration, usual.sigma_angular_acceleration], 3)
+    variances = _variances(recording, recording.frames[1], first) / dt**2 + (0.5 * dt * sigmas) ** 2
+    covariance = np.array(start.assumed_covariance)
+    R_wc = rotations.matrix(start.orientation)
+    covariance[6:9, 6:9], covariance[9:, 9:] = R_wc @ np.diag(variances[:3]) @ R_wc.T, np.diag(variances[3:])
+    moving = replace(
+        start,
+        linear_velocity=R_wc @ first.step.t / dt,
+        angular_velocity=rotations.log(first.step.R) / dt,
+        covariance=covariance,
+    )
+    return replace(recording, start=moving)
+
+
+def _variances(recording: Recording, now: Frame, found: CameraStep) -> FloatArray:
+    """Variances (6,) of a step, by the noise of the recording where its measurements bring no covariance."""
+    guessed = now.observation.R is None
+    return found.variances * (float(np.trace(recording.noise.R) / np.trace(FIRST_GUESS.R)) if guessed else 1.0)
 
 
 def require_gyro_units(recording: Recording) -> None:

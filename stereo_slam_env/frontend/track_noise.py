@@ -21,7 +21,6 @@ from filters.checks.consistency import chi_square_quantile
 from filters.geometry.arrays import FloatArray, IntArray
 from stereo_slam_env.frontend.camera_motion import camera_steps
 from stereo_slam_env.frontend.ego_motion import MIN_POINTS, Pairs, Step, squared_distances, transfer
-from stereo_slam_env.frontend.focal_length import focal_length_error
 from stereo_slam_env.frontend.settings import DRIFT_SHARE
 from stereo_slam_env.recording.recording import Recording
 
@@ -45,9 +44,6 @@ ROUGH = 2.0
 MISMATCHED = 0.12
 """Share of residuals beyond `OUTLIER` that is worth a warning: between those of KITTI 00 with 2 and 10 % of its matches
 made wrong, 0.06 and 0.20."""
-FOCAL_DOUBT = 0.05
-"""Error of the focal length that is not put down to the habits of tracks, which look like up to 3 % (KITTI 00, also
-with noise and outliers added)."""
 TINY = 1e-12
 """Least variance, px^2."""
 _PASSES, _CHOOSING, _CONVERGED = 6, 2, 0.01
@@ -285,16 +281,6 @@ def with_measured_noise(recording: Recording) -> Recording:
             100.0 * found.mismatched,
         )
     stranger = recording.truth_from.kind != "simulation"
-    share, sigma = focal_length_error(recording) if stranger else (0.0, np.inf)
-    if abs(share) > max(FOCAL_DOUBT, 3.0 * sigma):
-        _log.warning(
-            "%s: its tracks do not fit its calibration; they would fit a focal length %.1f ± %.1f %% %s than stated. "
-            "Covariances do not allow for that: look at the calibration",
-            recording.name,
-            100.0 * abs(share),
-            100.0 * sigma,
-            "shorter" if share > 0.0 else "longer",
-        )
     noise = stated_noise(found, recording.noise, bring_R(recording), stranger)
     _log.info("%s: %s", recording.name, noise)
     return dataclasses.replace(_with_claims_raised(recording, found.claimed_too_small), noise=noise)

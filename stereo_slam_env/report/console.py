@@ -49,6 +49,8 @@ if TYPE_CHECKING:  # runs the front end
     from stereo_slam_env.benchmark.campaign import Progress as ProgressCallback
 
 MOST_COLUMNS = 5
+_FAR_FROM_PRIOR = 3.0
+"""Sigmas of the prior beyond which what is put down to the rig is hardly the rig's."""
 _NAMES_WRAP_AT = 24
 """Names of rows are wrapped, in a narrow console, but to no less."""
 _CLAIMS_MATTER_MOST = (
@@ -163,14 +165,15 @@ def _lasting(noise: StereoNoise, referenced: bool) -> dict[str, str]:
         said.append(f"all together by {1e3 * noise.gauge_walk:.1f} mrad per root of a radian of image motion")
     if noise.misalignment and referenced:
         said.append(f"camera and reference are aligned to {1e3 * noise.misalignment:.0f} mrad")
+    assumed = []
     if noise.disparity_offset:
-        said.append(f"disparities have an offset of about {noise.disparity_offset:.2f} px")
+        assumed.append(f"disparity offset {noise.disparity_offset:.2f} px")
     if noise.right_yaw or noise.right_roll:
-        turns = f"{1e3 * noise.right_yaw:.1f} and {1e3 * noise.right_roll:.1f} mrad (yaw, roll)"
-        said.append(f"the right camera is rectified to {turns}")
+        assumed.append(f"right camera {1e3 * noise.right_yaw:.1f} mrad in yaw, {1e3 * noise.right_roll:.1f} in roll")
     if noise.scale:
-        said.append(f"the scale is known to {100 * noise.scale:.1f} %")
-    return {"that lasts": "; ".join(said) or "nothing"}
+        assumed.append(f"scale {100 * noise.scale:.1f} %")
+    lasting = {"that lasts": "; ".join(said) or "nothing"}
+    return lasting | ({"assumed of the rig": f"sigmas, not measured: {', '.join(assumed)}"} if assumed else {})
 
 
 def _audit(recording: Recording) -> dict[str, str]:
@@ -182,14 +185,15 @@ def _audit(recording: Recording) -> dict[str, str]:
 
 
 def _rig_found(recording: Recording) -> dict[str, str]:
-    """Errors of the rig that the drive shows, with standard errors."""
+    """Errors that the filter puts down to the rig, with standard errors and how far beyond their prior they are."""
     units = {"disparity_offset": (1.0, "px"), "right_yaw": (1e3, "mrad"), "right_roll": (1e3, "mrad")}
     found = {name: (units[name], *value) for name, value in rig_errors(recording).items()}
-    said = [
-        f"{name.replace('_', ' ')} {scale * value:+.2f} ± {scale * sigma:.2f} {unit}"
-        for name, ((scale, unit), value, sigma) in found.items()
-    ]
-    return {"rig found": ", ".join(said)} if said else {}
+    said = []
+    for name, ((scale, unit), value, sigma) in found.items():
+        words = f"{name.replace('_', ' ')} {scale * value:+.2f} ± {scale * sigma:.2f} {unit}"
+        beyond = abs(value) > _FAR_FROM_PRIOR * getattr(recording.noise, name)
+        said.append(words + (f" (beyond {_FAR_FROM_PRIOR:g} sigma of what a rig may be wrong by)" if beyond else ""))
+    return {"put down to the rig": f"{', '.join(said)}; tracks that slide look the same"} if said else {}
 
 
 def show_noise(console: Console, name: str, found: MeasurementErrors) -> None:

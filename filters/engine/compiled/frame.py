@@ -253,6 +253,46 @@ def _left_jacobian(x: FloatArray, delta: FloatArray, J: FloatArray) -> None:
     put(J, 0, 0, transposed(right_jacobian_of(t0, t1, t2)), 1.0)
 
 
+@njit(**KERNEL)
+def _keep_tangents(s: Scratch, count: int, size: int) -> None:
+    """Copy H and nu of the selected measurements."""
+    width = s.H.shape[2]
+    for i in range(count):
+        m = s.select[i]
+        for k in range(size):
+            for c in range(width):
+                s.tangents[m, k, c] = s.H[m, k, c]
+            s.tangents[m, k, width] = s.nu[m, k]
+
+
+@njit(**KERNEL)
+def _restore_straight(plan: Plan, s: Scratch, count: int, size: int) -> None:
+    """Give measurements back the tangent from before the pass where it misses the result by little, or none is had.
+
+    The miss is z - h(x1) - (nu - H delta), with h at the result x1, and nu and H from before.
+    """
+    for i in range(count):
+        m = s.select[i]
+        miss = 0.0
+        for k in range(size):
+            left = s.nu[m, k] - explained(plan, s, m, k)
+            _exchange_tangent(s, m, k)
+            left -= s.nu[m, k] - explained(plan, s, m, k)
+            miss += left * left / s.R[m, k, k]
+        if miss >= plan.relinearise_above:
+            for k in range(size):
+                _exchange_tangent(s, m, k)
+
+
+@njit(**KERNEL)
+def _exchange_tangent(s: Scratch, m: int, k: int) -> None:
+    """Exchange a row of H and its nu with those that were kept."""
+    width = s.H.shape[2]
+    for c in range(width):
+        s.H[m, k, c], s.tangents[m, k, c] = s.tangents[m, k, c], s.H[m, k, c]
+    s.nu[m, k], s.tangents[m, k, width] = s.tangents[m, k, width], s.nu[m, k]
+
+
 @unit(ADDRESSES, PLAN, types.int64, types.int64, STORAGE, types.int64, SCRATCH, types.int64, types.int64)
 def iterate(
     routines: Routines, plan: Plan, variant: int, stage: int, S: Storage, b: int, s: Scratch, count: int, size: int
@@ -262,9 +302,16 @@ def iterate(
     _propose(routines, plan, S, b, s, count, size, n)
     for i in plan.considered:
         s.delta[i] = 0.0
+    keeps = plan.relinearise_above > 0.0
+    if keeps:
+        _keep_tangents(s, count, size)
     if plan.moves_by_numbers:  # the linearisation is carried back where it is made
-        if _ask(routines, TO_MOVE, b, s, CORRECTED, 0):
-            _linearise(routines, plan, variant, stage, S, b, s.moved, s.moved_blocks, s, count, MOVED)
+        if (
+            _ask(routines, TO_MOVE, b, s, CORRECTED, 0)
+            and _linearise(routines, plan, variant, stage, S, b, s.moved, s.moved_blocks, s, count, MOVED)
+            and keeps
+        ):
+            _restore_straight(plan, s, count, size)
         return
     move(routines, plan, S, b, s)
     if not _linearise(routines, plan, variant, stage, S, b, s.moved, s.moved_blocks, s, count, MOVED):
@@ -272,6 +319,8 @@ def iterate(
     if plan.resets:
         _left_jacobian(S.x[b], s.delta, s.F)
     _by_earlier_errors(plan, n, s, count, size)
+    if keeps:
+        _restore_straight(plan, s, count, size)
 
 
 @njit(**KERNEL)

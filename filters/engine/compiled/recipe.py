@@ -62,6 +62,8 @@ class Plan(NamedTuple):
     consensus: bool = False
     tail_dof: float = np.inf
     iterations: int = 1
+    relinearise_above: float = 0.0
+    """Squared miss of a tangent, by the variances of its rows, up to which it is kept in further passes; 0: none is."""
     drop_unseen: bool = True
     sigma_points: FloatArray = _NONE
     """Distance, weights of the centre in mean and covariance, weight of the others; none: by Jacobians."""

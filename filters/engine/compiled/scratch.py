@@ -64,6 +64,8 @@ class Scratch(NamedTuple):
     by_position: FloatArray
     """As W, by the position: of landmarks that a step moves."""
     copy: FloatArray
+    tangents: FloatArray
+    """H and, in the last column, nu from before a pass, of the measurements that it may leave as they are."""
     leading: IntArray
     """Leading rows, (leading,)."""
     state: FloatArray
@@ -137,6 +139,7 @@ def scratch(
     """Room for a frame of so many measurements, and for one measurement of so many rows by so many errors."""
     plan = recipe.plan
     n, blocks, leading, M = storage.P.shape[1], storage.blocks.shape[1], plan.leading, max(1, measurements)
+    keeps = plan.iterations > 1 and plan.relinearise_above > 0.0
     at_once = plan.consensus or plan.iterations > 1
     used = 0 if recipe.motion is None else recipe.motion.rows
     rows = max(8, max(rows, used) + MOST_ROWS, M * MOST_ROWS if at_once else min(M * MOST_ROWS, CHUNK_ROWS + MOST_ROWS))
@@ -185,6 +188,7 @@ def scratch(
         D=np.zeros((blocks, size, size)),
         by_position=np.zeros((n if plan.carries else 1, 3)),
         copy=np.zeros((n, n) if plan.iterations > 1 else (1, 1)),
+        tangents=np.zeros((M if keeps else 1, MOST_ROWS, width + 1)),
         leading=np.arange(leading),
         state=np.zeros(len(plan.moved)),
         after=np.zeros(len(plan.moved)),

@@ -65,7 +65,8 @@ def innovation_remarks(summaries: Sequence[FilterSummary]) -> list[str]:
     larger = {name: factor for name, factor in factors.items() if factor > 1.0}
     remarks = []
     if smaller:
-        causes = "perhaps too much noise is assumed, of pixels or of the motion, or errors last from frame to frame"
+        causes = "normal where errors that last from frame to frame are allowed for, as on real recordings; elsewhere"
+        causes += " too much noise is assumed, of pixels or of the motion"
         remarks.append(f"{_far(smaller)}: {causes}.")
     if larger:
         remarks.append(f"{_far(larger)}: perhaps too little noise is assumed, or outliers come in.")

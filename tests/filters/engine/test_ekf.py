@@ -189,6 +189,8 @@ def test_a_refused_call_names_the_argument_and_leaves_every_bit_as_it_was(what: 
         ({"gate": NAN}, "gate must be"),
         ({"iterations": 0}, "iterations must be"),
         ({"iterations": 1.5}, "iterations must be"),
+        ({"relinearise_above": -1.0}, "relinearise_above must be"),
+        ({"relinearise_above": NAN}, "relinearise_above must be"),
         ({"min_disparity": INF}, "min_disparity must be"),
         ({"landmark": "homogeneous"}, "landmark must be one of"),
         ({"measurement": "jont"}, "did you mean 'joint'"),

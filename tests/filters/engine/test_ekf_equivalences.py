@@ -176,6 +176,29 @@ def test_iterating_changes_nothing_on_an_almost_linear_problem(measurement: str,
     np.testing.assert_allclose(*scaled(P_thrice, P_once), rtol=0, atol=1e-4)
 
 
+@pytest.mark.parametrize("measurement", ["joint", "sequential", "unrectified"])
+@pytest.mark.parametrize("error", ["quaternion", "so3", "first-estimates", "right-invariant"])
+def test_the_limit_of_relinearising_lies_between_one_pass_and_all(measurement: str, error: str) -> None:
+    frames = drive(8, 12, missed=0.1)
+    start = Start(linear_velocity=(0.5, 0.3, SPEED - 1.0), covariance=np.diag(np.repeat([0.1, 0.05, 1.0, 0.3], 3)))
+
+    def end(iterations: int, relinearise_above: float = 0.0) -> np.ndarray:
+        options = {"measurement": measurement, "error": error, "relinearise_above": relinearise_above}
+        slam = make(iterations=iterations, **options)
+        slam.reset(start)
+        for number, frame in enumerate(frames):
+            if number:
+                slam.predict(DT)
+            slam.update(frame.observation)
+        return np.concatenate([slam.pose.position, slam.pose.covariance.ravel()])
+
+    limit = 1e-3 if error == "right-invariant" else 1.0  # whose tangents miss less
+    once, thrice, some = end(1), end(3), end(3, limit)
+    np.testing.assert_allclose(end(3, 1e9), once, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(end(3, 1e-200), thrice, rtol=1e-9, atol=1e-12)
+    assert min(np.abs(some - once).max(), np.abs(some - thrice).max()) > 1e-6
+
+
 @pytest.mark.parametrize(
     ("landmark", "error"), [("inverse-depth", "quaternion"), ("shared-anchor", "so3"), ("euclidean", "quaternion")]
 )

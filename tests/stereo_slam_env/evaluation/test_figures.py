@@ -14,6 +14,7 @@ import pytest
 from rich.console import Console
 
 import stereo_slam_env
+from filters.geometry import rotations
 from stereo_slam_env.benchmark import FilterChoice, ReferenceSource, Scenario, run_benchmark
 from stereo_slam_env.evaluation.cramer_rao import cramer_rao_bound
 from stereo_slam_env.evaluation.figures import FIGURES, LARGEST, Figure, readable, trial_columns, trial_figures
@@ -62,6 +63,10 @@ def test_its_figures_are_those_of_the_run(plain):
     assert row["velocity_rmse_m_s"] == pytest.approx(1.3)
     assert row["path_m"] == pytest.approx(0.5 * 28, rel=1e-3)
     assert row["end_drift_percent"] == pytest.approx(100 * 0.5 / row["path_m"])
+    R_wc, P = rotations.matrix(plain.orientations[-1]), plain.pose_covariances[-1, :3, :3]
+    ahead = R_wc[:, 2]
+    signed = -(ahead @ [0.3, 0.0, 0.4]) / np.sqrt(ahead @ P @ ahead)
+    assert row["end_forward_error_sigma"] == pytest.approx(signed)
     assert row["position_anees"] == pytest.approx(plain.position_nees[1:].mean())
     assert row["updated"] == plain.counts["updated"].sum()
     assert row["diverged"] == 0

@@ -35,7 +35,7 @@ def test_steps_into_and_out_of_wrong_poses_are_doubtful_and_no_others(axis: int,
     wrong = spoiled(drive(white=0.1), range(20, 25), np.radians(degrees) * np.eye(3)[axis])
     audit = audit_of(wrong)
     assert audit.frames[audit.doubtful].tolist() == [20, 25]
-    assert "doubtful in 2 of 59 steps" in str(audit)
+    assert "disagree in 2 of 59 steps" in str(audit)
     assert "20, 25" in str(audit)
 
 

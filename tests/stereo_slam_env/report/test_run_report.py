@@ -277,7 +277,7 @@ def test_where_the_images_contradict_a_reference_is_said_and_drawn_frame_by_fram
     page = write_report(tmp_path / "out", "Drive", runs, *scored(runs), {}, audits={runs[0].recording_name: audit})
     text = " ".join(Page(without_library(page)).text)
     assert "Is the reference right?" in text
-    assert "doubtful in 1 of 8 steps" in text
+    assert "disagree in 1 of 8 steps" in text
     assert "to frames 5 " in text
     assert "reference doubtful here" in (tmp_path / "out" / "figures" / "audit_0.svg").read_text()
     assert "Is the reference right?" not in without_library(report(tmp_path, runs))
