@@ -19,7 +19,7 @@ class Told:
     def __init__(self, *images):
         self.images = iter(images)
 
-    def detectAndCompute(self, image, mask):  # noqa: N802 (OpenCV's name)
+    def detectAndCompute(self, image, mask):
         features = next(self.images)
         if not features:
             return (), None
@@ -86,17 +86,18 @@ def test_the_margin_is_kept_clear_in_both_images(column, row):
 
 
 def test_features_are_followed_and_those_off_the_motion_of_the_rest_begin_anew():
-    """The rig moves to the left, so that near ones move farther to the right; one of them goes down instead."""
-    left, _ = grid()
-    right = {n: (u - 12.0 - 2.0 * n, v) for n, (u, v) in left.items()}
-    later, later_right = ({n: (u + 3.0 + 0.5 * n, v) for n, (u, v) in side.items()} for side in (left, right))
-    (u, v), (u_right, _) = left[5], right[5]
-    later[5], later_right[5] = (u, v + 30.0), (u_right, v + 30.0)
-    first, second = tracked(left, right, later, later_right)
-    assert sorted(set(first.ids) - set(second.ids)) == [5]
-    assert second.initialised.tolist() == [12]
-    assert second.ids.tolist() == [0, 1, 2, 3, 4, 6, 7, 8, 9, 10, 11, 12]
-    np.testing.assert_allclose(second.uvd[:5, 0] - first.uvd[:5, 0], 3.0 + 0.5 * np.arange(5))
+    """The rig moves among 40 points; one of them goes down by 0.5 m meanwhile."""
+    points = np.random.default_rng(0).uniform([-3.0, -2.0, 6.0], [3.0, 2.0, 16.0], size=(40, 3))
+    later = points - [0.3, 0.1, 0.5]
+    later[5, 1] += 0.5
+    images = []
+    for uvd in (CAMERA.project(points), CAMERA.project(later)):
+        images += [dict(enumerate(uvd[:, :2])), dict(enumerate(uvd[:, :2] - uvd[:, 2:] * [1.0, 0.0]))]
+    first, second = tracked(*images)
+    assert first.ids.tolist() == list(range(40))
+    assert second.ids.tolist() == [*range(5), *range(6, 41)]
+    assert second.initialised.tolist() == [40]
+    np.testing.assert_allclose(second.uvd[:5], CAMERA.project(later[:5]), atol=1e-3)
 
 
 @pytest.mark.parametrize("max_misses", [0, 1, 2])
