@@ -9,17 +9,16 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from itertools import groupby
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from llvmlite import ir
-from numba import njit, types
-from numba.extending import intrinsic
+from numba import njit
 from numpy.typing import NDArray
 
 from filters.engine.compiled.disk_cache import KEPT
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.geometry.rotations import Three
+from stereo_slam_env.world.instructions import entered_boxes, lowest_bit
 from stereo_slam_env.world.scene import BOX, CYLINDER, Primitive, ShapeTable, TriangleMesh, table_of
 
 OPTIONS = {**KEPT, "error_model": "numpy", "nogil": True}
@@ -262,61 +261,6 @@ def _hits_triangle(solid: FloatArray, x: float, y: float, z: float, dx: float, d
     return first >= 0.0 and second >= 0.0 and first + second <= 1.0 and 0.0 < along <= 1.0
 
 
-@intrinsic
-def _entered(typing_context: Any, bounds: Any, node: Any, starts: Any, inverses: Any) -> tuple[Any, Any]:
-    """Which of the eight branches of a node two rays enter, as 16 bits: one vector operation a line.
-
-    `starts` and `inverses`, of the ways, are (x, y, z) of the first ray and then of the second, in single precision.
-    """
-    eight, sixteen = ir.VectorType(ir.FloatType(), 8), ir.VectorType(ir.FloatType(), 16)
-    index = ir.IntType(32)
-
-    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        array = context.make_array(signature.args[0])(context, builder, values[0])
-        rows = builder.bitcast(array.data, eight.as_pointer())
-        first = builder.mul(values[1], ir.Constant(values[1].type, 6))
-        twice = ir.Constant(ir.VectorType(index, 16), [*range(8), *range(8)])
-
-        def side(k: int) -> Any:
-            row = builder.load(builder.gep(rows, [builder.add(first, ir.Constant(values[1].type, k))]), align=4)
-            return builder.shuffle_vector(row, row, twice)
-
-        def of_both(numbers: Any, k: int) -> Any:
-            pair = ir.Constant(sixteen, ir.Undefined)
-            for ray in range(2):
-                number = builder.extract_value(numbers, 3 * ray + k)
-                pair = builder.insert_element(pair, number, ir.Constant(index, 8 * ray))
-            spread = ir.Constant(ir.VectorType(index, 16), [0] * 8 + [8] * 8)
-            return builder.shuffle_vector(pair, pair, spread)
-
-        def lesser(a: Any, b: Any) -> Any:
-            return builder.select(builder.fcmp_ordered("<", a, b), a, b)
-
-        def greater(a: Any, b: Any) -> Any:
-            return builder.select(builder.fcmp_ordered(">", a, b), a, b)
-
-        enters, leaves = (ir.Constant(sixteen, [end] * 16) for end in (0.0, 1.0))
-        for k in range(3):
-            at, inverse = of_both(values[2], k), of_both(values[3], k)
-            low = builder.fmul(builder.fsub(side(k), at), inverse)
-            high = builder.fmul(builder.fsub(side(3 + k), at), inverse)
-            enters, leaves = greater(enters, lesser(low, high)), lesser(leaves, greater(low, high))
-        hits = builder.fcmp_ordered("<=", enters, leaves)
-        return builder.zext(builder.bitcast(hits, ir.IntType(16)), ir.IntType(64))
-
-    return types.int64(bounds, types.int64, starts, inverses), generate
-
-
-@intrinsic
-def _lowest(typing_context: Any, bits: Any) -> tuple[Any, Any]:
-    """Number of the lowest bit that is set."""
-
-    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        return builder.cttz(values[0], ir.Constant(ir.IntType(1), 1))
-
-    return types.int64(types.int64), generate
-
-
 @njit(**KERNEL)
 def _inverse(x: float) -> np.float32:
     return np.float32(1.0 / x) if abs(x) > 1e-12 else np.float32(1e12)
@@ -370,10 +314,10 @@ def is_seen(
     while count > 0:
         count -= 1
         node = waiting[count]
-        both = _entered(bounds, node, starts, inverses)
+        both = entered_boxes(bounds, node, starts, inverses)
         bits = (both | both >> 8) & 255
         while bits != 0:
-            branch = _lowest(bits)
+            branch = lowest_bit(bits)
             link = links[node, branch]
             bits &= bits - 1
             if link >= 0:

@@ -10,11 +10,11 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit, types
-from numba.extending import intrinsic
+from numba import njit
 
 from filters.engine.compiled.disk_cache import KEPT, LINKED
 from filters.geometry.arrays import FloatArray, IntArray
+from stereo_slam_env.world.instructions import fma
 from stereo_slam_env.world.scene import BOX, CYLINDER
 
 ENTRY: dict[str, Any] = {**KEPT, "error_model": "numpy"}
@@ -29,16 +29,6 @@ _UNKNOWN, _MANY, _SCANNED, _FEW = 0, -1, -1, 128
 _LOWEST = 0.15
 """m above the ground; what is lower is no landmark."""
 _TOLERANCE = 1e-6
-
-
-@intrinsic
-def _fma(typing_context: Any, a: Any, b: Any, c: Any) -> Any:
-    """a * b + c, rounded once, as BLAS does it: a point just at a limit is on the same side on every machine."""
-
-    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        return builder.fma(*values)
-
-    return types.float64(types.float64, types.float64, types.float64), generate
 
 
 @njit(**ENTRY)
@@ -153,8 +143,8 @@ def _off_roads(
 def _contains(rectangle: FloatArray, x: float, y: float, room: float) -> bool:
     """Whether the rectangle grown by `room` contains the point."""
     x, y = x - rectangle[X], y - rectangle[Y]
-    along = _fma(rectangle[SIN], y, rectangle[COS] * x)
-    across = _fma(rectangle[COS], y, -rectangle[SIN] * x)
+    along = fma(rectangle[SIN], y, rectangle[COS] * x)
+    across = fma(rectangle[COS], y, -rectangle[SIN] * x)
     return abs(along) < 0.5 * rectangle[LENGTH] + room and abs(across) < 0.5 * rectangle[WIDTH] + room
 
 
@@ -168,8 +158,8 @@ def _cover(rectangle: FloatArray) -> FloatArray:
         x = length * _share(i, columns)
         for j in range(rows):
             y = width * _share(j, rows)
-            cover[i * rows + j, X] = _fma(y, -rectangle[SIN], x * rectangle[COS]) + rectangle[X]
-            cover[i * rows + j, Y] = _fma(y, rectangle[COS], x * rectangle[SIN]) + rectangle[Y]
+            cover[i * rows + j, X] = fma(y, -rectangle[SIN], x * rectangle[COS]) + rectangle[X]
+            cover[i * rows + j, Y] = fma(y, rectangle[COS], x * rectangle[SIN]) + rectangle[Y]
     return cover
 
 
@@ -362,8 +352,8 @@ def _sample_box(shape: FloatArray, rng: np.random.Generator, points: FloatArray,
             x = 0.5 * signs[i]
             normals[i, X], normals[i, Y] = signs[i] * cos, signs[i] * sin
         x, y, z = x * length, y * width, z * height
-        points[i, X] = _fma(y, -sin, x * cos) + shape[1]
-        points[i, Y] = _fma(y, cos, x * sin) + shape[2]
+        points[i, X] = fma(y, -sin, x * cos) + shape[1]
+        points[i, Y] = fma(y, cos, x * sin) + shape[2]
         points[i, 2] = z + shape[3]
 
 
@@ -374,7 +364,7 @@ def _sample_cylinder(shape: FloatArray, rng: np.random.Generator, points: FloatA
     side = np.array([y, -x, 0.0]) if abs(z) < 0.9 else np.array([0.0, z, -y])  # across the axis
     side /= _norm(side)
     other = np.array(
-        [_fma(y, side[2], -z * side[1]), z * side[0] - x * side[2], _fma(-y, side[0], x * side[1])]
+        [fma(y, side[2], -z * side[1]), z * side[0] - x * side[2], fma(-y, side[0], x * side[1])]
     )  # across both
     angles = np.array([rng.uniform(0.0, 2 * math.pi) for _ in range(len(points))])
     for i in range(len(points)):
@@ -397,4 +387,4 @@ def _sample_ball(shape: FloatArray, rng: np.random.Generator, points: FloatArray
 @njit(**INLINE)
 def _norm(vector: FloatArray) -> float:
     x, y, z = vector
-    return math.sqrt(_fma(z, z, _fma(y, y, x * x)))
+    return math.sqrt(fma(z, z, fma(y, y, x * x)))

@@ -61,6 +61,14 @@ def test_a_frame_without_a_pose_is_named(tmp_path):
         load(folder)
 
 
+@pytest.mark.parametrize("file", ["times.txt", "poses.txt"])
+def test_a_table_that_ends_before_the_last_frame_is_named(tmp_path, file):
+    folder = kitti00(tmp_path)
+    np.savetxt(folder / file, np.loadtxt(folder / file)[:-1])
+    with pytest.raises(ValueError, match=r"vo_poses\.txt has frame 20, times\.txt and poses\.txt end at 19"):
+        load(folder)
+
+
 def test_nan_rows_and_unsorted_ids_are_named(tmp_path):
     folder = kitti00(tmp_path)
     poses = np.loadtxt(folder / "vo_poses.txt")

@@ -1,5 +1,7 @@
 """What can be set of the front end, and what cannot."""
 
+from dataclasses import asdict
+
 import pytest
 
 from stereo_slam_env.frontend.settings import TrackerSettings
@@ -39,3 +41,31 @@ def test_an_impossible_value_is_named_in_one_line(field, value):
 def test_settings_are_values():
     assert TrackerSettings() == TrackerSettings(max_landmarks=100)
     assert TrackerSettings() != TrackerSettings(max_landmarks=50, refill_below=50)
+
+
+def test_what_is_not_set_is_as_documented():
+    assert asdict(TrackerSettings()) == {
+        **{"method": "active-search", "model": None, "matcher_model": None},
+        **{"max_landmarks": 100, "refill_below": 85, "nearest": 2.5, "min_disparity": 1.0},
+        **{"min_score": 0.8, "uniqueness": 0.92, "search_gate": 0.99, "max_radius": 24.0, "gate": 0.999},
+        **{"probation": 2, "max_misses": 2, "margin": 8, "min_distance": 10.0},
+        **{"sigma_acceleration": 3.0, "sigma_angular_acceleration": 0.6},
+        **{"disparity_offset": 0.0, "sigma_floor": 0.05, "image_blur": 0.0, "sigma_relief": 0.04},
+    }
+
+
+@pytest.mark.parametrize(
+    "least",
+    [
+        {"max_landmarks": 1, "refill_below": 1},
+        {"max_landmarks": 1, "refill_below": 0},
+        {"probation": 0},
+        {"max_misses": 0},
+        {"margin": 8},
+        {"image_blur": 0.0},
+        {"disparity_offset": -3.0},
+    ],
+    ids=str,
+)
+def test_the_least_that_is_possible_is_taken(least):
+    assert {name: getattr(TrackerSettings(**least), name) for name in least} == least

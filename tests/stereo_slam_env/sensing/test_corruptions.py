@@ -176,6 +176,17 @@ def test_outliers_without_a_size_are_anywhere_in_both_images(drive):
     np.testing.assert_allclose(uvd[:, :2].mean(axis=0), [671.5, 195.0], rtol=0.05)
 
 
+def test_outliers_without_a_size_are_anywhere_whatever_the_rest_is(drive):
+    """Column, row, and the share of the way that the right column is to the left edge: uniform and independent."""
+    wild = corrupted(drive, [{"kind": "outliers", "share": 1.0}], 0)
+    u, v, d = np.concatenate([frame.observation.uvd for frame in wild.frames]).T
+    shares = np.array([u / (CAMERA.width - 1), v / (CAMERA.height - 1), d / u])
+    reach = 5.0 / np.sqrt(len(u))
+    np.testing.assert_allclose(shares.mean(axis=1), 0.5, atol=reach)
+    np.testing.assert_allclose(shares.var(axis=1), 1.0 / 12.0, atol=reach)
+    np.testing.assert_allclose(np.corrcoef(shares), np.eye(3), atol=reach)
+
+
 def test_right_rows_of_outliers_move_along(drive):
     recording = with_right_rows(drive)
     for entry in ({"kind": "outliers", "share": 0.5}, {"kind": "outliers", "share": 0.5, "sigma": 9.0}):

@@ -95,3 +95,22 @@ def test_a_clock_that_is_late_shows_a_later_path() -> None:
 def test_an_unknown_sheet_is_named() -> None:
     with pytest.raises(ValueError, match=r"^imu has no data sheet 'bmi08'"):
         Imu("bmi08")
+
+
+def test_what_is_not_stated_is_a_unit_before_the_left_camera_at_200_hertz() -> None:
+    """x forward, y left, z up in the unit; its sheet is the one of EuRoC, of which biases are what is usual."""
+    imu, sheet = Imu(), DataSheet(1.0, 2.0, 3.0, 4.0)
+    assert imu.sheet is DATA_SHEETS["adis16448"]
+    assert (imu.position, imu.rate, imu.time_offset) == ((0.05, -0.1, 0.2), 200.0, 0.0)
+    axes = Rotation.from_quat(imu.orientation).as_matrix()
+    np.testing.assert_allclose(axes, np.column_stack([[0, 0, 1], [-1, 0, 0], [0, -1, 0]]), atol=1e-12)
+    assert (sheet.gyro_bias, sheet.accelerometer_bias, sheet.scale, sheet.misalignment) == (0.01, 0.1, 0.0, 0.0)
+
+
+def test_densities_are_those_of_the_published_sheets() -> None:
+    degree, micro_g = np.deg2rad(1.0), 9.80665e-6
+    assert DATA_SHEETS["adis16448"] == DataSheet(1.7e-4, 2.0e-3, 1.9e-5, 3.0e-3, scale=5e-4, misalignment=5e-4)
+    for name, gyro, accelerometer in (("bmi088", 0.014, 175.0), ("car", 0.05, 500.0)):
+        sheet = DATA_SHEETS[name]
+        assert sheet.gyro_density == pytest.approx(gyro * degree, rel=0.05)
+        assert sheet.accelerometer_density == pytest.approx(accelerometer * micro_g, rel=0.05)

@@ -1,0 +1,110 @@
+"""What wrappers promise: defaults, bounds of what they add, rows that rest (3 s)."""
+
+import inspect
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import stereo_slam_env  # noqa: F401 (registers the ids)
+from stereo_slam_env.wrappers import (
+    BeliefObservation,
+    BeliefPanorama,
+    DirectionOfGaze,
+    InformationCriterion,
+    InformationGain,
+    PositionPrediction,
+    RecordConsistency,
+    TrueError,
+)
+
+from .replayed import ReplayEnv
+
+DEFAULTS = {
+    BeliefObservation: {
+        **{"filter": "shared-anchor", "max_landmarks": 64, "use_odometry": True},
+        **{"noise": None, "options": None, "hold": 1},
+    },
+    BeliefPanorama: {"sectors": 12, "reach": None},
+    DirectionOfGaze: {"pans": 9},
+    InformationCriterion: {"prior_sigma": 10.0, "resolution": (0.0, 0.0)},
+    InformationGain: {
+        **{"criterion": "log-det", "of": "map", "prior_sigma": 10.0, "resolution": (0.0, 0.0), "belief": "filter"},
+        **{"nees_gate": None, "weight": 1.0, "keep_reward": False, "max_age": 0, "use_odometry": True},
+        "report_both": False,
+    },
+    PositionPrediction: {"weight": 1.0, "keep_reward": False},
+    RecordConsistency: {"window": None, "buffer_length": 100},
+    TrueError: {"weight": 1.0, "keep_reward": False},
+}
+LARGEST_ID = np.iinfo(np.int32).max
+
+
+@pytest.mark.parametrize("wrapper", DEFAULTS, ids=lambda wrapper: wrapper.__name__)
+def test_defaults_are_those_of_the_manual(wrapper):
+    parameters = inspect.signature(wrapper).parameters
+    assert {name: parameters[name].default for name in DEFAULTS[wrapper]} == DEFAULTS[wrapper]
+
+
+def test_bounds_are_those_of_the_manual():
+    believed = BeliefObservation(ReplayEnv(), max_landmarks=5)
+    around = BeliefPanorama(believed, sectors=7)
+    bounds = {
+        "belief_position": (-1e4, 1e4, (3,)),
+        "belief_orientation": (-1.0, 1.0, (4,)),
+        "belief_covariance": (-1e6, 1e6, (6, 6)),
+        "belief_landmarks": (-1e4, 1e4, (5, 3)),
+        "belief_landmark_covariances": (-1e6, 1e6, (5, 3, 3)),
+        "belief_landmark_ids": (-1, LARGEST_ID, (5,)),
+        "belief_mask": (0, 1, (5,)),
+        "panorama": (-1.0, 2.0, (7, 6)),
+        "belief_sigmas": (0.0, 1000.0, (6,)),
+    }
+    spaces = around.observation_space.spaces
+    inner = ReplayEnv().observation_space.spaces
+    assert spaces.keys() == bounds.keys() | inner.keys()
+    assert {key: spaces[key] for key in inner} == inner
+    for key, (low, high, shape) in bounds.items():
+        assert spaces[key] == gym.spaces.Box(low, high, shape, spaces[key].dtype), key
+    assert DirectionOfGaze(gym.make("StereoSlam/Gaze-v0")).action_space == gym.spaces.Discrete(9)
+
+
+@pytest.mark.parametrize(
+    "wrappers",
+    [
+        {"information": {"of": "pose"}},
+        {"information": {"nees_gate": 0.9, "keep_reward": True, "report_both": True}},
+        {"information": {"belief": "reference", "max_age": None}},
+        {"error": {"weight": 1e9}},
+        {"error": {"keep_reward": True}, "belief": {"hold": 2}},
+        {"consistency": {}, "panorama": {}},
+    ],
+    ids=str,
+)
+def test_rows_that_do_not_go_on_earn_nothing_and_stay_as_they_are(wrappers):
+    arguments = {"belief": {}, "route": "right-turn", "rig": "qvga", **wrappers}
+    vector = gym.make_vec("StereoSlam/Gaze-v0", num_envs=2, **arguments)
+    vector.reset(seed=[3, 4])
+    actions = np.full((2, 2), 0.5, dtype=np.float32)
+    vector.step(actions)
+    rows = vector.rows
+    before = rows.look()
+    rewards, terminated, truncated = rows.advance(actions, np.array([True, False]))
+    assert rewards[0] != 0.0
+    assert (rewards[1], terminated[1], truncated[1]) == (0.0, False, False)
+    for old, new in zip(before, rows.look(), strict=True):
+        for key, values in old.items():
+            np.testing.assert_array_equal(new[key][1], values[1], err_msg=key)
+    vector.close()
+
+
+def test_predictions_of_rows_that_do_not_go_on_are_not_judged():
+    inside = gym.make_vec("StereoSlam/Gaze-v0", num_envs=2, route="right-turn", rig="qvga")
+    inside.reset(seed=[3, 4])
+    rows = PositionPrediction.around(inside.rows)
+    rows.begin(np.ones(2, dtype=bool), [3, 4], {})
+    actions = {"action": np.zeros((2, 2), dtype=np.float32), "prediction": np.full((2, 3), 2.0)}
+    rewards, _, _ = rows.advance(actions, np.array([True, False]))
+    assert rewards.tolist() == pytest.approx([-12.0, 0.0])  # from the origin, where the car was
+    assert rows.look()[1]["prediction"]["loss"].tolist() == pytest.approx([12.0, 0.0])
+    inside.close()
