@@ -6,6 +6,9 @@ import pytest
 from filters import StereoNoise
 from filters.geometry import rotations
 from stereo_slam_env.sensing.pixel_noise import IndependentPixels
+from stereo_slam_env.sensing.rigs import CAMERA_HEIGHT
+from stereo_slam_env.simulator.rays import obstacles, visible
+from stereo_slam_env.world.frames import WorldFrame
 from stereo_slam_env.world.scene import Box
 from stereo_slam_env.world.vehicle import Head
 
@@ -233,6 +236,27 @@ def test_landmarks_keep_a_margin_to_all_edges_of_both_images(axis, edge, inwards
     uvd = np.tile([CAMERA.cx, CAMERA.cy, d], (2, 1))
     uvd[:, axis] = edge + np.array([0.01, -0.01]) * inwards + (d if (axis, inwards) == (0, 1.0) else 0.0)
     assert seen_in(CAMERA.backproject(uvd))[0][0].ids.tolist() == [0]
+
+
+def test_what_is_seen_is_in_view_and_hidden_by_nothing_wherever_the_head_looks_from():
+    """From a camera that sways in all six degrees and turns, by the projection and the rays of its two eyes."""
+    rng = np.random.default_rng(2)
+    solids = [
+        Box((z, x, 2.0), (0.5, 4.0, 4.0), yaw, GREY) for z, x, yaw in rng.uniform((5, -9, -2), (40, 9, 2), (25, 3))
+    ]
+    scene, frame = scene_of(*solids, points_w=cloud(2500)), WorldFrame(CAMERA_HEIGHT)
+    policy = {"max_landmarks": 2500, "refill_below": 2500, "revisit": True}
+    simulator = vehicle(scene, head=SPINNING, perturbation=40.0, policy=policy)
+    points, hidden = simulator.scenes[0].landmarks, 0
+    for seen in drive(simulator, rng.uniform(-0.3, 0.3, (8, 2))):
+        p_c = (points - seen.truth.position) @ seen.truth.R_wc
+        inside = CAMERA.in_view(CAMERA.project(p_c), margin=2.0) & (p_c[:, 2] >= 4.0) & (p_c[:, 2] <= 150.0)
+        eyes = seen.truth.position + np.array([[0.0, 0.0, 0.0], [CAMERA.baseline, 0.0, 0.0]]) @ seen.truth.R_wc.T
+        clear = visible(obstacles(solids), frame.to_scene(eyes), frame.to_scene(points))
+        assert seen.observation.ids.tolist() == np.flatnonzero(inside & clear).tolist()
+        hidden += (inside & ~clear).sum()
+    assert hidden > 100
+    assert np.abs(simulator.body(0).position[1]) > 0.1
 
 
 def test_the_models_of_noise_that_are_compiled_draw_the_same_numbers():

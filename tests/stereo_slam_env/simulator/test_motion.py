@@ -190,6 +190,28 @@ def test_the_sway_is_an_ornstein_uhlenbeck_process_that_a_pull_of_half_a_second_
     np.testing.assert_allclose(kept, np.exp(-FRAME_PERIOD / times), atol=0.03)
 
 
+def test_sway_and_odometry_take_the_numbers_of_their_generators_in_order():
+    """Six a frame of each, the first frame included, over more frames than are drawn ahead."""
+    simulator = vehicle(perturbation=1.0, odometry_sigmas=(0.1, 0.01), seed=4)
+    motion, _, odometry, _ = np.random.default_rng(4).spawn(4)
+    drawn, errors = motion.standard_normal((151, 6)), odometry.standard_normal((151, 6))
+    sigmas = np.array([0.08, 0.08, 0.15, 0.012, 0.008, 0.012])
+    kept = np.exp(-FRAME_PERIOD / np.repeat([1.0, 0.5], 3))
+    sway = sigmas * drawn[0]
+    np.testing.assert_allclose(simulator.fleet.sway[0], sway, atol=1e-15)
+    before = simulator.frame(0).truth
+    for k in range(1, 151):
+        sway = kept * sway + np.sqrt(1.0 - kept**2) * sigmas * drawn[k]
+        frame = drive(simulator, [[0, 0]])[-1]
+        np.testing.assert_allclose(simulator.fleet.sway[0], sway, atol=1e-12)
+        true = frame.truth_velocity
+        halfway = before.R_wc @ rotations.exp(0.5 * FRAME_PERIOD * true.angular)
+        expected = np.append(halfway.T @ true.linear, true.angular) + np.repeat([0.1, 0.01], 3) * errors[k]
+        measured = np.append(frame.odometry.linear, frame.odometry.angular)
+        np.testing.assert_allclose(measured, expected, atol=1e-12)
+        before = frame.truth
+
+
 def test_the_metres_of_a_drive_are_those_of_its_path():
     simulator = vehicle(steered=True)
     frames = drive(simulator, np.random.default_rng(2).uniform(-1, 1, (30, 2)))
