@@ -80,3 +80,24 @@ def test_bad_positions_are_named(bad):
 def test_a_distance_larger_than_the_image_leaves_one_corner():
     image = np.random.default_rng(0).integers(0, 256, (60, 80), dtype=np.uint8)
     assert len(detect_corners(image, 10, np.zeros((0, 2)), min_distance=1e9)) == 1
+
+
+def ripples(gradient, period=32.0, width=320, height=240):
+    """Waves both ways with so large a root mean square gradient, grey levels / px, along each axis."""
+    v, u = np.indices((height, width))
+    k = 2.0 * np.pi / period
+    return np.rint(128.0 + gradient / k * (np.sin(k * u) + np.sin(k * v)) * np.sqrt(2.0)).astype(np.uint8)
+
+
+@pytest.mark.parametrize(("gradient", "found"), [(1.15, False), (1.42, True), (3.0, True)])
+def test_a_corner_has_a_gradient_of_one_and_a_half_grey_levels_a_pixel(gradient, found):
+    """Where both waves are steepest; over a window, and smoothed, it is 1.1 times their root mean square."""
+    assert (len(detect_corners(ripples(gradient), 50, NONE)) > 0) == found
+
+
+@pytest.mark.parametrize("margin", [12, 30])
+def test_the_margin_is_kept_at_all_sides_and_used_up_to_it(margin):
+    corners = detect_corners(board(400, 240, square=10), 2000, NONE, margin=margin, min_distance=3.0)
+    for axis, size in enumerate((400, 240)):
+        assert margin - 3.5 <= corners[:, axis].min() <= margin + 12
+        assert size - 1 - margin - 12 <= corners[:, axis].max() <= size - 1 - margin + 3.5
