@@ -334,6 +334,14 @@ def test_vslam_lab_gives_the_drive_and_poses_of_the_camera(tmp_path):
     listing.write_text(good.replace("rgb_1/", "../rgb_1/", 1))
     with pytest.raises(ValueError, match=r"rgb\.csv: line 2 is not 'time in ns, image"):
         open_image_sequence(tmp_path)
+    first, stamp = good.splitlines()[1], round(1e9 * EPOCH)
+    for apart in (5_000_000, -5_000_000, 5_000_001):
+        listing.write_text(good.replace(first, first.replace(f"{stamp + 1000}", f"{stamp + apart}")))
+        if abs(apart) <= 5_000_000:
+            assert len(open_image_sequence(tmp_path)) == FRAMES
+        else:
+            with pytest.raises(ValueError, match="in line 2 the images are 5000001 ns apart: no pair"):
+                open_image_sequence(tmp_path)
     listing.write_text(good.replace("path_rgb_1", "path_depth_0"))
     with pytest.raises(ValueError, match="lacks the columns path_rgb_1: it must list the images of both cameras"):
         open_image_sequence(tmp_path)

@@ -52,6 +52,12 @@ def test_one_common_row_is_no_measurement_of_the_right_eye(tmp_path):
     np.testing.assert_allclose(frame.observation.uvd[0], [650.0, 190.0, 700.0 * 0.5 / 30.0], atol=1e-6)
 
 
+def test_images_of_a_stranger_are_the_smallest_that_hold_all_measurements(tmp_path):
+    """The landmarks stay at (650, 190) px: that pixel is the last of its row, and of its column."""
+    camera = load(kitti00(tmp_path)).camera
+    assert (camera.width, camera.height) == (651, 191)
+
+
 def test_a_frame_without_a_pose_is_named(tmp_path):
     folder = kitti00(tmp_path)
     rows = np.loadtxt(folder / "stereo_factors.txt")

@@ -235,6 +235,62 @@ def test_an_offset_that_no_path_shows_is_not_made_up():
         sse.evaluate_trajectory(replace(truth, timestamps=None), truth, time_offset="auto")
 
 
+@pytest.mark.parametrize(
+    ("degrees", "metres", "turned", "apart"),
+    [(0.4, 0.0, False, False), (0.6, 0.0, True, False), (0.0, 0.008, False, False), (0.0, 0.013, False, True)],
+)
+def test_half_a_degree_and_a_centimetre_are_another_body_and_less_is_not(degrees, metres, turned, apart):
+    _, truth = drive()
+    T_bc = Pose(
+        [0.0, 0.6 * metres, -0.8 * metres], rotations.exp_quaternion(np.deg2rad(degrees) * np.array([0.6, 0.0, 0.8]))
+    )
+    found = find_body_offset(truth.of_body(T_bc.inverse()), truth)
+    assert (found.turned, found.apart) == (turned, apart)
+    assert bool(found.words) == (turned or apart)
+    np.testing.assert_allclose((found.T_bc @ T_bc.inverse()).log(), 0.0, atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("late", "common"), [(0.0, COUNT), (1e-6, COUNT - 1), (-1e-6, COUNT - 1), (3.0 * DT, COUNT - 3)]
+)
+def test_the_ends_of_a_reference_are_within_it(late, common):
+    estimate, truth = drive()
+    found = paired(replace(estimate, timestamps=truth.timestamps + late), truth, interpolate=True)
+    assert len(found.rows) == common
+
+
+def test_poses_are_paired_within_the_gap_each_once_and_more_than_three():
+    """The nearer one of two; the gap itself belongs to it."""
+    _, truth = drive()
+    short = truth.rows(slice(0, 6))
+    apart = replace(short, timestamps=np.array([0.0, 0.25, 0.5, 0.75, 1.0, 1.25]))
+    shifts = np.array([0.0, 0.0625, -0.0625, 0.03125, 0.0625, -0.125])
+    late = replace(apart, timestamps=apart.timestamps + shifts)
+    found = paired(late, apart, max_gap=0.0625)
+    assert found.rows.tolist() == [0, 1, 2, 3, 4]
+    np.testing.assert_array_equal(found.gaps, np.abs(shifts[:5]))
+    np.testing.assert_array_equal(found.reference.timestamps, apart.timestamps[:5])
+    twice = replace(late, timestamps=np.array([0.0, 0.03, 0.25, 0.5, 0.76, 0.78]))
+    found = paired(twice, apart, max_gap=0.1)
+    assert found.rows.tolist() == [0, 2, 3, 4]
+    assert len(paired(late.rows(slice(0, 4)), apart, max_gap=0.0625).rows) == 4
+    for few, gap, common in ((slice(0, 3), 0.0625, 3), (slice(None), 0.05, 2)):
+        with pytest.raises(ValueError, match=f"have {common} poses in common, more than 3 are needed"):
+            paired(late.rows(few), apart, max_gap=gap)
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
+@pytest.mark.parametrize("offset", [-47.3, 12.1])
+def test_clocks_that_are_far_off_are_found_by_what_both_paths_do(offset, scale):
+    """Whatever the unit of the path, and with an estimate of its second half alone."""
+    estimate, truth = drive(error=1e-4)
+    estimate, truth = (replace(one, positions=scale * one.positions) for one in (estimate, truth))
+    half = estimate.rows(slice(COUNT // 2, None))
+    for one in (estimate, half):
+        late = replace(one, timestamps=one.timestamps - offset)
+        assert find_time_offset(late, truth) == pytest.approx(offset, abs=0.004)
+
+
 def test_the_reference_is_taken_between_its_poses():
     _, truth = drive()
     between = truth.timestamps[:-1] + 0.5 * DT

@@ -133,3 +133,10 @@ def test_the_band_of_landmarks_is_students_of_the_means_of_runs(honest):
         for factor, run in zip(10.0 ** np.arange(6), runs, strict=True)
     ]
     assert consistency_figures(wild)["landmark"].band == pytest.approx(tuple(widest), rel=1e-12)
+
+
+def test_the_ends_of_a_band_belong_to_it(honest):
+    """Landmarks whose NEES is 3 in every run have no scatter: their band is 3, and holds them."""
+    exact = [replace(run, landmark_nees=np.full(FRAMES, 3.0)) for run in honest]
+    figure = consistency_figures(exact)["landmark"]
+    assert (figure.band, figure.inside_percent) == ((3.0, 3.0), 100.0)

@@ -10,7 +10,7 @@ from scipy.stats import chi2
 import stereo_slam_env as sse
 from filters import Pose, nees
 from filters.geometry import rotations
-from stereo_slam_env.evaluation.drift_model import drivers
+from stereo_slam_env.evaluation.drift_model import LengthCheck, drivers
 from stereo_slam_env.evaluation.trajectory_windows import motion_covariances, motions
 from stereo_slam_env.recording.drift import adjoints
 from stereo_slam_env.recording.trajectory import pose_errors
@@ -220,6 +220,17 @@ def test_a_model_is_kept_in_a_file(tmp_path, drives):
     again = sse.DriftModel.read(tmp_path / "model.json")
     np.testing.assert_array_equal(again.variances, model.variances)
     assert again.as_dict() == model.as_dict()
+
+
+def test_a_file_has_all_of_a_model(tmp_path):
+    check = LengthCheck(seconds=3.0, drives=4, windows=50, nees=6.5, coverage=0.88)
+    numbers = np.arange(1.0, 37.0).reshape(6, 6)
+    model = sse.DriftModel(numbers, 1.7, ("a", "b"), 0.02, (check, replace(check, seconds=10.0)), (0.4, 2.5))
+    model.write(tmp_path / "model.json")
+    again = sse.DriftModel.read(tmp_path / "model.json")
+    np.testing.assert_array_equal(again.variances, numbers)
+    assert (again.factor, again.drives, again.coverage_error, again.drive_range) == (1.7, ("a", "b"), 0.02, (0.4, 2.5))
+    assert [vars(one) for one in again.checks] == [vars(check), {**vars(check), "seconds": 10.0}]
 
 
 @pytest.mark.parametrize(

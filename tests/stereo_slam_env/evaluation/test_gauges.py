@@ -106,6 +106,38 @@ def test_a_right_claim_is_right_in_every_gauge(claim, kind, seconds):
     assert np.abs(by_pose - 1.0).max() < 0.03
 
 
+@pytest.mark.parametrize(("kind", "seconds"), [gauge for gauge in GAUGES if gauge != ("gravity-yaw", 0.0)])
+@pytest.mark.parametrize("correlation", ["independent", "increments"])
+def test_the_carried_covariance_is_that_of_differences_of_the_alignment(correlation, kind, seconds):
+    """Each error of each of eight poses by itself, through the alignment to the errors that are left of all of them."""
+    rng, step = np.random.default_rng(1), 1e-6
+    truth = TRUTH.rows(slice(0, 8))
+    A = rng.normal(size=(8, 6, 6))
+    own = np.cumsum(A @ A.swapaxes(1, 2), axis=0) if correlation == "increments" else A @ A.swapaxes(1, 2)
+    whole = np.array([[own[min(j, k)] if correlation == "increments" or j == k else 0.0 * own[0] for k in range(8)]
+                      for j in range(8)]).transpose(0, 2, 1, 3).reshape(48, 48)  # fmt: skip
+    tangent = "left" if correlation == "increments" else "position-rotation"
+    J = tangent_jacobian(tangent, truth.positions, truth.orientations)  # from errors of position and rotation
+
+    def aligned(errors):
+        e = np.linalg.solve(J, errors[..., None])[..., 0]
+        turns = rotations.multiply(truth.orientations, rotations.exp_quaternion(-e[:, 3:]))
+        estimate = replace(truth, positions=truth.positions - e[:, :3], orientations=turns, tangent=tangent)
+        alignment = find_alignment(kind, estimate, truth, truth.timestamps <= seconds, 2)
+        return alignment.apply(estimate), alignment
+
+    columns = []
+    for unit in np.eye(48).reshape(48, 8, 6):
+        plus, minus = (aligned(sign * step * unit)[0].errors(truth.positions, truth.orientations) for sign in (1, -1))
+        columns.append((plus - minus).ravel() / (2.0 * step))
+    through = np.array(columns).T
+    expected = (through @ whole @ through.T).reshape(8, 6, 8, 6)[np.arange(8), :, np.arange(8)]
+    found, alignment = aligned(np.zeros((8, 6)))
+    np.testing.assert_allclose(
+        carried(own, found, alignment, correlation), expected, atol=1e-4 * np.abs(expected).max()
+    )
+
+
 def test_without_carrying_the_same_claim_seems_to_be_wrong():
     """The scale of the effect: what the alignment takes off the errors it has to take off the claim."""
     as_claimed = np.array([left_of(each, "rigid", 9.0, "increments")[1] for each in estimates("odometry")])

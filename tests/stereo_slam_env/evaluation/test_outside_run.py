@@ -77,6 +77,49 @@ def test_frames_without_a_pose_stay_unknown_and_late_poses_begin_at_the_truth(re
     np.testing.assert_allclose(found.positions[4], recording.frames[4].truth.position, atol=1e-9)
 
 
+def test_the_first_pose_counts_only_in_the_world_of_the_recording(recording, trajectory):
+    """In another one it is put where the vehicle was: its error is none of its own."""
+    claimed = replace(trajectory, covariances=trajectory.covariances + 1e-6 * np.eye(6))
+    fixed = outside_run(recording, replace(claimed, gauge="fixed"))
+    free = outside_run(recording, replace(trajectory, gauge="se3"))
+    assert np.isfinite(fixed.pose_nees[:5]).all()
+    assert np.isfinite(free.pose_nees[:5]).tolist() == [False, True, True, True, True]
+
+
+def test_poses_without_times_belong_to_the_frames_of_their_numbers(recording, run, trajectory):
+    """Numbers of no frame are left out."""
+    numbers = np.array([0, 2, 3, 7, 9])
+    bare = replace(trajectory, covariances=None, timestamps=None, gauge="fixed")
+    some = replace(bare.rows(numbers), frame_numbers=numbers)
+    found = outside_run(recording, some)
+    assert found.failure is None
+    assert np.flatnonzero(np.isfinite(found.positions[:, 0])).tolist() == [0, 2, 3, 7, 9]
+    np.testing.assert_array_equal(found.positions[[2, 7]], run.positions[[2, 7]])
+    beyond = replace(some, frame_numbers=np.where(numbers == 9, len(recording), numbers))
+    assert np.isfinite(outside_run(recording, beyond).positions[:, 0]).sum() == 4
+    whole = outside_run(recording, bare)
+    np.testing.assert_array_equal(whole.positions, run.positions)
+
+
+@pytest.mark.parametrize(
+    ("late", "paired"), [(0.0, True), (0.009, True), (-0.009, True), (0.011, False), (-0.011, False)]
+)
+def test_a_pose_is_that_of_the_nearest_frame_within_a_hundredth_of_a_second(recording, trajectory, late, paired):
+    times = trajectory.timestamps.copy()
+    times[3] += late
+    found = outside_run(recording, replace(trajectory, covariances=None, gauge="fixed", timestamps=times))
+    assert np.isfinite(found.positions[3]).all() == paired
+    assert np.isfinite(np.delete(found.positions, 3, axis=0)).all()
+
+
+def test_of_two_poses_of_one_frame_the_nearer_one_in_time_is_taken(recording, trajectory):
+    times = trajectory.timestamps.copy()
+    times[4] = times[3] + 0.004
+    found = outside_run(recording, replace(trajectory, covariances=None, gauge="fixed", timestamps=times))
+    np.testing.assert_array_equal(found.positions[3], trajectory.positions[3])
+    assert np.isnan(found.positions[4]).all()
+
+
 @pytest.mark.parametrize(
     ("changed", "reason"),
     [

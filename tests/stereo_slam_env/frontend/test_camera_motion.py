@@ -64,19 +64,58 @@ def test_motions_of_no_camera_are_refused_with_the_doubt_about_their_times(scale
         needed_motion(hasty)
 
 
-@pytest.mark.parametrize("scale", [1.0, 1.1, np.rad2deg(1.0)])
-def test_a_gyro_in_degrees_is_known_by_the_turns_of_the_images(scale):
-    """However slow it turns: its rates are below what any camera turns by."""
-    recording, turn = drive(0.5, 0.5)[:60], Rotation.from_rotvec([0.3, -0.2, 0.5])
+def with_gyro(recording: Recording, scale: float, turning: int = FRAMES) -> Recording:
+    """With samples of a gyro that turns so many times as far as the images, in the first `turning` steps alone."""
+    turn = Rotation.from_rotvec([0.3, -0.2, 0.5])
     unit = InertialUnit(np.zeros(3), turn.as_quat(), 1e-4, 1e-3, 1e-6, 1e-4)
     frames, times = [recording.frames[0]], np.array([0.25 * DT, 0.5 * DT, DT])
-    for frame, found in zip(recording.frames[1:], camera_steps(CAMERA, recording.frames), strict=True):
+    for k, (frame, found) in enumerate(zip(recording.frames[1:], camera_steps(CAMERA, recording.frames), strict=True)):
         rate = scale * turn.inv().apply(Rotation.from_matrix(found.step.R).as_rotvec()) / DT
         samples = InertialSamples(times, np.tile(rate, (3, 1)), np.tile([0.0, 0.0, 9.81], (3, 1)), unit)
-        frames.append(replace(frame, inertial=samples))
-    recording = replace(recording, frames=tuple(frames))
-    if scale < 2.0:
+        frames.append(replace(frame, inertial=samples) if k < turning else frame)
+    return replace(recording, frames=tuple(frames))
+
+
+@pytest.mark.parametrize(
+    ("scale", "refused"),
+    [
+        *(
+            (1.0, False),
+            (1.1, False),
+            (28.0, False),
+            (32.0, True),
+            (np.rad2deg(1.0), True),
+            (108.0, True),
+            (112.0, False),
+        )
+    ],
+)
+def test_a_gyro_in_degrees_is_known_by_the_turns_of_the_images(scale, refused):
+    """However slow it turns: its rates are below what any camera turns by."""
+    recording = with_gyro(drive(0.5, 0.5)[:60], scale)
+    if not refused:
         require_gyro_units(recording)
         return
-    with pytest.raises(ValueError, match=r"the gyro turns 57\.3 times as far as the images: .*degrees per second"):
+    said = f"the gyro turns {scale:.1f} times as far as the images: .*degrees per second"
+    with pytest.raises(ValueError, match=said):
         require_gyro_units(recording)
+
+
+def test_five_turns_tell_the_unit_of_a_gyro_and_four_do_not():
+    recording = drive(0.5, 2.0)[:60]
+    turns = [
+        np.linalg.norm(Rotation.from_matrix(one.step.R).as_rotvec()) for one in camera_steps(CAMERA, recording.frames)
+    ]
+    enough = np.cumsum(np.array(turns) > 0.005)
+    require_gyro_units(with_gyro(recording, 57.3, turning=int(np.argmax(enough == 4)) + 1))
+    with pytest.raises(ValueError, match="degrees per second"):
+        require_gyro_units(with_gyro(recording, 57.3, turning=int(np.argmax(enough == 5)) + 1))
+
+
+def test_the_velocity_between_frames_counts_with_their_own_times():
+    """Frames of uneven times along one steady motion show no acceleration."""
+    recording = drive(0.0, 0.0)
+    steady = [replace(frame, timestamp=DT * k) for k, frame in enumerate(recording.frames)]
+    uneven = [frame for k, frame in enumerate(steady) if k % 3]
+    found = needed_motion(replace(recording, frames=tuple(uneven)), NOTHING)
+    assert found.sigma_acceleration < 0.4

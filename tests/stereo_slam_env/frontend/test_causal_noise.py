@@ -91,6 +91,16 @@ def test_frames_that_tell_nothing_are_none_of_the_first_it_learns_from() -> None
     assert shares[-1] < shares[0]
 
 
+def test_what_it_assumes_changes_every_ten_frames() -> None:
+    told = []
+    for moment in sse.run(CausalNoiseEKF, drive(slide=0.3), use_odometry=False):
+        assert isinstance(moment.slam, CausalNoiseEKF)
+        told.append((moment.slam.options.gauge_walk, float(moment.slam.noise.R[0, 0])))
+    changes = [k for k, (before, now) in enumerate(pairwise(told), start=1) if before != now]
+    assert changes[:3] == [10, 20, 30]
+    assert all(k % 10 == 0 for k in changes)
+
+
 def test_it_starts_with_no_more_than_R_and_forgets_at_a_reset() -> None:
     recording = drive(slide=0.3)
     slam = last_moment(recording).slam

@@ -1,5 +1,6 @@
 """Corners: on the corners, spread, away from what is there. About 1 s."""
 
+import cv2
 import numpy as np
 import pytest
 
@@ -80,3 +81,27 @@ def test_bad_positions_are_named(bad):
 def test_a_distance_larger_than_the_image_leaves_one_corner():
     image = np.random.default_rng(0).integers(0, 256, (60, 80), dtype=np.uint8)
     assert len(detect_corners(image, 10, np.zeros((0, 2)), min_distance=1e9)) == 1
+
+
+def ripples(gradient, period=48.0, width=320, height=240):
+    """Bumps whose gradient along the weakest direction is nowhere larger, grey levels / px, over 10 px each way."""
+    v, u = np.indices((height, width))
+    k = 2.0 * np.pi / period
+    along = k * np.cos(k * u) * np.sin(k * v), k * np.sin(k * u) * np.cos(k * v)
+    a, b, c = (cv2.blur(x * y, (10, 10)) for x, y in ((along[0], along[0]), (along[0], along[1]), (along[1], along[1])))
+    weakest = 0.5 * (a + c) - np.sqrt(0.25 * (a - c) ** 2 + b * b)
+    amplitude = gradient / np.sqrt(weakest.max())
+    return np.rint(128.0 + amplitude * np.sin(k * u) * np.sin(k * v)).astype(np.uint8)
+
+
+@pytest.mark.parametrize(("gradient", "found"), [(1.4, False), (1.62, True), (3.0, True)])
+def test_a_corner_has_a_gradient_of_one_and_a_half_grey_levels_a_pixel(gradient, found):
+    assert (len(detect_corners(ripples(gradient), 50, NONE)) > 0) == found
+
+
+@pytest.mark.parametrize("margin", [12, 30])
+def test_the_margin_is_kept_at_all_sides_and_used_up_to_it(margin):
+    corners = detect_corners(board(400, 240, square=10), 2000, NONE, margin=margin, min_distance=3.0)
+    for axis, size in enumerate((400, 240)):
+        assert margin - 3.5 <= corners[:, axis].min() <= margin + 12
+        assert size - 1 - margin - 12 <= corners[:, axis].max() <= size - 1 - margin + 3.5

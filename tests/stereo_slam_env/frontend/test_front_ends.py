@@ -115,6 +115,65 @@ def test_each_fault_is_found_and_named(front_end, failed):
         check_front_end(front_end)
 
 
+class Few(Faulty):
+    keep = 10
+
+    def spoilt(self, found):
+        few = slice(self.keep)
+        return replace(found, ids=found.ids[few], uvd=found.uvd[few], R=found.R[few])
+
+
+class TooFew(Few):
+    keep = 9
+
+
+class Shifted(Faulty):
+    """From the second pair on, so that landmarks do not begin where they are taken to be."""
+
+    by = (0.0, 0.0, 0.0)
+
+    def reset(self):
+        super().reset()
+        self.calls = 0
+
+    def spoilt(self, found):
+        return replace(found, uvd=found.uvd + (np.array(self.by) if self.calls > 1 else 0.0))
+
+
+class Scattered(Faulty):
+    """A share of the disparities is wrong by 1.6 px."""
+
+    share = 0.0
+
+    def spoilt(self, found):
+        wrong = (np.arange(len(found.ids)) + 0.5) / len(found.ids) < self.share
+        return replace(found, uvd=found.uvd + np.outer(wrong, [0.0, 0.0, 1.6]))
+
+
+def failures(kind, **attributes):
+    front_end = type(kind.__name__, (kind,), attributes)
+    return list(check_front_end(front_end, raise_on_failure=False).failed)
+
+
+def test_ten_landmarks_are_enough_and_nine_are_not():
+    assert failures(Few) == []
+    assert any("has 9 landmarks, 10 are asked for" in line for line in failures(TooFew))
+
+
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_a_bias_of_a_tenth_of_a_pixel_is_the_limit_in_each_coordinate(axis, sign):
+    for size, fails in ((0.06, False), (0.14, True)):
+        found = failures(Shifted, by=tuple(sign * size * np.eye(3)[axis]))
+        assert ([line for line in found if "the median error of (u, v, d) is" in line] != []) == fails
+        assert (found != []) == fails
+
+
+def test_a_tenth_of_the_measurements_may_be_wrong_by_more():
+    assert failures(Scattered, share=0.07) == []
+    assert any("are wrong by more than 1.5 px" in line for line in failures(Scattered, share=0.14))
+
+
 def test_a_tracked_pair_is_ids_measurements_and_covariances():
     found = TrackedPair(np.array([3, 7]), np.array([[10.0, 20, 5], [30, 40, 2]]), np.tile(np.eye(3), (2, 1, 1)))
     assert isinstance(found.observation, StereoObservation)

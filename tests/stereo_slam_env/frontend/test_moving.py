@@ -34,3 +34,23 @@ def test_what_lies_on_the_body_is_beside_it_and_what_lies_behind_is_not():
     near, behind, aside = CAMERA.project(np.array([[-2.0, 0.2, 15.5], [-3.0, 0.5, 40.0], [6.0, 0.5, 15.0]]))
     assert beside_moving(CAMERA, np.stack([near, behind, aside]), body).tolist() == [True, False, False]
     assert not beside_moving(CAMERA, near[None], np.zeros((0, 3))).any()
+
+
+@pytest.mark.parametrize(("count", "together"), [(1, False), (2, False), (3, True), (4, True)])
+def test_a_body_has_three_landmarks(count, together):
+    pairs = Cloud(count=count, moved=count, shift=(0.5, 0.0, 0.0)).pairs()
+    assert told(pairs).all() == told(pairs).any() == together
+
+
+@pytest.mark.parametrize(
+    ("at", "beside"),
+    [
+        *(((-0.1, 0.5, 15.0), True), ((0.1, 0.5, 15.0), False), ((-5.9, 0.5, 15.0), True), ((-6.1, 0.5, 15.0), False)),
+        *(((-3.0, 3.4, 15.0), True), ((-3.0, 3.6, 15.0), False), ((-3.0, -2.4, 15.0), True)),
+        *(((-3.0 * 19.4 / 15, 0.5 * 19.4 / 15, 19.4), True), ((-3.0 * 19.6 / 15, 0.5 * 19.6 / 15, 19.6), False)),
+        *(((-3.0 * 10.6 / 15, 0.5 * 10.6 / 15, 10.6), True), ((-3.0 * 10.4 / 15, 0.5 * 10.4 / 15, 10.4), False)),
+    ],
+)
+def test_a_body_reaches_three_metres_and_a_tenth_of_its_depth_more_along_the_view(at, beside):
+    body, point = CAMERA.project(np.array([[-3.0, 0.5, 15.0]])), CAMERA.project(np.array([at]))
+    assert beside_moving(CAMERA, point, body).tolist() == [beside]

@@ -3,8 +3,10 @@
 from dataclasses import fields
 
 import numpy as np
+import pytest
 
-from stereo_slam_env.frontend.tracks import MEMORY, new_tracks
+from stereo_slam_env.frontend.settings import TrackerSettings
+from stereo_slam_env.frontend.tracks import MEMORY, constant_velocity_covariance, new_tracks
 
 
 def made(count=4, first_id=0):
@@ -39,3 +41,10 @@ def test_selecting_and_joining_keep_the_rows_together():
     for field in fields(tracks):
         assert np.array_equal(getattr(again, field.name), getattr(tracks, field.name), equal_nan=True)
     assert len(tracks.select(np.array([5, 1]))) == 2
+
+
+@pytest.mark.parametrize("dt", [0.1, 0.5])
+def test_a_step_changes_by_the_acceleration_times_the_square_of_the_time(dt):
+    settings = TrackerSettings(sigma_acceleration=2.0, sigma_angular_acceleration=0.5)
+    expected = np.diag(np.repeat([2.0 * dt**2, 0.5 * dt**2], 3) ** 2)
+    np.testing.assert_allclose(constant_velocity_covariance(settings, dt), expected)

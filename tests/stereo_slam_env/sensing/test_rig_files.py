@@ -125,6 +125,22 @@ def test_every_format_rectifies_images_alike(tmp_path, name):
         assert (np.abs(mine.astype(int) - theirs) <= 1).mean() > 0.999  # 15 digits in a file
 
 
+@pytest.mark.parametrize("sized", [True, False])
+def test_matrices_of_orb_slam_2_are_those_of_its_rectification(tmp_path, sized):
+    """`EuRoC.yaml`: K, D, R and P of both cameras; the size is that of the file, or is given beside it."""
+    text = f"%YAML:1.0\n---\nLEFT.width: {SIZE[0]}\nLEFT.height: {SIZE[1]}\n" if sized else "%YAML:1.0\n---\n"
+    for side, k, d, R, P in (("LEFT", K[0], D[0], R0, P0), ("RIGHT", K[1], D[1], R1, P1)):
+        for name, numbers in (("K", k), ("D", d), ("R", R), ("P", P)):
+            text += matrix(f"{side}.{name}", numbers, " !!opencv-matrix")
+    (tmp_path / "EuRoC.yaml").write_text(text)
+    size = {} if sized else {"width": SIZE[0], "height": SIZE[1]}
+    rectify = calibration_of({"name": str(tmp_path / "EuRoC.yaml"), **size})
+    assert isinstance(rectify, Rectification)
+    assert (rectify.camera.width, rectify.camera.height) == SIZE
+    for found, wanted in zip((*rectify.turns, *rectify.projections), (R0, R1, P0, P1), strict=True):
+        np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-12)
+
+
 @pytest.mark.parametrize("name", sorted({*FORMATS} - {"camera_info"}))
 def test_cameras_in_one_place_are_no_rig(tmp_path, name, monkeypatch):
     for what, value in (("T_RL", np.eye(4)), ("T_BR", T_BL)):

@@ -6,6 +6,9 @@ import pytest
 from filters import StereoNoise
 from filters.geometry import rotations
 from stereo_slam_env.sensing.pixel_noise import IndependentPixels
+from stereo_slam_env.sensing.rigs import CAMERA_HEIGHT
+from stereo_slam_env.simulator.rays import obstacles, visible
+from stereo_slam_env.world.frames import WorldFrame
 from stereo_slam_env.world.scene import Box
 from stereo_slam_env.world.vehicle import Head
 
@@ -155,6 +158,105 @@ def test_errors_with_a_time_are_a_gauss_markov_process():
     np.testing.assert_allclose((now @ then) / (then @ then), np.exp(-0.1 / 0.5), atol=5 / np.sqrt(len(now)))
     first = np.array([each[0] for each in found])[:, :2].ravel()
     np.testing.assert_allclose([first.std(), now.std()], 0.7, rtol=5 / np.sqrt(2 * len(first)))
+
+
+@pytest.mark.parametrize("away", [1, 4])
+def test_errors_with_a_time_go_on_while_a_landmark_is_out_of_sight(away):
+    """The head looks elsewhere for some frames: what is left of an error is that of the whole time."""
+    points, commands = cloud(6000), [[1.0, 0.0]] * away + [[0.0, 0.0]]
+    options = {"head": SPINNING, "noise": "pixels", "lasting": 0.7, "lasting_time": 0.5}
+    policy = {"max_landmarks": 3000, "refill_below": 3000, "revisit": True}
+    observations, poses = seen_in(points, commands=commands, policy=policy, **options)
+    before, after = (
+        dict(
+            zip(
+                seen.ids.tolist(),
+                seen.uvd - CAMERA.project((points[seen.ids] - pose.position) @ pose.R_wc),
+                strict=True,
+            )
+        )
+        for seen, pose in ((observations[0], poses[0]), (observations[-1], poses[-1]))
+    )
+    both = sorted(before.keys() & after.keys())
+    then, now = (np.array([errors[i][:2] for i in both]).ravel() for errors in (before, after))
+    assert len(both) > 300
+    tolerance = 4.0 / np.sqrt(len(then))
+    np.testing.assert_allclose((now @ then) / (then @ then), np.exp(-0.1 * (away + 1) / 0.5), atol=tolerance)
+    np.testing.assert_allclose(now.std(), 0.7, rtol=tolerance)
+
+
+def test_new_landmarks_are_drawn_in_proportion_to_the_disparity_from_where_the_camera_is():
+    """It has driven 9.8 m, looking elsewhere; from there the near ones have 4 x the disparity of the far ones."""
+    constant, steps = CAMERA.disparity_constant, 20
+    z = 0.49 * steps + np.repeat([constant / 40.0, constant / 10.0], 1000)
+    points = np.column_stack([np.zeros((2000, 2)), z])
+    commands = [[1.0, 0.0]] * (steps - 1) + [[0.0, 0.0]]
+    policy = {"max_landmarks": 40, "refill_below": 40}
+    near = []
+    for seed in range(12):
+        observations, _ = seen_in(points, head=SPINNING, commands=commands, policy=policy, seed=seed)
+        assert len(observations[-1]) == 40
+        near += (observations[-1].ids < 1000).tolist()
+    assert np.mean(near) == pytest.approx(0.8, abs=3.5 * np.sqrt(0.8 * 0.2 / len(near)))
+
+
+def test_what_is_drawn_never_was_tracked_before_and_is_hidden_by_nothing():
+    points = cloud(4000)
+    wall = Box((12.0, -20.0, 10.0), (0.2, 40.0, 40.0), 0.0, GREY)
+    observations, poses = seen_in(points, 40, wall, policy={"max_landmarks": 60, "refill_below": 50})
+    gone, before = set(), set()
+    for seen, pose in zip(observations, poses, strict=True):
+        now = set(seen.ids.tolist())
+        assert not now & gone
+        gone |= before - now
+        before = now
+        if pose.position[2] < 11.8:
+            beyond, to = (
+                points[seen.ids][:, 2] > 12.2,
+                (12.0 - pose.position[2]) / (points[seen.ids][:, 2] - pose.position[2]),
+            )
+            assert not (beyond & (to * points[seen.ids][:, 0] > 0.1)).any()
+    assert gone
+
+
+@pytest.mark.parametrize(("limit", "ids"), [("nearest", [0, 2]), ("farthest", [0, 1])])
+def test_limits_of_range_belong_to_the_range(limit, ids):
+    points = np.array([[0.0, 0.0, 20.0], [0.0, 0.0, 20.0 - 1e-6], [0.0, 0.0, 20.0 + 1e-6]])
+    assert seen_in(points, policy={limit: 20.0})[0][0].ids.tolist() == ids
+
+
+@pytest.mark.parametrize(
+    ("axis", "edge", "inwards"),
+    [(0, 2.0, 1.0), (0, CAMERA.width - 3.0, -1.0), (1, 2.0, 1.0), (1, CAMERA.height - 3.0, -1.0)],
+    ids=["left", "right", "top", "bottom"],
+)
+def test_landmarks_keep_a_margin_to_all_edges_of_both_images(axis, edge, inwards):
+    """A hundredth of a pixel within the 2 px is measured, beyond it not; the right eye sees what is left last."""
+    d = CAMERA.disparity_constant / 5.0
+    uvd = np.tile([CAMERA.cx, CAMERA.cy, d], (2, 1))
+    uvd[:, axis] = edge + np.array([0.01, -0.01]) * inwards + (d if (axis, inwards) == (0, 1.0) else 0.0)
+    assert seen_in(CAMERA.backproject(uvd))[0][0].ids.tolist() == [0]
+
+
+def test_what_is_seen_is_in_view_and_hidden_by_nothing_wherever_the_head_looks_from():
+    """From a camera that sways in all six degrees and turns, by the projection and the rays of its two eyes."""
+    rng = np.random.default_rng(2)
+    solids = [
+        Box((z, x, 2.0), (0.5, 4.0, 4.0), yaw, GREY) for z, x, yaw in rng.uniform((5, -9, -2), (40, 9, 2), (25, 3))
+    ]
+    scene, frame = scene_of(*solids, points_w=cloud(2500)), WorldFrame(CAMERA_HEIGHT)
+    policy = {"max_landmarks": 2500, "refill_below": 2500, "revisit": True}
+    simulator = vehicle(scene, head=SPINNING, perturbation=40.0, policy=policy)
+    points, hidden = simulator.scenes[0].landmarks, 0
+    for seen in drive(simulator, rng.uniform(-0.3, 0.3, (8, 2))):
+        p_c = (points - seen.truth.position) @ seen.truth.R_wc
+        inside = CAMERA.in_view(CAMERA.project(p_c), margin=2.0) & (p_c[:, 2] >= 4.0) & (p_c[:, 2] <= 150.0)
+        eyes = seen.truth.position + np.array([[0.0, 0.0, 0.0], [CAMERA.baseline, 0.0, 0.0]]) @ seen.truth.R_wc.T
+        clear = visible(obstacles(solids), frame.to_scene(eyes), frame.to_scene(points))
+        assert seen.observation.ids.tolist() == np.flatnonzero(inside & clear).tolist()
+        hidden += (inside & ~clear).sum()
+    assert hidden > 100
+    assert np.abs(simulator.body(0).position[1]) > 0.1
 
 
 def test_the_models_of_noise_that_are_compiled_draw_the_same_numbers():

@@ -10,7 +10,7 @@ from stereo_slam_env.simulator.motion import nearest_frames, routes_ahead
 from stereo_slam_env.world.routes import FRAME_PERIOD, ROUTES, loop, straight, town
 from stereo_slam_env.world.vehicle import Car, Head
 
-from .vehicles import drive, vehicle
+from .vehicles import drive, scene_of, vehicle
 
 HEAD = Head(0.571, max_angles=(2.0, 0.4), max_rates=(1.5, 1.0))
 
@@ -158,3 +158,126 @@ def test_the_end_of_a_straight_route_is_arrived_at_by_a_steered_car():
     assert not simulator.sensed.success[0]
     drive(simulator, [[0, 0]])
     assert simulator.sensed.success[0]
+
+
+def test_a_scripted_drive_moves_by_its_velocity_in_w_and_turns_by_its_rate():
+    """Eq. 6: r' = r + v dt and R' = R exp(omega dt), with the sway in both."""
+    for before, after in pairwise(drive(vehicle(perturbation=3.0, route=town()), [[0, 0]] * 60)):
+        v, omega = after.truth_velocity.linear, after.truth_velocity.angular
+        np.testing.assert_allclose(after.truth.position, before.truth.position + FRAME_PERIOD * v, atol=1e-12)
+        R = before.truth.R_wc @ rotations.exp(FRAME_PERIOD * omega)
+        np.testing.assert_allclose(after.truth.R_wc, R, atol=1e-12)
+
+
+def test_the_sway_is_an_ornstein_uhlenbeck_process_that_a_pull_of_half_a_second_bounds():
+    """Velocity less the nominal one and the pull, in the axes of the route and of the camera; over 4000 steps."""
+    sways = []
+    for seed in range(20):
+        simulator, route = vehicle(perturbation=1.0, route=town(), seed=seed), town()
+        frames = drive(simulator, [[0, 0]] * 200)
+        for k, (before, after) in enumerate(pairwise(frames)):
+            nominal, R = route.attitudes[k], before.truth.R_wc
+            travel = route.travel[k]
+            linear = travel.T @ (after.truth_velocity.linear + 0.5 * (before.truth.position - route.positions[k]))
+            angular = after.truth_velocity.angular + 0.5 * rotations.log(nominal.T @ R)
+            angular = angular - R.T @ [0.0, route.yaw_rates[k], 0.0]
+            sways.append([*(linear - [0.0, 0.0, route.speeds[k]]), *angular])
+    sways = np.reshape(sways, (20, 200, 6))
+    sigmas, times = [0.08, 0.08, 0.15, 0.012, 0.008, 0.012], np.repeat([1.0, 0.5], 3)
+    np.testing.assert_allclose(sways.std(axis=(0, 1)), sigmas, rtol=0.2)
+    then, now = sways[:, :-1], sways[:, 1:]
+    kept = (then * now).sum(axis=(0, 1)) / (then**2).sum(axis=(0, 1))
+    np.testing.assert_allclose(kept, np.exp(-FRAME_PERIOD / times), atol=0.03)
+
+
+def test_sway_and_odometry_take_the_numbers_of_their_generators_in_order():
+    """Six a frame of each, the first frame included, over more frames than are drawn ahead."""
+    simulator = vehicle(perturbation=1.0, odometry_sigmas=(0.1, 0.01), seed=4)
+    motion, _, odometry, _ = np.random.default_rng(4).spawn(4)
+    drawn, errors = motion.standard_normal((151, 6)), odometry.standard_normal((151, 6))
+    sigmas = np.array([0.08, 0.08, 0.15, 0.012, 0.008, 0.012])
+    kept = np.exp(-FRAME_PERIOD / np.repeat([1.0, 0.5], 3))
+    sway = sigmas * drawn[0]
+    np.testing.assert_allclose(simulator.fleet.sway[0], sway, atol=1e-15)
+    before = simulator.frame(0).truth
+    for k in range(1, 151):
+        sway = kept * sway + np.sqrt(1.0 - kept**2) * sigmas * drawn[k]
+        frame = drive(simulator, [[0, 0]])[-1]
+        np.testing.assert_allclose(simulator.fleet.sway[0], sway, atol=1e-12)
+        true = frame.truth_velocity
+        halfway = before.R_wc @ rotations.exp(0.5 * FRAME_PERIOD * true.angular)
+        expected = np.append(halfway.T @ true.linear, true.angular) + np.repeat([0.1, 0.01], 3) * errors[k]
+        measured = np.append(frame.odometry.linear, frame.odometry.angular)
+        np.testing.assert_allclose(measured, expected, atol=1e-12)
+        before = frame.truth
+
+
+def test_the_metres_of_a_drive_are_those_of_its_path():
+    simulator = vehicle(steered=True)
+    frames = drive(simulator, np.random.default_rng(2).uniform(-1, 1, (30, 2)))
+    path = np.linalg.norm(np.diff([frame.truth.position for frame in frames], axis=0), axis=1).sum()
+    assert simulator.fleet.distance[0] == pytest.approx(path)
+
+
+def test_tyres_slide_above_six_metres_a_second_squared():
+    simulator = vehicle(steered=True)
+    frames = drive(simulator, [[1.0, 0.0]] * 30 + [[1.0, 0.3]] * 30)
+    for frame in frames[-20:]:
+        speed = np.linalg.norm(frame.truth_velocity.linear)
+        assert 12.0 * abs(frame.truth_velocity.angular[1]) == pytest.approx(6.0, rel=1e-6)
+        assert speed == pytest.approx(12.0, rel=0.01)
+
+
+def test_the_steering_turns_a_radian_a_second_at_most():
+    car, angles = vehicle(steered=True), []
+    for command in [1.0] * 8 + [-1.0] * 13:
+        drive(car, [[0.0, command]])
+        angles.append(car.fleet.car[0, 1])
+    up, down = np.minimum(0.1 * np.arange(1, 9), 0.55), np.maximum(0.55 - 0.1 * np.arange(1, 14), -0.55)
+    np.testing.assert_allclose(angles, [*up, *down], atol=1e-12)
+
+
+def test_what_is_shown_is_the_frame_in_single_precision():
+    """Padding is id -1 and zeros; odometry is cut at 50 m/s and 10 rad/s."""
+    rng = np.random.default_rng(0)
+    scene = scene_of(points_w=rng.uniform([-30, -5, 5], [30, 1.6, 60], size=(60, 3)))
+    simulator = vehicle(scene, steered=True, odometry_sigmas=(100.0, 30.0), noise="pixels", sigma=1.0)
+    frame, shown = drive(simulator, [[0.5, 0.2]] * 5)[-1], simulator.show()
+    count = len(frame.observation)
+    assert 0 < count < 60
+    for values, expected in (
+        *((shown.uvd, frame.observation.uvd), (shown.v_right, frame.observation.v_right)),
+        *((shown.ids, frame.observation.ids), (shown.mask, np.ones(count))),
+    ):
+        padding = -1 if values is shown.ids else 0
+        np.testing.assert_allclose(values[0, :count], expected, rtol=1e-6)
+        assert (values[0, count:] == padding).all()
+        assert values.shape[1] == 90
+    limits = np.repeat([50.0, 10.0], 3)
+    measured = np.concatenate([frame.odometry.linear, frame.odometry.angular])
+    np.testing.assert_allclose(shown.odometry[0], np.clip(measured, -limits, limits), rtol=1e-6)
+    assert (np.abs(measured) > limits).any()
+    np.testing.assert_array_equal(shown.position[0], frame.truth.position)
+    np.testing.assert_array_equal(shown.orientation[0], frame.truth.orientation)
+    np.testing.assert_array_equal(shown.linear_velocity[0], frame.truth_velocity.linear)
+    np.testing.assert_array_equal(shown.angular_velocity[0], frame.truth_velocity.angular)
+    np.testing.assert_allclose(shown.car[0], simulator.fleet.car[0, :2], rtol=1e-6)
+    assert shown.car[0, 0] == pytest.approx(4.9 + 5 * 0.15)
+    assert shown.time[0] == frame.timestamp == pytest.approx(0.5)
+    route = straight()
+    assert shown.progress[0, 0] == pytest.approx(simulator.fleet.farthest[0] / route.arc_length[-1])
+    assert shown.progress[0, 0] > 0.0
+    k = route.nearest(frame.truth.position, 0)
+    points = route.points_at(route.arc_length[k] + np.array([2.0, 5.0, 10.0, 20.0, 30.0]))
+    expected = (points - frame.truth.position) @ frame.truth.R_wc
+    np.testing.assert_allclose(shown.route[0], expected[:, [0, 2]], rtol=1e-5, atol=1e-5)
+
+
+def test_the_start_is_told_with_an_error_of_its_covariance():
+    """1e-6 m and rad of the pose, 0.5 m/s and 0.05 rad/s of the velocity; over 200 episodes."""
+    starts = [vehicle(seed=seed).start(0) for seed in range(200)]
+    sigmas = np.repeat([1e-6, 1e-6, 0.5, 0.05], 3)
+    np.testing.assert_allclose(starts[0].covariance, np.diag(sigmas**2))
+    errors = [np.append(start.linear_velocity - [0.0, 0.0, 4.9], start.angular_velocity) for start in starts]
+    np.testing.assert_allclose(np.std(errors, axis=0), sigmas[6:], rtol=0.2)
+    np.testing.assert_allclose(np.mean(errors, axis=0), 0.0, atol=0.25 * sigmas[6:].max())

@@ -1,7 +1,11 @@
 """Compiled occlusion hides what PyBullet's rays hide, but for rays that graze something (3 s)."""
 
+import os
+import subprocess
+import sys
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,6 +19,7 @@ from stereo_slam_env.world.scene import Box, Cylinder, Ground, Material, Scene, 
 from stereo_slam_env.world.surroundings import build_scene
 from stereo_slam_env.world.vehicle import Car
 
+ROOT = Path(__file__).resolve().parents[3]
 SURROUNDINGS = ["street", "groves", "field", "corridor"]
 GRAZING = 0.002
 """m; Bullet finds a hit by iteration, of what passes within about a millimetre."""
@@ -123,3 +128,31 @@ def test_many_solids_in_one_place():
     walls = [Box((5.0, 0.0, 1.0), (0.2, 2.0, 2.0), 0.0, GREY)] * 100
     points = np.array([[10.0, 0.0, 1.0], [10.0, 5.0, 1.0], [4.9, 0.5, 1.0], [-10.0, 0.0, 1.0]])
     assert visible(obstacles(walls), np.array([[0.0, 0.0, 1.0]]), points).tolist() == [False, True, True, True]
+
+
+PLAINLY = """
+import numpy as np
+from tests.stereo_slam_env.simulator.test_rays import some_seen
+from stereo_slam_env.simulator.rays import is_seen
+assert not hasattr(is_seen, "py_func")
+print(*some_seen().tolist())
+"""
+
+
+def some_seen():
+    """Which of 500 points are seen from both cameras among 300 solids of a street."""
+    scene = build_scene("street", named_route("right-turn"), np.random.default_rng(0))
+    rng = np.random.default_rng(1)
+    points = rng.uniform((-10, -15, -0.5), (40, 15, 6), (500, 3))
+    return visible(obstacles([*scene.solids][:300]), np.array([[0.0, 0.0, 1.65], [0.0, -0.54, 1.65]]), points)
+
+
+def test_plain_python_sees_what_machine_code_does():
+    """Boxes of the tree are entered by vector instructions, or by NumPy; the points of scenes are the same as well."""
+    environment = {**os.environ, "NUMBA_DISABLE_JIT": "1", "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, "-c", PLAINLY]
+    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=240)
+    assert done.returncode == 0, done.stderr
+    seen = some_seen()
+    assert done.stdout.split() == [str(each) for each in seen.tolist()]
+    assert 50 < seen.sum() < 450
