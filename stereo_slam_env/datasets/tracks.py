@@ -130,9 +130,9 @@ def without_repeats(pixels: FloatArray) -> tuple[PointTracks, int]:
     seen = (pixels != -1.0).all(axis=0)
     both = seen[1:] & seen[:-1]
     same = both & (pixels[:, 1:] == pixels[:, :-1]).all(axis=0)
-    steps = np.ma.median(np.ma.array(np.linalg.norm(np.diff(pixels[:2], axis=1), axis=0), mask=~both), axis=1).filled(
-        0.0
-    )
+    moved, some = np.where(both, np.linalg.norm(np.diff(pixels[:2], axis=1), axis=0), np.nan), both.any(axis=1)
+    steps = np.zeros(len(both))
+    steps[some] = np.nanmedian(moved[some], axis=1)
     around = np.minimum(steps[:-2], steps[2:])
     stopped = (same == both).all(axis=1)
     stopped[1:-1] |= (steps[1:-1] < _STOPPED * around) & (around > _MOVING)
