@@ -58,8 +58,7 @@ class StereoEKF(StereoFilter):
     noise : StereoNoise
         R of (u, v, d) for measurements that bring none of their own.
     motion : str, mapping or MotionModel
-        Motion model: "constant-velocity" (Eq. 6), "velocity-driven" or "strapdown". As of the other parts: a name, a
-        table of settings, or an object, see `filters.make_part`.
+        "constant-velocity" (Eq. 6), "velocity-driven", "strapdown"; a name, a table or an object (`filters.make_part`).
     gate : float or None
         Probability with which a consistent measurement of a landmark passes the chi-square gate; None: no gate.
     landmark : str, mapping or LandmarkModel
@@ -78,18 +77,15 @@ class StereoEKF(StereoFilter):
     tail_dof : float, optional
         Degrees of freedom of Student's t for heavy-tailed noise: surprising measurements count less. None: Gaussian.
     drift : float, mapping or LandmarkDrift, optional
-        Process noise of measured landmarks: a share of their R, or a table of `LandmarkDrift`'s numbers. None: points
-        that are tracked stay where they are.
+        Process noise of measured landmarks: a share of their R, or a table of `LandmarkDrift`'s numbers. None: none.
     gauge_walk : float
-        Random walk of camera and map together in the directions that vision cannot see, rad per root of a radian by
-        which the landmarks move in the image: for errors that all tracks have in common. More than 0 needs
-        error="first-estimates" or "right-invariant".
+        Random walk of camera and map together in the directions that vision cannot see, for errors that all tracks have
+        in common, rad per root of a radian of image motion. Needs error="first-estimates" or "right-invariant".
     iterations : int
         Passes of the update; 1 is the plain EKF, more relinearise at the result with the prior held (Gauss-Newton).
     relinearise_above : float
-        With more than one pass, only the measurements are relinearised whose tangent misses the result by more: the sum
-        of squares of the miss over the variances of the rows. 0: all. Relinearising what its tangent fits makes the way
-        too long where odometry is the scale: the slope at the result has the noise of this frame in it.
+        More passes relinearise only measurements whose tangent misses the result by more: the sum of squares of the
+        miss over the variances of the rows. 0: all, which makes the way too long where odometry is the scale.
     drop_unseen : bool
         The paper's policy: a landmark not in the current observation leaves the map.
     min_disparity : float, optional

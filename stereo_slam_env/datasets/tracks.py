@@ -33,6 +33,11 @@ ASSUMED: Mapping[str, float] = {
 
 _log = logging.getLogger(__name__)
 
+_STOPPED, _MOVING = 0.35, 1.5
+"""A frame repeats the one before where its median step is below this share of those around it, which exceed this, px.
+
+Of 91 such frames of KITTI 07's tracks 87 are found so with .25 px of noise, 79 with .5 px, and no other."""
+
 
 @dataclass(frozen=True, eq=False)
 class PointTracks:
@@ -116,16 +121,23 @@ def tracks_of_pixels(pixels: FloatArray) -> PointTracks:
 
 
 def without_repeats(pixels: FloatArray) -> tuple[PointTracks, int]:
-    """Observations as of `tracks_of_pixels` without frames that repeat the one before to the last bit, and how many.
+    """Observations as of `tracks_of_pixels` without frames that repeat the one before, and how many.
 
     A tracker that stops in a frame, to look for new points, and goes on from the old pixels in the next image follows
-    another point of the scene from there on: it gets an id of its own, that of the column plus a multiple of N.
+    another point of the scene from there on: it gets an id of its own, that of the column plus a multiple of N. A frame
+    repeats the one before to the last bit, or by its motion: its points move much less than in the frames around it.
     """
     seen = (pixels != -1.0).all(axis=0)
-    repeated = np.zeros(seen.shape, dtype=bool)
     both = seen[1:] & seen[:-1]
     same = both & (pixels[:, 1:] == pixels[:, :-1]).all(axis=0)
-    repeated[1:] = same & (same == both).all(axis=1, keepdims=True)
+    moved, some = np.where(both, np.linalg.norm(np.diff(pixels[:2], axis=1), axis=0), np.nan), both.any(axis=1)
+    steps = np.zeros(len(both))
+    steps[some] = np.nanmedian(moved[some], axis=1)
+    around = np.minimum(steps[:-2], steps[2:])
+    stopped = (same == both).all(axis=1)
+    stopped[1:-1] |= (steps[1:-1] < _STOPPED * around) & (around > _MOVING)
+    repeated = np.zeros(seen.shape, dtype=bool)
+    repeated[1:] = both & stopped[:, None]
     tracks = tracks_of_pixels(np.where(repeated, -1.0, pixels))
     points_before = np.cumsum(repeated, axis=0)[tracks.frame, tracks.ids]
     return replace(tracks, ids=tracks.ids + seen.shape[1] * points_before), int(repeated.sum())

@@ -87,3 +87,21 @@ def test_frames_that_repeat_the_one_before_are_left_out_and_their_tracks_become_
     assert repeats == 2
     ids = [sorted(tracks.ids[tracks.frame == frame].tolist()) for frame in range(5)]
     assert ids == [[0, 1], [0, 1], [2], [2, 3, 4], [2, 3, 4]]
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.1, 0.4])
+@pytest.mark.parametrize(("step", "found"), [(5.0, [3, 7]), (0.5, [])])
+def test_repeated_frames_are_known_by_their_motion_where_others_move(
+    noise: float, step: float, found: list[int]
+) -> None:
+    """To the last bit they are known at any step; with noise only among frames that move by more than it."""
+    rng = np.random.default_rng(0)
+    still = np.isin(np.arange(12), [3, 7])
+    u = 100.0 + step * np.cumsum(~still)[:, None] + rng.uniform(0.0, 400.0, 40)
+    pixels = np.array([u, np.full_like(u, 80.0), u - 20.0, np.full_like(u, 80.0)]) + noise * rng.normal(
+        size=(4, 12, 40)
+    )
+    tracks, repeats = without_repeats(pixels)
+    left_out = found if noise else [3, 7]
+    assert repeats == 40 * len(left_out)
+    assert np.unique(tracks.frame).tolist() == [k for k in range(12) if k not in left_out]

@@ -45,7 +45,7 @@ def test_true_poses_are_not_in_doubt(errors: dict[str, float], seed: int) -> Non
     audit = audit_of(drive(seed=seed, **errors))
     assert len(audit.frames) == 59
     assert not audit.doubtful.any()
-    assert "do not contradict" in str(audit)
+    assert "tracks and reference agree in" in str(audit)
 
 
 def test_frames_without_a_truth_are_not_audited() -> None:
