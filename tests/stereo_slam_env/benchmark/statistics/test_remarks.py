@@ -93,7 +93,7 @@ def test_a_real_filter_is_remarked_on_for_the_noise_it_assumes_wrongly_only():
         return " ".join(innovation_remarks(scored(runs)[0]))
 
     assert said(1.0) == ""
-    assert "smaller than claimed: perhaps too much noise" in said(8.0)
+    assert "smaller than claimed: normal where errors that last" in said(8.0)
     assert "larger than claimed: perhaps too little noise" in said(0.1)
 
 
