@@ -8,6 +8,7 @@ import stereo_slam_env  # noqa: F401 (registers the ids)
 from stereo_slam_env.tasks import close_if_it_pays
 from stereo_slam_env.tasks.revisit import GO_ON, STOP, closing_distance
 from stereo_slam_env.world import named_route
+from stereo_slam_env.world.routes import Route
 
 
 def test_the_loop_is_closed_where_it_passes_the_start():
@@ -15,6 +16,14 @@ def test_the_loop_is_closed_where_it_passes_the_start():
     assert closing_distance(route) == pytest.approx(float(route.arc_length[740]), abs=0.5)
     with pytest.raises(ValueError, match="must come back to its start, as 'loop' does, and 'town' does not"):
         closing_distance(named_route("town"))
+
+
+@pytest.mark.parametrize("further", [0, 20, 60])
+def test_a_loop_closes_where_it_is_nearest_to_its_start_wherever_it_ends(further):
+    """Round a circle of 100 m: at 100 m, or at the end, where that is nearer than 3 m already."""
+    steps = 250 + further - (2 if not further else 0)
+    circle = Route("circle", np.full(steps, 4.0), np.full(steps, 2.0 * np.pi / 25.0))
+    assert closing_distance(circle) == pytest.approx(100.0 if further else 99.2, abs=0.01)
 
 
 @pytest.fixture(scope="module")
