@@ -22,7 +22,7 @@ def recording():
 
 @pytest.fixture(scope="module")
 def run(recording):
-    return sse.evaluate("frame-to-frame", recording).series
+    return sse.evaluate("frame-to-frame", recording, use_odometry=True).series
 
 
 @pytest.fixture(scope="module")
