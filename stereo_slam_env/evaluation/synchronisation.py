@@ -104,11 +104,12 @@ def _offset_near(start: float, few: Trajectory, reference: Trajectory) -> tuple[
     a, b, p = few.timestamps, reference.timestamps, reference.positions
     assert a is not None
     assert b is not None
+    enough = max(FEWEST, int(0.5 * len(a) * min(1.0, np.ptp(b) / np.ptp(a))))  # half of the shorter one in common
 
     def misfit(offset: float) -> float:
         """The position error of a rigid alignment, over the positions between those of the reference."""
         inside = (a + offset >= b[0]) & (a + offset <= b[-1])
-        if np.count_nonzero(inside) <= max(FEWEST, len(a) // 2):
+        if np.count_nonzero(inside) <= enough:
             return np.inf
         at = np.column_stack([np.interp(a[inside] + offset, b, axis) for axis in p.T])
         return metrics.ate_rigid(few.positions[inside], at)

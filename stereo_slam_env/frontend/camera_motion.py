@@ -122,26 +122,37 @@ def set_up_for_tracks(recording: Recording) -> Recording:
     return replace(recording, stated_setup=setup)
 
 
-def with_moving_start(recording: Recording) -> Recording:
+def with_moving_start(recording: Recording, step: Step | None = None) -> Recording:
     """The recording with the velocity of its first step at the start, where it says none.
 
     A filter that starts at rest linearises its first update a whole step away, at 10 m/s a metre. The covariance is
-    that of the step, and what the usual acceleration changes within half of it.
+    that of the step by the tracks, and what the usual acceleration changes within half of it; that of an unknown
+    velocity where the tracks do not determine the step.
+
+    Parameters
+    ----------
+    recording : Recording
+        Tracks.
+    step : Step, optional
+        First step as a front end follows it in the images. None: the most likely one of the tracks.
     """
     start, steps = recording.start, camera_steps(recording.camera, recording.frames)
-    if start.covariance is not None or start.linear_velocity.any() or not steps or (first := steps[0]) is None:
+    if start.covariance is not None or start.linear_velocity.any() or not steps:
         return recording
-    usual = ConstantVelocity()
-    dt = recording.frames[1].timestamp - recording.frames[0].timestamp
-    sigmas = np.repeat([usual.sigma_acceleration, usual.sigma_angular_acceleration], 3)
-    variances = _variances(recording, recording.frames[1], first) / dt**2 + (0.5 * dt * sigmas) ** 2
-    covariance = np.array(start.assumed_covariance)
-    R_wc = rotations.matrix(start.orientation)
-    covariance[6:9, 6:9], covariance[9:, 9:] = R_wc @ np.diag(variances[:3]) @ R_wc.T, np.diag(variances[3:])
+    dt, by_tracks = recording.frames[1].timestamp - recording.frames[0].timestamp, steps[0]
+    covariance, R_wc = np.array(start.assumed_covariance), rotations.matrix(start.orientation)
+    if by_tracks is not None:
+        usual = ConstantVelocity()
+        sigmas = np.repeat([usual.sigma_acceleration, usual.sigma_angular_acceleration], 3)
+        variances = _variances(recording, recording.frames[1], by_tracks) / dt**2 + (0.5 * dt * sigmas) ** 2
+        covariance[6:9, 6:9], covariance[9:, 9:] = R_wc @ np.diag(variances[:3]) @ R_wc.T, np.diag(variances[3:])
+        step = by_tracks.step if step is None else step
+    if step is None:
+        return recording
     moving = replace(
         start,
-        linear_velocity=R_wc @ first.step.t / dt,
-        angular_velocity=rotations.log(first.step.R) / dt,
+        linear_velocity=R_wc @ step.t / dt,
+        angular_velocity=rotations.log(step.R) / dt,
         covariance=covariance,
     )
     return replace(recording, start=moving)

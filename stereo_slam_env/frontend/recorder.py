@@ -8,10 +8,10 @@ from itertools import islice
 
 import numpy as np
 
-from filters import ColouredNoise, LandmarkDrift, Start, StereoCamera, StereoFilter, StereoObservation
-from filters.geometry import rotations
-from stereo_slam_env.frontend.camera_motion import require_gyro_units
-from stereo_slam_env.frontend.ego_motion import Pairs, Step, robust_step
+from filters import ColouredNoise, LandmarkDrift, StereoFilter, StereoObservation
+from filters.contract.stereo_filter import LONGEST_STEP
+from stereo_slam_env.frontend.camera_motion import require_gyro_units, with_moving_start
+from stereo_slam_env.frontend.ego_motion import Step
 from stereo_slam_env.frontend.front_ends import make_front_end
 from stereo_slam_env.frontend.settings import DRIFT_SHARE, TrackerSettings, settings_for
 from stereo_slam_env.frontend.track_noise import with_measured_noise
@@ -22,8 +22,6 @@ TYPICAL_NOISE = ColouredNoise(np.diag([0.09, 0.09, 0.09]), drift=LandmarkDrift(s
 """What a filter is told beforehand; every measurement then comes with a covariance of its own."""
 
 Watch = Callable[[StereoPair, TrackedPair], None]
-_START_SIGMAS = np.repeat([1e-6, 1e-6, 0.5, 0.05], 3)
-"""Of position, rotation, linear and angular velocity at the start: m, rad, m/s, rad/s."""
 
 
 def record_tracks(
@@ -64,15 +62,17 @@ def record_tracks(
     tracker = make_front_end(sequence.camera, settings)
     taken: list[Frame] = []
     wanted = len(sequence) if frames is None else min(frames, len(sequence))
-    start = sequence.start
+    first_step: Step | None = None
     for number, pair in enumerate(islice(sequence.pairs(), wanted)):
         dt = pair.timestamp - taken[-1].timestamp if taken else None
+        if dt is not None and dt > LONGEST_STEP:
+            said = f"pair {number} comes {dt:.6g} s after the one before, more than {LONGEST_STEP:g} s"
+            raise ValueError(f"{sequence.name}: {said}: the clock jumps, so read the part before or the one after it")
         tracked = tracker.track(pair.left, pair.right, dt)
         if watch is not None:
             watch(pair, tracked)
-        if number == 1 and start.covariance is None:
-            moved = getattr(tracker, "last_step", None) or _step_between(sequence.camera, taken[0], tracked, dt)
-            start = start if moved is None else _moving_start(start, *moved)
+        if number == 1 and (followed := getattr(tracker, "last_step", None)) is not None:
+            first_step = followed[0]
         taken.append(Frame(pair.timestamp, tracked.observation, pair.odometry, pair.truth, inertial=pair.inertial))
         if progress is not None:
             progress(number + 1, wanted)
@@ -86,7 +86,7 @@ def record_tracks(
         sequence.camera,
         tuple(taken),
         TYPICAL_NOISE,
-        start,
+        sequence.start,
         source={
             **sequence.source,
             "front_end": dataclasses.asdict(settings),
@@ -95,30 +95,7 @@ def record_tracks(
         truth_from=sequence.truth_from,
     )
     require_gyro_units(recording)
-    return with_measured_noise(recording)
-
-
-def _step_between(
-    camera: StereoCamera, before: Frame, tracked: TrackedPair, dt: float | None
-) -> tuple[Step, float] | None:
-    """Motion of the camera from a frame to a pair by the landmarks of both, and the time between them, s."""
-    seen = before.observation
-    _, i, j = np.intersect1d(seen.ids, tracked.ids, assume_unique=True, return_indices=True)
-    if dt is None or seen.R is None:
-        return None
-    found = robust_step(camera, Pairs(seen.uvd[i], tracked.uvd[j], seen.R[i], tracked.R[j]), None)
-    return None if found is None else (found.step, dt)
-
-
-def _moving_start(start: Start, step: Step, dt: float) -> Start:
-    """The start with the velocity that the first two pairs show; a filter from rest would have to guess 10 m/s."""
-    R_wc = rotations.matrix(start.orientation)
-    return dataclasses.replace(
-        start,
-        linear_velocity=R_wc @ step.t / dt,
-        angular_velocity=rotations.log(step.R) / dt,
-        covariance=np.diag(_START_SIGMAS**2),
-    )
+    return with_measured_noise(with_moving_start(recording, first_step))
 
 
 class ActiveSearch:

@@ -12,7 +12,8 @@ from scipy.spatial.transform import Rotation
 import stereo_slam_env as sse
 from filters import Pose
 from stereo_slam_env.datasets import open_for_front_end
-from stereo_slam_env.frontend import needed_motion, record_tracks
+from stereo_slam_env.frontend import record_tracks
+from stereo_slam_env.frontend.camera_motion import set_up_for_tracks
 
 HEADER = ("ts (ns)", "tx (m)", "ty (m)", "tz (m)", "qx", "qy", "qz", "qw")
 
@@ -27,13 +28,13 @@ def main(arguments: list[str] | None = None) -> None:
     given, _ = parser.parse_known_args(arguments)
     files = {"rgb_csv": str(given.rgb_csv), "calibration": str(given.calibration_yaml)}
     sequence, settings = open_for_front_end(given.sequence_path, use_truth=False, **files)
-    recording = record_tracks(sequence, settings)
+    recording = set_up_for_tracks(record_tracks(sequence, settings))
     epoch = round(1e9 * sequence.source["epoch_s"])
     turn = Pose(np.zeros(3), Rotation.from_matrix(sequence.R_left).as_quat())
     with (given.exp_folder / f"{given.exp_it.zfill(5)}_KeyFrameTrajectory.csv").open("w", newline="") as file:
         writer = csv.writer(file)
         writer.writerow(HEADER)
-        for moment in sse.run(given.filter, recording, motion=needed_motion(recording)):
+        for moment in sse.run(given.filter, recording):
             pose = Pose(moment.slam.pose.position, moment.slam.pose.orientation) @ turn
             writer.writerow([epoch + round(1e9 * moment.time), *pose.position.tolist(), *pose.orientation.tolist()])
 

@@ -11,6 +11,7 @@ import stereo_slam_env as sse
 from filters import Pose
 from filters.geometry import rotations
 from stereo_slam_env.evaluation.body_frames import find_body_offset, read_body
+from stereo_slam_env.evaluation.comparability import without_fillers
 from stereo_slam_env.evaluation.synchronisation import find_time_offset, paired, share_at_risk
 
 COUNT, DT = 300, 0.1
@@ -291,6 +292,33 @@ def test_clocks_that_are_far_off_are_found_by_what_both_paths_do(offset, scale):
         assert find_time_offset(late, truth) == pytest.approx(offset, abs=0.004)
 
 
+@pytest.mark.parametrize("whole", ["estimate", "reference"])
+def test_clocks_are_found_where_the_part_in_common_is_faster_than_the_rest(whole):
+    """A slow half, then a fast one, of which alone the other one has a part: the mean speed says nothing of clocks."""
+    t = DT * np.arange(4 * COUNT)
+    speed = np.where(t < t[-1] / 2.0, 0.5 + 0.2 * np.sin(t), 20.0 + 2.0 * np.sin(t / 2) + np.cos(1.7 * t))
+    heading = np.cumsum(0.2 * np.sin(t / 3) + 0.1 * np.sin(t)) * DT
+    path = np.cumsum(speed * DT * np.array([np.cos(heading), np.sin(heading), np.zeros(len(t))]), axis=1).T
+    truth = sse.Trajectory(path, np.tile([0.0, 0.0, 0.0, 1.0], (len(t), 1)), t, name="truth")
+    fast = truth.rows(slice(5 * len(t) // 8, 7 * len(t) // 8))
+    estimate, reference = (truth, fast) if whole == "estimate" else (fast, truth)
+    late = replace(estimate, timestamps=estimate.timestamps - 200.0)
+    assert find_time_offset(late, reference) == pytest.approx(200.0, abs=0.004)
+
+
+@pytest.mark.parametrize("whose", ["mine", "truth"])
+def test_equal_orientations_beside_a_turning_camera_are_a_filler(whose):
+    """On a straight path, where the path itself does not tell."""
+    line = np.outer(DT * np.arange(COUNT), [1.0, 0.0, 0.0])
+    turning, still = (replace(one, positions=line) for one in drive())
+    still = replace(still, orientations=np.tile([0.0, 0.0, 0.0, 1.0], (COUNT, 1)))
+    pair = (replace(still, name="mine"), turning) if whose == "mine" else (turning, still)
+    kept = without_fillers(*(replace(one, name=name) for one, name in zip(pair, ("mine", "truth"), strict=True)))
+    assert kept[2] == [f"all quaternions of {whose} are equal, which is a filler: positions alone are judged"]
+    assert not kept[0].is_oriented
+    assert not kept[1].is_oriented
+
+
 def test_the_reference_is_taken_between_its_poses():
     _, truth = drive()
     between = truth.timestamps[:-1] + 0.5 * DT
@@ -327,7 +355,10 @@ def test_times_in_another_unit_are_named(unit, name):
     odd = replace(estimate, timestamps=unit * (7.0 + estimate.timestamps))
     with pytest.raises(ValueError, match=f"the times of the estimate seem to be {name}"):
         sse.evaluate_trajectory(odd, truth)
-    with pytest.raises(ValueError, match="another clock, say by how much with time_offset"):
+    lasts = (
+        r"lasts from 100000 to 100029\.9 s, the reference from 0 to 29\.9 s; if it is another clock, say by how much"
+    )
+    with pytest.raises(ValueError, match=lasts):
         sse.evaluate_trajectory(replace(estimate, timestamps=estimate.timestamps + 1e5), truth)
 
 

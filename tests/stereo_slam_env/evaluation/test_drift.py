@@ -285,3 +285,9 @@ def test_the_truth_may_be_of_another_body(drives):
 def test_a_claim_needs_times(drives):
     with pytest.raises(ValueError, match="has no times"):
         sse.claim(replace(drives[0][0], timestamps=None), sse.DriftModel(VARIANCES))
+
+
+def test_a_drive_shorter_than_a_window_calibrates_nothing(drives):
+    few = slice(0, 8)
+    with pytest.raises(ValueError, match=r"drive 0 has no two poses 1 s apart with a truth: give a longer drive"):
+        sse.calibrate([drives[0][0].rows(few)], [drives[1][0].rows(few)])
