@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -107,6 +107,20 @@ MonocularEKF = _named(
 )
 
 
+def coloured_options(noise: ColouredNoise, chosen: Iterable[str] = ()) -> dict[str, Any]:
+    """Options of `StereoEKF` for what a noise states of errors that last and of the rig, beside those `chosen`."""
+    options: dict[str, Any] = {"drift": noise.drift, "gauge_walk": noise.gauge_walk}
+    sigmas = {"offset_sigma": noise.disparity_offset, "yaw_sigma": noise.right_yaw, "roll_sigma": noise.right_roll}
+    priors: dict[str, Any] = {name: sigma for name, sigma in sigmas.items() if sigma}
+    if priors:
+        options["measurement"] = {"name": "calibrated", **priors}
+    lasting = noise.lasting_covariance
+    if lasting is not None and noise.lasting_time and {"landmark", "measurement", "drift"}.isdisjoint(chosen):
+        errors = LastingErrors(lasting, noise.lasting_time)
+        options |= {"drift": None, "landmark": errors, "measurement": PairWithLastingErrors(**priors)}
+    return options
+
+
 class ColouredNoiseEKF(StereoEKF):
     """Stereo EKF for errors that last from frame to frame, as those of tracks in real images do.
 
@@ -123,19 +137,7 @@ class ColouredNoiseEKF(StereoEKF):
         stated: dict[str, Any] = {}
         scale = misalignment = 0.0
         if isinstance(noise, ColouredNoise):
-            stated |= {"drift": noise.drift, "gauge_walk": noise.gauge_walk}
-            sigmas = {
-                "offset_sigma": noise.disparity_offset,
-                "yaw_sigma": noise.right_yaw,
-                "roll_sigma": noise.right_roll,
-            }
-            priors: dict[str, Any] = {name: sigma for name, sigma in sigmas.items() if sigma}
-            if priors:
-                stated["measurement"] = {"name": "calibrated", **priors}
-            chosen = not options.keys().isdisjoint(("landmark", "measurement", "drift"))
-            if noise.white is not None and noise.lasting_time is not None and not chosen:
-                errors = LastingErrors(noise.R - noise.white, noise.lasting_time)
-                stated |= {"drift": None, "landmark": errors, "measurement": PairWithLastingErrors(**priors)}
+            stated = coloured_options(noise, options)
             scale, misalignment = noise.scale, noise.misalignment
             noise = StereoNoise(noise.R if noise.white is None else noise.white)
         usual = {"landmark": "shared-anchor", "error": "right-invariant", "consensus": gate is not None}

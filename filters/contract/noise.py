@@ -84,8 +84,10 @@ class ColouredNoise(StereoNoise):
     drift : LandmarkDrift, optional
         Random walk of each tracked point on its surface. None: points stay where they are.
     lasting_time : float, optional
-        Time constant of a Gauss-Markov process of each landmark, s, where the errors beside the white ones are one: its
-        covariance is R - white. The drift is what stands for it in a filter that does not keep such errors.
+        Time constant of a Gauss-Markov process of each landmark, s, where the errors beside the white ones are one. The
+        drift is what stands for it in a filter that does not keep such errors.
+    lasting : (3, 3) array_like, optional
+        Covariance of that process, px^2. None: R - white.
     gauge_walk : float
         Of the part that all tracks of a frame have in common, rad per root of a radian of image motion (`StereoEKF`).
     misalignment : float
@@ -114,26 +116,39 @@ class ColouredNoise(StereoNoise):
     right_roll: float = 0.0
     scale: float = 0.0
     lasting_time: float | None = None
+    lasting: FloatArray | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.white is not None:
             object.__setattr__(self, "white", covariance_matrix("white", self.white, 3, definite=True))
+        if self.lasting is not None:
+            object.__setattr__(self, "lasting", covariance_matrix("lasting", self.lasting, 3))
+            if self.lasting_time is None:
+                raise ValueError("lasting_time must be given with lasting, got None: how long do the errors last?")
         if self.lasting_time is not None:
             object.__setattr__(self, "lasting_time", positive("lasting_time", self.lasting_time))
-            if self.white is None:
-                raise ValueError("white must be given with lasting_time, got None: R - white is what lasts")
-            covariance_matrix("R - white", self.R - self.white, 3)
+            if self.lasting_covariance is None:
+                raise ValueError("white or lasting must be given with lasting_time: R - white is what lasts")
+            covariance_matrix("R - white", self.lasting_covariance, 3)
         object.__setattr__(self, "drift", LandmarkDrift.of(self.drift))
         for name in _ERRORS_IN_COMMON:
             object.__setattr__(self, name, positive(name, getattr(self, name), allow_zero=True))
+
+    @property
+    def lasting_covariance(self) -> FloatArray | None:
+        """Covariance of the errors that last, px^2; None without `lasting_time`."""
+        if self.lasting_time is None or self.lasting is not None:
+            return self.lasting
+        return None if self.white is None else self.R - self.white
 
     @property
     def parts(self) -> dict[str, Any]:
         """What there is besides R, JSON-able, as the constructor takes it."""
         white = None if self.white is None else self.white.tolist()
         drift = None if self.drift is None else dataclasses.asdict(self.drift)
-        lasting = {} if self.lasting_time is None else {"lasting_time": self.lasting_time}
+        lasting: dict[str, Any] = {} if self.lasting_time is None else {"lasting_time": self.lasting_time}
+        lasting |= {} if self.lasting is None else {"lasting": self.lasting.tolist()}
         return {"white": white, "drift": drift, **lasting, **{name: getattr(self, name) for name in _ERRORS_IN_COMMON}}
 
     def __eq__(self, other: object) -> bool:

@@ -178,17 +178,29 @@ class StereoEKF(StereoFilter):
         # One order for everything below, so that the result cannot depend on the order of the measurements.
         return self._row.update(observation.ordered(), self.noise)
 
-    def assume(self, noise: StereoNoise, drift: LandmarkDrift | None, gauge_walk: float) -> None:
+    def assume(self, noise: StereoNoise, **options: Any) -> None:
         """Go on with another noise of the measurements, as one that is measured while the drive goes.
+
+        Parameters
+        ----------
+        noise : StereoNoise
+            White noise of measurements that bring no covariance.
+        **options
+            Of errors that last: `drift`, `gauge_walk`, and a `landmark` of the same kind.
 
         Raises
         ------
         ValueError
-            `gauge_walk` is negative or not finite, or the error of the filter does not allow it.
+            `gauge_walk` is negative or not finite, the error of the filter does not allow it, or the landmark is of
+            another kind.
         """
-        options = replace(self.options, drift=drift, gauge_walk=gauge_walk)
-        self._row.assume(self.camera, options)
-        self.noise, self.options = noise, options
+        landmark = options.get("landmark", self.options.landmark)
+        if type(landmark) is not type(self.options.landmark):
+            kinds = type(landmark).__name__, type(self.options.landmark).__name__
+            raise ValueError(f"landmark must be of the kind that the filter has, {kinds[1]}, got {kinds[0]}")
+        assumed = replace(self.options, **options)
+        self._row.assume(self.camera, assumed)
+        self.noise, self.options = noise, assumed
 
     def correct(
         self, innovation: ArrayLike, H: Mapping[Any, ArrayLike], R: ArrayLike, gate: float | None = None

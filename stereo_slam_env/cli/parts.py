@@ -93,6 +93,9 @@ class ImagesOptions:
     odometry_topic: Annotated[
         str | None, typer.Option("--odometry-topic", help="Wheels of a bag, not an odometry from its pictures.")
     ] = None
+    rate: Annotated[
+        float | None, typer.Option("--rate", help="Frames a second of tracks without times.", metavar="HZ")
+    ] = None
 
     def given(self) -> dict[str, Any]:
         """Arguments of `open_image_sequence`, JSON-able."""
@@ -113,7 +116,7 @@ class ImagesOptions:
                 raise ValueError(f"--image-topics needs two topics, LEFT,RIGHT, got {self.image_topics!r}")
         topics = {"imu": self.imu_topic, "odometry": self.odometry_topic}
         given |= {name: topic for name, topic in topics.items() if topic is not None}
-        return given
+        return given if self.rate is None else {**given, "rate": self.rate}
 
 
 def body_from(path: Path | None, estimated: bool) -> Pose | Literal["estimated"] | None:

@@ -3,8 +3,9 @@
 `read_example` reads those inside the gtsam wheel (135 frames, 110 m, one 90 degree turn), `read` a folder with true
 poses. Layout: `stereo_factors.txt` (frame_id landmark_id uL uR v X Y Z), `calibration.txt` (fx fy skew cx cy baseline),
 `vo_poses.txt` (frame_id, 4x4 T_world_cam by stereo odometry), and, for scoring, `poses.txt` (T_world_cam of
-the left camera) and `times.txt`. Beside them may lie `imu_100hz.csv` (t on the clock of the frames, specific forces,
-rates; x forward, y left, z up), of the GPS/IMU unit of the car.
+the left camera) and `times.txt`, in place of which the rate of the frames can be given. Beside them may lie
+`imu_100hz.csv` (t on the clock of the frames, specific forces, rates; x forward, y left, z up), of the GPS/IMU unit of
+the car.
 """
 
 from __future__ import annotations
@@ -19,15 +20,17 @@ from scipy.spatial.transform import Rotation
 
 from filters import InertialUnit, Pose, Start, StereoCamera, StereoNoise
 from filters.contract.extras import install_command
+from filters.contract.validation import positive
 from filters.geometry.arrays import FloatArray, IntArray
 from stereo_slam_env.datasets.known_recordings import known_by, reference_for
 from stereo_slam_env.datasets.tracks import ASSUMED_SIGMA_PX, PointTracks, frames_of, stated_or_assumed
+from stereo_slam_env.files.paths import is_there
 from stereo_slam_env.files.readers import read_poses, read_table, require_rotations, split_poses
 from stereo_slam_env.recording.inertial import samples_of_steps
 from stereo_slam_env.recording.recording import Recording, Reference
 
 NAME = "kitti00_stereo_tracks"
-FILES = (("stereo_factors.txt", "calibration.txt", "vo_poses.txt", "poses.txt", "times.txt"),)
+FILES = (("stereo_factors.txt", "calibration.txt", "vo_poses.txt", "poses.txt"),)
 STATED = "poses.txt of the recording."
 MOVED = "It is moved as a whole onto the stereo odometry of frame {}: its place is not independent of the images."
 EXAMPLE = ("VO_stereo_factors00.txt", "VO_calibration00.txt", "VO_camera_poses00.txt")
@@ -60,6 +63,7 @@ def read(
     max_per_frame: int | None = 100,
     image_size: tuple[int, int] | None = None,
     inertial: bool = False,
+    rate: float | None = None,
 ) -> Recording:
     """Read the folder.
 
@@ -77,6 +81,8 @@ def read(
         measurements, with a line in the log.
     inertial : bool
         Give the samples of `INERTIAL` too, and begin with the first frame after which every step has some (frame 14).
+    rate : float, optional
+        Frames a second, of frame ids 0, 1, 2, ..., where there is no `times.txt`.
 
     Returns
     -------
@@ -89,11 +95,12 @@ def read(
     Raises
     ------
     ValueError
-        A file is damaged, has the wrong shape, or holds NaN: the message names it.
+        A file is damaged, has the wrong shape, or holds NaN: the message names it. There are no times and no rate, or
+        both.
     """
     frame_ids, odometry = _read_odometry(path / "vo_poses.txt")
-    times = read_table(path / "times.txt", 1).reshape(-1)
     positions, orientations = read_poses(path / "poses.txt")
+    times = _times(path, rate, len(positions))
     known = min(len(times), len(positions))
     if frame_ids[-1] >= known:
         raise ValueError(f"{path}: vo_poses.txt has frame {frame_ids[-1]}, times.txt and poses.txt end at {known - 1}")
@@ -114,6 +121,18 @@ def read(
         name, path, files, frame_ids, times[frame_ids], truth, facts, given, max_per_frame, source, truth_from
     )
     return _with_samples(made, path / INERTIAL, odometry) if inertial else made
+
+
+def _times(path: Path, rate: float | None, count: int) -> FloatArray:
+    """Times of the frames, s, of the file or by their rate."""
+    file = path / "times.txt"
+    if is_there(file):
+        if rate is not None:
+            raise ValueError(f"{file} says when the frames were taken: leave rate out, got {rate:g}")
+        return read_table(file, 1).reshape(-1)
+    if rate is None:
+        raise ValueError(f"{path} has no times.txt: give the frames a second, rate=10 (--rate 10)")
+    return np.arange(count) / positive("rate", rate)
 
 
 def _with_samples(recording: Recording, path: Path, poses: FloatArray) -> Recording:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from filters import ColouredNoise, Start, StereoCamera, StereoNoise, StereoObservation, UpdateReport
-from filters.catalogue.presets import ColouredNoiseEKF
+from filters.catalogue.presets import ColouredNoiseEKF, coloured_options
 from filters.contract.noise import RIG_ERRORS
 from filters.contract.stereo_filter import AT_ORIGIN
 from filters.geometry import rotations
@@ -63,7 +63,9 @@ class CausalNoiseEKF(ColouredNoiseEKF):
             found = self._tracks.noise
             self._raised = found.claimed_too_small
             told = stated_noise(found, self._R, brings_R, self._stranger)
-            self.assume(StereoNoise(told.R if told.white is None else told.white), told.drift, told.gauge_walk)
+            assumed = {**coloured_options(told), "drift": told.drift}
+            del assumed["measurement"]  # the rig is as it was stated at the start
+            self.assume(StereoNoise(told.R if told.white is None else told.white), **assumed)
         used = observation
         if brings_R and observation.R is not None and self._raised != 1.0:
             used = dataclasses.replace(observation, R=self._raised * observation.R)

@@ -31,9 +31,12 @@ LEAST_FLOW = 0.3
 """Points that move less between two frames, px, do not slide, and are left out."""
 OUTLIER = 8.0
 """Robust standard deviations beyond which a residual is a mismatch or a moving object."""
-WHITE, GATE = 0.8, 1.2
-"""Standard deviations of the white part and of the steps that the gate allows, in those of a residual; chosen on KITTI
-07, where the error hardly depends on them."""
+WHITE, GATE, LASTING = 0.8, 1.2, 1.6
+"""Standard deviations of the part that cannot be told from white, of the steps that the gate of a walk allows, and of
+the errors that last, in those of the part of a residual that is not white; chosen on KITTI 07, where the error hardly
+depends on them."""
+LASTING_TIME = 2.0
+"""Time constant of errors that last, s: 1 to 4 s have the same log score (docs/covariances.md)."""
 COMMON_WALK = 0.0043
 """Gauge walk of tracks that bring no covariance, rad per root of a radian: what lens, calibration and the habits of a
 tracker add to all tracks of a frame. The log score of windows chose it (docs/covariances.md)."""
@@ -68,6 +71,9 @@ class TrackNoise:
 
     step: FloatArray
     """(3,): standard deviation of a residual of (u, v, d), px; zero without residuals."""
+    white: FloatArray
+    """(3,), of the part of a measurement that is independent from frame to frame, px: by covariances of residuals 0, 1
+    and 2 frames apart, of which what lasts has about as much in each, c, and white noise w has 2 w, -w and 0."""
     lasting: FloatArray
     """(3,), of the random walk that adds up as the errors do over many frames, px a frame: the residuals' variance plus
     twice their covariances over 1 to `LAGS` frames."""
@@ -180,6 +186,7 @@ class TrackStatistics:
         scatter = (self._scatter + sums.T @ sums) / np.outer(counts, counts)
         lasting = covariances[0] + 2.0 * covariances[1:].sum(axis=0)
         correlation = covariances / np.where(covariances[0] > 0, covariances[0], 1.0)
+        white = np.clip(0.25 * (covariances[0] - 2.0 * covariances[1] + covariances[2]), 0.0, 0.5 * covariances[0])
         variance = float(covariances[0, :2].sum())
         share = float(lasting[:2].sum()) / variance if variance > 0.0 else 0.0
         weights = np.array([1.0 - share] + [2.0] * LAGS)
@@ -188,6 +195,7 @@ class TrackStatistics:
         share_error = float(np.sqrt(weights @ scatter @ weights)) / max(variance, TINY)
         return TrackNoise(
             np.sqrt(covariances[0]),
+            np.sqrt(white),
             np.sqrt(np.maximum(lasting, 0.0)),
             correlation,
             share,
@@ -259,10 +267,11 @@ def with_measured_noise(recording: Recording) -> Recording:
 
     Measurements that bring a covariance of their own keep it as the white part and drift by a share of it. The white
     part of others goes from R, or what residuals show where that is more, where errors are white or little is known, to
-    what `TrackNoise` says, where they are known to last. The rig of a simulation is as stated; that of anybody else has
-    the errors of the constants above, and its tracks have a part in common that no residual shows. A roll of the right
-    camera is looked for only where measurements bring a covariance: tracks that slide over the ground ahead look like
-    one.
+    what `TrackNoise` says, where they are known to last. What lasts is an error of each landmark, as large as the part
+    of the residuals that is not white makes it, and as R where nothing is known. The rig of a simulation is as stated;
+    that of anybody else has the errors of the constants above, and its tracks have a part in common that no residual
+    shows. A roll of the right camera is looked for only where measurements bring a covariance: tracks that slide over
+    the ground ahead look like one.
     """
     found = track_noise(recording)
     if found.is_rough:
@@ -293,14 +302,21 @@ def bring_R(recording: Recording) -> bool:
 
 def stated_noise(found: TrackNoise, R: StereoNoise, brings_R: bool, stranger: bool) -> ColouredNoise:
     """What tracks say of their noise, where `R` was assumed for white noise; see `with_measured_noise`."""
-    white, drift = None, LandmarkDrift(share=DRIFT_SHARE)
-    if not brings_R:
-        share, size = found.known_to_last, float(np.mean(found.step[:2] ** 2))
-        raised = max(1.0, 0.5 * size / float(np.mean(np.diag(R.R)[:2])))  # a residual has the errors of two frames
-        white = (1.0 - share) * raised * R.R + share * StereoNoise.independent_pixels(1.0).R * WHITE**2 * size
-        gate = np.minimum(GATE * np.sqrt(share) * found.step, found.lasting)
-        drift = LandmarkDrift(DRIFT_SHARE * found.ignorance, tuple(found.lasting.tolist()), tuple(gate.tolist()))
-    noise = ColouredNoise(R.R, white, drift)
+    if brings_R:
+        noise = ColouredNoise(R.R, drift=LandmarkDrift(share=DRIFT_SHARE))
+    else:
+        known, of_pixels = found.known_to_last, StereoNoise.independent_pixels(1.0).R
+        step, white = (float(np.mean(sigma[:2] ** 2)) for sigma in (found.step, found.white))
+        slid = step - 2.0 * white
+        raised = max(1.0, 0.5 * step / float(np.mean(np.diag(R.R)[:2])))  # a residual has the errors of two frames
+        gate = np.minimum(GATE * np.sqrt(known) * found.step, found.lasting)
+        noise = ColouredNoise(
+            R.R,
+            (1.0 - known) * raised * R.R + known * (white + WHITE**2 * slid) * of_pixels,
+            LandmarkDrift(DRIFT_SHARE * found.ignorance, tuple(found.lasting.tolist()), tuple(gate.tolist())),
+            lasting_time=LASTING_TIME,
+            lasting=LASTING**2 * slid * of_pixels + (DRIFT_SHARE * found.ignorance) ** 2 * R.R,
+        )
     if not stranger:
         return noise
     return dataclasses.replace(

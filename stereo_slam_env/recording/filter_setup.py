@@ -53,7 +53,8 @@ class FilterSetup:
         else:
             given = StereoNoise.independent_pixels(self.noise["independent_pixels"])
         if isinstance(of_recording, ColouredNoise):
-            return dataclasses.replace(of_recording, R=given.R, white=None, lasting_time=None)
+            lasts = None if of_recording.lasting is None else of_recording.lasting_time  # R - white is of another R
+            return dataclasses.replace(of_recording, R=given.R, white=None, lasting_time=lasts)
         return given
 
     def common_options(self, own: Mapping[str, Any]) -> dict[str, Any]:

@@ -307,7 +307,7 @@ def write_report_of(directory: StudyDirectory, results: Sequence[CellResult]) ->
             result.runs,
             result.summaries,
             result.figures,
-            result.directory.settings(),
+            _settings_of(result),
             bounds=result.bounds,
             attribution=None if factorial is None else attribution_of(factorial, result),
             looks=looks_of(result) if result.cell.scenario.policies else None,
@@ -319,6 +319,12 @@ def write_report_of(directory: StudyDirectory, results: Sequence[CellResult]) ->
     if not directory.study.is_grid:
         return pages[0]
     return write_study_report(directory.out, directory.study, {result.cell.name: result for result in results})
+
+
+def _settings_of(result: CellResult) -> dict[str, Any]:
+    """What was asked for, and what was read of real recordings."""
+    words = result.directory.recording_words()
+    return result.directory.settings() | ({"recordings": words} if words else {})
 
 
 def recordings_of(result: CellResult) -> dict[str, dict[str, Path]]:

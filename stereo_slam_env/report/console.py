@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-import numpy as np
 from rich.box import SIMPLE_HEAD
 from rich.cells import cell_len
 from rich.console import Console
@@ -17,8 +15,6 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-from filters import StereoCamera
-from filters.contract.noise import ColouredNoise, StereoNoise
 from stereo_slam_env.benchmark.scenarios.measurement_errors import (
     LAGS,
     OUTLIER,
@@ -26,6 +22,7 @@ from stereo_slam_env.benchmark.scenarios.measurement_errors import (
     error_correlation,
     noise_by_range,
 )
+from stereo_slam_env.benchmark.scenarios.recording_words import recording_words
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, PolicyChoice, Scenario
 from stereo_slam_env.benchmark.scenarios.study import Study
 from stereo_slam_env.benchmark.statistics.changes import RunComparison
@@ -41,16 +38,12 @@ from stereo_slam_env.benchmark.statistics.verdict import judge, pose_nees
 from stereo_slam_env.benchmark.storage.tables import CellResult
 from stereo_slam_env.evaluation.figures import FIGURES, UNKNOWN, Figure
 from stereo_slam_env.evaluation.results import FilterSummary
-from stereo_slam_env.evaluation.rig_errors import rig_errors
-from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.recording.recording import Recording
 
 if TYPE_CHECKING:  # runs the front end
     from stereo_slam_env.benchmark.campaign import Progress as ProgressCallback
 
 MOST_COLUMNS = 5
-_FAR_FROM_PRIOR = 3.0
-"""Sigmas of the prior beyond which what is put down to the rig is hardly the rig's."""
 _NAMES_WRAP_AT = 24
 """Names of rows are wrapped, in a narrow console, but to no less."""
 _CLAIMS_MATTER_MOST = (
@@ -113,87 +106,7 @@ def show_study(console: Console, study: Study) -> None:
 
 def show_recording(console: Console, recording: Recording) -> None:
     """Print what a real recording holds and how it was read."""
-    frames = recording.frames
-    observed = sum(len(frame.observation) for frame in frames)
-    referenced = sum(frame.truth is not None for frame in frames)
-    noise = f"R = {json.dumps(recording.noise.R.round(6).tolist())} px² of (u, v, d)"
-    if any(frame.observation.R is not None for frame in frames):
-        R = np.concatenate([frame.observation.covariances(recording.noise) for frame in frames])
-        median = " / ".join(f"{sigma:.2f}" for sigma in np.median(np.sqrt(np.einsum("nii->ni", R)), axis=0))
-        noise = f"an R for each measurement, its median sigma {median} px of u / v / d"
-    source = dict(recording.source)
-    front_end = source.pop("front_end", None)
-    lines = {
-        "recording": f"{recording.name}: {len(frames)} frames, {frames[-1].timestamp - frames[0].timestamp:.1f} s, "
-        f"{observed / len(frames):.0f} landmarks a frame, {referenced} with a reference pose",
-        "rig": _rig(recording.camera),
-        "reference": str(recording.reference),
-        **_audit(recording),
-        "its noise": noise,
-        **_lasting(recording.noise, referenced > 0),
-        **_rig_found(recording),
-        "read as": _listed(source),
-    }
-    if front_end is not None:
-        usual = dataclasses.asdict(TrackerSettings())
-        changed = {key: value for key, value in front_end.items() if value != usual[key]}
-        lines["front end"] = _listed(changed) if changed else "default settings"
-    _show_lines(console, lines)
-
-
-def _rig(camera: StereoCamera) -> str:
-    focal = f"{camera.fx:.6g}" if camera.fx == camera.fy else f"{camera.fx:.6g} and {camera.fy:.6g}"
-    return (
-        f"{camera.width}x{camera.height} px, focal length {focal} px, principal point ({camera.cx:.6g}, "
-        f"{camera.cy:.6g}) px, baseline {camera.baseline:.4g} m"
-    )
-
-
-def _lasting(noise: StereoNoise, referenced: bool) -> dict[str, str]:
-    """How errors last, as `coloured-noise` is told."""
-    if not isinstance(noise, ColouredNoise):
-        return {}
-    said = []
-    if noise.drift is not None and any(noise.drift.pixels):
-        steps = " / ".join(f"{step:.2f}" for step in noise.drift.pixels)
-        said.append(f"each point walks {steps} px of u / v / d a frame")
-    if noise.drift is not None and noise.drift.share:
-        said.append(f"each point walks {noise.drift.share:.2f} of its sigma a frame")
-    if noise.lasting_time is not None:
-        said.append(f"its errors are forgotten with a time constant of {noise.lasting_time:.1f} s")
-    if noise.gauge_walk:
-        said.append(f"all together by {1e3 * noise.gauge_walk:.1f} mrad per root of a radian of image motion")
-    if noise.misalignment and referenced:
-        said.append(f"camera and reference are aligned to {1e3 * noise.misalignment:.0f} mrad")
-    assumed = []
-    if noise.disparity_offset:
-        assumed.append(f"disparity offset {noise.disparity_offset:.2f} px")
-    if noise.right_yaw or noise.right_roll:
-        assumed.append(f"right camera {1e3 * noise.right_yaw:.1f} mrad in yaw, {1e3 * noise.right_roll:.1f} in roll")
-    if noise.scale:
-        assumed.append(f"scale {100 * noise.scale:.1f} %")
-    lasting = {"that lasts": "; ".join(said) or "nothing"}
-    return lasting | ({"assumed of the rig": f"sigmas, not measured: {', '.join(assumed)}"} if assumed else {})
-
-
-def _audit(recording: Recording) -> dict[str, str]:
-    """Whether the images contradict the reference; nothing where there is none, or an exact one."""
-    from stereo_slam_env.frontend.reference_audit import audit_of  # needs OpenCV, which a judge of filters may lack
-
-    found = audit_of(recording)
-    return {} if found is None else {"its steps": str(found)}
-
-
-def _rig_found(recording: Recording) -> dict[str, str]:
-    """Errors that the filter puts down to the rig, with standard errors and how far beyond their prior they are."""
-    units = {"disparity_offset": (1.0, "px"), "right_yaw": (1e3, "mrad"), "right_roll": (1e3, "mrad")}
-    found = {name: (units[name], *value) for name, value in rig_errors(recording).items()}
-    said = []
-    for name, ((scale, unit), value, sigma) in found.items():
-        words = f"{name.replace('_', ' ')} {scale * value:+.2f} ± {scale * sigma:.2f} {unit}"
-        beyond = abs(value) > _FAR_FROM_PRIOR * getattr(recording.noise, name)
-        said.append(words + (f" (beyond {_FAR_FROM_PRIOR:g} sigma of what a rig may be wrong by)" if beyond else ""))
-    return {"put down to the rig": f"{', '.join(said)}; tracks that slide look the same"} if said else {}
+    _show_lines(console, recording_words(recording))
 
 
 def show_noise(console: Console, name: str, found: MeasurementErrors) -> None:
@@ -368,10 +281,6 @@ def _cell(figure: Figure, summary: FilterSummary) -> str:
         return f"{value} of {summary.runs}"
     found = limit_reached(summary) if figure is EFFICIENCY else None
     return figure.text(value) if found is None else found.value.removesuffix(" %")
-
-
-def _listed(entries: Mapping[str, object]) -> str:
-    return ", ".join(f"{key} = {value}" for key, value in entries.items())
 
 
 def _ranges(seeds: Sequence[int]) -> str:

@@ -165,7 +165,9 @@ def _short_digest(about: list[Any]) -> str:
 
 def as_given(description: Mapping[str, Any], scenario: Scenario) -> dict[str, Any]:
     """Description of a recording that is kept with a trial, with the noise that was assumed."""
-    about = {key: value for key, value in description.items() if key not in ("code", "plugin_code", "R", "audit")}
+    about = {
+        key: value for key, value in description.items() if key not in ("code", "plugin_code", "R", "audit", "words")
+    }
     return {**about, "assumed_R": scenario.assumed_noise(StereoNoise(description["R"])).R.tolist()}
 
 
@@ -200,6 +202,10 @@ def description_of(recording: Recording) -> dict[str, Any]:
 
         audit = audit_of(recording)
         description["audit"] = None if audit is None else audit.as_dict()
+    if recording.truth_from.kind != "simulation":
+        from stereo_slam_env.benchmark.scenarios.recording_words import recording_words
+
+        description["words"] = recording_words(recording)
     from_images = any(frame.observation.R is not None for frame in recording.frames)
     if recording.landmarks is not None and from_images:
         rows = [dataclasses.asdict(row) for row in noise_by_range(measurement_errors(recording))]

@@ -267,6 +267,12 @@ class RunDirectory:
         with damage_named(self.out):
             return {about["name"]: ReferenceAudit.from_dict(about["audit"]) for about in kept if about.get("audit")}
 
+    def recording_words(self) -> dict[str, dict[str, str]]:
+        """What is said of real recordings that are kept, by name of the recording."""
+        kept = [about for seed in self.seeds if (about := self._about_recording(seed)) is not None]
+        with damage_named(self.out):
+            return {about["name"]: {**about["words"]} for about in kept if about.get("words")}
+
     def write_trajectories(self) -> None:
         """Write the trajectories of all recordings that are kept; raises as `trials`."""
         for choice in self.scenario.competitors:

@@ -139,7 +139,7 @@ def test_an_unseen_landmark_forgets_its_error_and_not_its_place() -> None:
 @pytest.mark.parametrize(
     ("given", "named"),
     [
-        ({"white": None, "lasting_time": 1.0}, "white must be given"),
+        ({"white": None, "lasting_time": 1.0}, "white or lasting must be given"),
         ({"white": 2.0 * NOISE.R, "lasting_time": 1.0}, "R - white"),
         ({"white": WHITE.R, "lasting_time": -1.0}, "lasting_time"),
     ],

@@ -75,6 +75,20 @@ def test_a_table_that_ends_before_the_last_frame_is_named(tmp_path, file):
         load(folder)
 
 
+def test_tracks_without_times_have_a_rate(tmp_path):
+    folder = kitti00(tmp_path)
+    with pytest.raises(ValueError, match=r"times\.txt says when the frames were taken: leave rate out, got 10"):
+        load(folder, rate=10.0)
+    with_times = [frame.timestamp for frame in load(folder).frames]
+    (folder / "times.txt").unlink()
+    with pytest.raises(ValueError, match=r"has no times\.txt: give the frames a second, rate=10 \(--rate 10\)"):
+        load(folder)
+    for rate in (0.0, -10.0, float("nan")):
+        with pytest.raises(ValueError, match="rate must be"):
+            load(folder, rate=rate)
+    np.testing.assert_allclose([frame.timestamp for frame in load(folder, rate=10.0).frames], with_times)
+
+
 def test_nan_rows_and_unsorted_ids_are_named(tmp_path):
     folder = kitti00(tmp_path)
     poses = np.loadtxt(folder / "vo_poses.txt")

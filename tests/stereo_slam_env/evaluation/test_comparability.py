@@ -319,6 +319,16 @@ def test_equal_orientations_beside_a_turning_camera_are_a_filler(whose):
     assert not kept[1].is_oriented
 
 
+@pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
+def test_orientations_that_are_equal_in_both_are_fillers_where_the_path_bends(scale):
+    """Whatever its unit; on a straight one they may be data."""
+    estimate, truth = (replace(one, orientations=np.tile([0.0, 0.0, 0.0, 1.0], (COUNT, 1))) for one in drive())
+    bent = [replace(one, positions=scale * one.positions) for one in (estimate, truth)]
+    assert len(without_fillers(*bent)[2]) == 2
+    line = scale * np.outer(DT * np.arange(COUNT), [1.0, 0.0, 0.0])
+    assert without_fillers(*(replace(one, positions=line) for one in bent))[2] == []
+
+
 def test_the_reference_is_taken_between_its_poses():
     _, truth = drive()
     between = truth.timestamps[:-1] + 0.5 * DT

@@ -11,6 +11,7 @@ import pytest
 import stereo_slam_env as sse
 from filters import ColouredNoise, StereoNoise, check_filter
 from filters.catalogue.presets import ColouredNoiseEKF
+from filters.landmarks.inverse_depth import InverseDepth
 from stereo_slam_env.frontend.causal_noise import CausalNoiseEKF
 from stereo_slam_env.frontend.ego_motion import Step
 from stereo_slam_env.frontend.track_noise import COMMON_WALK, TrackStatistics, with_measured_noise
@@ -130,15 +131,18 @@ def test_a_filter_goes_on_with_what_it_is_told_to_assume() -> None:
     assert isinstance(noise, ColouredNoise)
     assert noise.white is not None
     made = ColouredNoiseEKF(recording.camera, noise)
-    told = ColouredNoiseEKF(recording.camera, dataclasses.replace(noise, white=None, drift=None, gauge_walk=0.02))
-    told.assume(StereoNoise(noise.white), noise.drift, noise.gauge_walk)
+    other_noise = dataclasses.replace(noise, white=None, lasting=4.0 * noise.R, lasting_time=1.0, gauge_walk=0.02)
+    told = ColouredNoiseEKF(recording.camera, other_noise)
+    told.assume(StereoNoise(noise.white), landmark=made.options.landmark, gauge_walk=noise.gauge_walk)
     *_, one = sse.run(made, recording)
     *_, other = sse.run(told, recording)
     np.testing.assert_array_equal(one.pose.position, other.pose.position)
     np.testing.assert_array_equal(one.pose.covariance, other.pose.covariance)
     with pytest.raises(ValueError, match="gauge_walk"):
-        told.assume(StereoNoise(noise.white), None, -1.0)
-    assert told.options.drift == noise.drift
+        told.assume(StereoNoise(noise.white), gauge_walk=-1.0)
+    with pytest.raises(ValueError, match="of the kind that the filter has, LastingErrors, got InverseDepth"):
+        told.assume(StereoNoise(noise.white), landmark=InverseDepth())
+    assert (told.options.landmark, told.options.gauge_walk) == (made.options.landmark, noise.gauge_walk)
 
 
 def test_it_keeps_the_contract() -> None:

@@ -18,6 +18,8 @@ from stereo_slam_env.frontend.track_noise import (
     COMMON_WALK_WITH_R,
     DISPARITY_OFFSET,
     LAGS,
+    LASTING,
+    LASTING_TIME,
     MISALIGNMENT,
     RIGHT_TURN,
     SCALE,
@@ -88,6 +90,26 @@ def test_white_errors_of_disparities_are_no_walk_of_the_pixels(sigma: float) -> 
     # The point is seen larger in each frame, so that the step in u is more than that of white noise in u.
     assert np.mean([one.step[0] for one in found]) > 1.5 * sigma
     assert abs(np.mean([one.lasting_share for one in found])) < 0.1
+
+
+@pytest.mark.parametrize("white", [0.0, 0.5, 2.0])
+def test_white_errors_and_those_that_last_are_told_apart(white: float) -> None:
+    """White noise that is added to a slide is found as such, and what lasts is as large as without it."""
+    found = [track_noise(drive(white=white, slide=0.4, seed=seed)) for seed in range(4)]
+    np.testing.assert_allclose(np.mean([one.white[:2] for one in found], axis=0), white, rtol=0.1, atol=0.1)
+    lasting = [np.sqrt(np.maximum(one.step[:2] ** 2 - 2.0 * one.white[:2] ** 2, 0.0)) for one in found]
+    np.testing.assert_allclose(np.mean(lasting), 0.4, atol=0.05 + 0.1 * white)
+
+
+@pytest.mark.parametrize("white", [0.0, 0.5])
+def test_what_lasts_is_stated_as_an_error_of_each_landmark(white: float) -> None:
+    noise = noise_of(drive(white=white, slide=0.4))
+    assert noise.lasting is not None
+    assert noise.lasting_time == LASTING_TIME
+    assert 0.5 * LASTING * 0.4 < np.sqrt(noise.lasting[0, 0]) < 2.0 * LASTING * 0.4
+    alone = noise_of(drive(white=0.3)).lasting
+    assert alone is not None
+    assert alone[0, 0] < 0.1 * noise.lasting[0, 0]
 
 
 def test_only_what_walks_is_stated_to_walk() -> None:

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from stereo_slam_env.cli import app as cli
 from stereo_slam_env.cli.parts import rig_from
 from stereo_slam_env.sensing.lenses import Rectification
-from stereo_slam_env.sensing.rig_files import body_of_camera, read_calibration
+from stereo_slam_env.sensing.rig_files import body_of_camera, noise_of_unit, read_calibration
 from stereo_slam_env.sensing.rigs import RIGS, calibration_of, camera_of, imu_shift_of
 
 SIZE = (640, 400)
@@ -426,3 +426,11 @@ def test_every_rig_by_name_can_be_driven(name):
 def test_a_table_is_json_on_the_command_line():
     assert rig_from('{"name": "vga", "baseline": 0.2}') == {"name": "vga", "baseline": 0.2}
     assert rig_from("mine/calib.txt,baseline=0.2") == {"name": "mine/calib.txt", "baseline": 0.2}
+
+
+def test_the_densities_of_an_inertial_unit_are_read_in_their_order(tmp_path):
+    kinds = ("gyroscope_noise_density", "accelerometer_noise_density", "gyroscope_random_walk")
+    sheet = tmp_path / "imu.yaml"
+    entries = dict(zip((*kinds, "accelerometer_random_walk"), (1e-4, 2e-3, 3e-5, 4e-3), strict=True))
+    sheet.write_text("".join(f"{name}: {value}\n" for name, value in entries.items()))
+    assert noise_of_unit(sheet) == (1e-4, 2e-3, 3e-5, 4e-3)

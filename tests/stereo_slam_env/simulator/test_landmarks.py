@@ -200,6 +200,17 @@ def test_new_landmarks_are_drawn_in_proportion_to_the_disparity_from_where_the_c
     assert np.mean(near) == pytest.approx(0.8, abs=3.5 * np.sqrt(0.8 * 0.2 / len(near)))
 
 
+def test_those_with_the_least_exponentials_by_their_disparity_are_drawn():
+    """Weighted sampling without replacement: the keys of all that are in view, in their order."""
+    points = cloud(3000)
+    (everything,), _ = seen_in(points, policy={"max_landmarks": 3000, "refill_below": 3000})
+    for most in (7, 40, 150):
+        simulator = vehicle(scene_of(points_w=points), policy={"max_landmarks": most, "refill_below": most})
+        keys = simulator.fleet.exponentials[0, : len(everything)] * points[everything.ids, 2]
+        expected = np.sort(everything.ids[np.argsort(keys)[:most]])
+        assert simulator.frame(0).observation.ids.tolist() == expected.tolist()
+
+
 def test_what_is_drawn_never_was_tracked_before_and_is_hidden_by_nothing():
     points = cloud(4000)
     wall = Box((12.0, -20.0, 10.0), (0.2, 40.0, 40.0), 0.0, GREY)

@@ -1,0 +1,116 @@
+"""Words about a real recording: what it holds, how it was read, and what is measured and assumed of its errors."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Mapping
+
+import numpy as np
+
+from filters import ColouredNoise, StereoCamera, StereoNoise
+from stereo_slam_env.evaluation.rig_errors import rig_errors
+from stereo_slam_env.frontend.settings import TrackerSettings
+from stereo_slam_env.recording.recording import Recording
+
+_FAR_FROM_PRIOR = 3.0
+"""Sigmas of the prior beyond which what is put down to the rig is hardly the rig's."""
+_LEFT_OUT = {
+    "dropped_repeats": "measurements of repeated frames left out",
+    "dropped_non_positive_disparity": "measurements of no positive disparity left out",
+}
+"""Counts of readers in words."""
+
+
+def recording_words(recording: Recording) -> dict[str, str]:
+    """Contents of a real recording, how it was read, and what is measured and assumed of its errors, a line each."""
+    frames = recording.frames
+    observed = sum(len(frame.observation) for frame in frames)
+    referenced = sum(frame.truth is not None for frame in frames)
+    noise = f"R = {json.dumps(recording.noise.R.round(6).tolist())} px² of (u, v, d)"
+    if any(frame.observation.R is not None for frame in frames):
+        R = np.concatenate([frame.observation.covariances(recording.noise) for frame in frames])
+        median = " / ".join(f"{sigma:.2f}" for sigma in np.median(np.sqrt(np.einsum("nii->ni", R)), axis=0))
+        noise = f"an R for each measurement, its median sigma {median} px of u / v / d"
+    source = dict(recording.source)
+    front_end = source.pop("front_end", None)
+    lines = {
+        "recording": f"{recording.name}: {len(frames)} frames, {frames[-1].timestamp - frames[0].timestamp:.1f} s, "
+        f"{observed / len(frames):.0f} landmarks a frame, {referenced} with a reference pose",
+        "rig": _rig(recording.camera),
+        "reference": str(recording.reference),
+        **_audit(recording),
+        "its noise": noise,
+        **_lasting(recording.noise, referenced > 0),
+        **_rig_found(recording),
+        "read as": _listed(source),
+    }
+    if front_end is not None:
+        usual = dataclasses.asdict(TrackerSettings())
+        changed = {key: value for key, value in front_end.items() if value != usual[key]}
+        lines["front end"] = _listed(changed) if changed else "default settings"
+    return lines
+
+
+def _rig(camera: StereoCamera) -> str:
+    focal = f"{camera.fx:.6g}" if camera.fx == camera.fy else f"{camera.fx:.6g} and {camera.fy:.6g}"
+    return (
+        f"{camera.width}x{camera.height} px, focal length {focal} px, principal point ({camera.cx:.6g}, "
+        f"{camera.cy:.6g}) px, baseline {camera.baseline:.4g} m"
+    )
+
+
+def _lasting(noise: StereoNoise, referenced: bool) -> dict[str, str]:
+    """How errors last, as `coloured-noise` is told."""
+    if not isinstance(noise, ColouredNoise):
+        return {}
+    said = []
+    lasting = noise.lasting_covariance
+    if lasting is not None:
+        sigmas = " / ".join(f"{sigma:.2f}" for sigma in np.sqrt(np.diag(lasting)))
+        said.append(
+            f"each point errs by {sigmas} px of u / v / d, forgotten with a time constant of {noise.lasting_time:g} s"
+        )
+    elif noise.drift is not None:
+        if any(noise.drift.pixels):
+            steps = " / ".join(f"{step:.2f}" for step in noise.drift.pixels)
+            said.append(f"each point walks {steps} px of u / v / d a frame")
+        if noise.drift.share:
+            said.append(f"each point walks {noise.drift.share:.2f} of its sigma a frame")
+    if noise.gauge_walk:
+        said.append(f"all together by {1e3 * noise.gauge_walk:.1f} mrad per root of a radian of image motion")
+    if noise.misalignment and referenced:
+        said.append(f"camera and reference are aligned to {1e3 * noise.misalignment:.0f} mrad")
+    assumed = []
+    if noise.disparity_offset:
+        assumed.append(f"disparity offset {noise.disparity_offset:.2f} px")
+    if noise.right_yaw or noise.right_roll:
+        assumed.append(f"right camera {1e3 * noise.right_yaw:.1f} mrad in yaw, {1e3 * noise.right_roll:.1f} in roll")
+    if noise.scale:
+        assumed.append(f"scale {100 * noise.scale:.1f} %")
+    lines = {"that lasts": "; ".join(said) or "nothing"}
+    return lines | ({"assumed of the rig": f"sigmas, not measured: {', '.join(assumed)}"} if assumed else {})
+
+
+def _audit(recording: Recording) -> dict[str, str]:
+    """Whether the images contradict the reference; nothing where there is none, or an exact one."""
+    from stereo_slam_env.frontend.reference_audit import audit_of  # needs OpenCV, which a judge of filters may lack
+
+    found = audit_of(recording)
+    return {} if found is None else {"its steps": str(found)}
+
+
+def _rig_found(recording: Recording) -> dict[str, str]:
+    """Errors that the filter puts down to the rig, with standard errors and how far beyond their prior they are."""
+    units = {"disparity_offset": (1.0, "px"), "right_yaw": (1e3, "mrad"), "right_roll": (1e3, "mrad")}
+    found = {name: (units[name], *value) for name, value in rig_errors(recording).items()}
+    said = []
+    for name, ((scale, unit), value, sigma) in found.items():
+        words = f"{name.replace('_', ' ')} {scale * value:+.2f} ± {scale * sigma:.2f} {unit}"
+        beyond = abs(value) > _FAR_FROM_PRIOR * getattr(recording.noise, name)
+        said.append(words + (f" (beyond {_FAR_FROM_PRIOR:g} sigma of what a rig may be wrong by)" if beyond else ""))
+    return {"put down to the rig": f"{', '.join(said)}; tracks that slide look the same"} if said else {}
+
+
+def _listed(entries: Mapping[str, object]) -> str:
+    return ", ".join(f"{_LEFT_OUT.get(key, key)} = {value}" for key, value in entries.items())
