@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
+
+import numpy as np
 
 from filters import CameraState, StereoCamera, StereoNoise
 from filters.contract.validation import whole_number
@@ -91,11 +93,29 @@ class FixedLagGraph(SmoothingGraph):
 
     def covariance(self) -> FloatArray:
         """Covariance (12, 12) of the present state, whose velocity is that of the last move."""
-        k = self.last
-        marginals = self._gtsam.Marginals(self._factors, self._values)
-        keys = [self._pose_key(k - 1), self._pose_key(k)]
+        keys = [self._pose_key(self.last - 1), self._pose_key(self.last)]
         J = self.last_move_jacobian()
-        return symmetrised(J @ marginals.jointMarginalCovariance(keys).fullMatrix() @ J.T)
+        try:
+            P = self._gtsam.Marginals(self._factors, self._values).jointMarginalCovariance(keys).fullMatrix()
+        except RuntimeError:  # too badly conditioned for its Cholesky, as by a step of 10 s beside one of 1 ms
+            P = self._covariance_by_qr(keys)
+        return symmetrised(J @ P @ J.T)
+
+    def _covariance_by_qr(self, keys: Sequence[int]) -> FloatArray:
+        """Joint covariance (12, 12) of two poses, without the squares of the Jacobian; ten times as slow."""
+        gtsam, others = self._gtsam, self._gtsam.Ordering()
+        for key in set(map(int, self._values.keys())).difference(keys):
+            others.push_back(key)
+        whole = gtsam.JacobianFactor(self._factors.linearize(self._values))
+        _, left = whole.eliminate(others)
+        order = gtsam.Ordering()
+        for key in keys:
+            order.push_back(key)
+        A = gtsam.GaussianFactorGraph()
+        A.push_back(left)
+        R = np.linalg.qr(A.jacobian(order)[0], mode="r")
+        inverse = np.linalg.pinv(R)
+        return np.asarray(inverse @ inverse.T, dtype=np.float64)
 
     def _marginalise(self, gone: set[int]) -> None:
         """Replace the factors on variables by what they say of the others, linear at the present values (by QR)."""

@@ -25,6 +25,7 @@ from filters import (
     make_filter,
     shown_arrays,
 )
+from filters.contract.foreign_text import first_line, type_name
 from stereo_slam_env import FilterChoice, FilterLoop, Recording
 from stereo_slam_env.benchmark import Backend
 from stereo_slam_env.studies.faults.catalogue import FAULTS, NOMINAL, find_fault
@@ -127,7 +128,7 @@ class _WatchedFilter:
                 raise AssertionError("refused input changed the state") from None
             return False
         except Exception as error:  # the contract is ValueError and nothing else
-            raise AssertionError(f"raised {type(error).__name__}: {' '.join(str(error).split())}") from error
+            raise AssertionError(f"raised {type_name(error)}: {first_line(error)}") from error
         self._check()
         return True
 

@@ -60,6 +60,29 @@ def test_long_tracks_of_far_points_neither_break_it_nor_lead_it_astray(seed):
     assert 0.2 < np.nanmean(run.pose_nees[1:]) / 6.0 < 3.0
 
 
+def test_steps_of_10_s_and_of_1_ms_leave_it_a_covariance():
+    """Information of 1 / mm^2 beside that of 1 / (300 m)^2; told the same by QR where GTSAM's Cholesky is enough."""
+    recording = short_turn(0)
+    slam = smoother(recording, gate=None)
+    graph = slam._graph
+    keys = [graph._pose_key(graph.last - 1), graph._pose_key(graph.last)]
+    J = graph.last_move_jacobian()
+    expected = graph.covariance()
+    assert_close(J @ graph._covariance_by_qr(keys) @ J.T, expected)
+    for step in (10.0, 0.001, 0.1, 10.0, 0.001):
+        slam.predict(step)
+        slam.update(recording.frames[-1].observation)
+        P = slam.pose.covariance
+        assert np.isfinite(P).all()
+        assert np.linalg.eigvalsh(P).min() > 0.0
+
+
+def assert_close(actual, expected):
+    """Covariances by their correlations."""
+    sigmas = np.sqrt(np.diag(expected))
+    np.testing.assert_allclose(actual / np.outer(sigmas, sigmas), expected / np.outer(sigmas, sigmas), atol=1e-6)
+
+
 def test_velocity_and_its_covariance_are_those_of_the_last_move():
     recording = short_turn(1)
     slam = smoother(recording, gate=None)
