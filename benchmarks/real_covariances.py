@@ -57,13 +57,12 @@ def parts(recording: Recording) -> Iterator[tuple[str, str, dict[str, Any], Reco
     exact = replace(noise, **EXACT_RIG)
     walking = replace(recording, noise=exact)
     bare = {"error": "quaternion", "gauge_walk": 0.0}
-    if noise.drift is not None:
-        if noise.drift.gate_pixels is not None:
-            long_gate = replace(exact, drift=replace(noise.drift, gate_pixels=None))
-            yield "landmark drift", "coloured-noise", bare, replace(recording, noise=long_gate)
-            yield "gate for short steps", "coloured-noise", bare, walking
-        else:
-            yield "landmark drift", "coloured-noise", bare, walking
+    if noise.lasting is not None:
+        points_walk = replace(exact, lasting=None, lasting_time=None)
+        yield "landmark drift", "coloured-noise", bare, replace(recording, noise=points_walk)
+        yield "errors kept in its place", "coloured-noise", bare, walking
+    elif noise.drift is not None:
+        yield "landmark drift", "coloured-noise", bare, walking
     yield "right-invariant errors", "coloured-noise", {"gauge_walk": 0.0}, walking
     yield "gauge walk", "coloured-noise", {}, walking
     unseen = replace(exact, misalignment=noise.misalignment, scale=noise.scale)
