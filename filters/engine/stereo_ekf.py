@@ -181,24 +181,13 @@ class StereoEKF(StereoFilter):
     def assume(self, noise: StereoNoise, **options: Any) -> None:
         """Go on with another noise of the measurements, as one that is measured while the drive goes.
 
-        Parameters
-        ----------
-        noise : StereoNoise
-            White noise of measurements that bring no covariance.
-        **options
-            Of errors that last: `drift`, `gauge_walk`, and a `landmark` of the same kind.
-
-        Raises
-        ------
-        ValueError
-            `gauge_walk` is negative or not finite, the error of the filter does not allow it, or the landmark is of
-            another kind.
+        `options` are of errors that last: `drift`, `gauge_walk`, and a `landmark` of the same kind. Raises a
+        `ValueError` where `gauge_walk` is impossible or the landmark is of another kind.
         """
-        landmark = options.get("landmark", self.options.landmark)
-        if type(landmark) is not type(self.options.landmark):
-            kinds = type(landmark).__name__, type(self.options.landmark).__name__
-            raise ValueError(f"landmark must be of the kind that the filter has, {kinds[1]}, got {kinds[0]}")
         assumed = replace(self.options, **options)
+        given, own = (type(one.landmark).__name__ for one in (assumed, self.options))
+        if given != own:
+            raise ValueError(f"landmark must be of the kind that the filter has, {own}, got {given}")
         self._row.assume(self.camera, assumed)
         self.noise, self.options = noise, assumed
 
