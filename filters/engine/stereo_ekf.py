@@ -181,13 +181,12 @@ class StereoEKF(StereoFilter):
     def assume(self, noise: StereoNoise, **options: Any) -> None:
         """Go on with another noise of the measurements, as one that is measured while the drive goes.
 
-        `options` are of errors that last: `drift`, `gauge_walk`, and a `landmark` of the same kind. Raises a
-        `ValueError` where `gauge_walk` is impossible or the landmark is of another kind.
+        `options` are `drift`, `gauge_walk` and a `landmark` of the same kind; a `ValueError` says what is impossible.
         """
-        assumed = replace(self.options, **options)
-        given, own = (type(one.landmark).__name__ for one in (assumed, self.options))
-        if given != own:
+        own, given = (type(one).__name__ for one in (self.options.landmark, options.get("landmark")))
+        if "landmark" in options and given != own:
             raise ValueError(f"landmark must be of the kind that the filter has, {own}, got {given}")
+        assumed = replace(self.options, **options)
         self._row.assume(self.camera, assumed)
         self.noise, self.options = noise, assumed
 
