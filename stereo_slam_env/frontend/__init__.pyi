@@ -1,6 +1,7 @@
 """Public names of this room; each is imported when it is first used."""
 
 from .camera_motion import needed_motion as needed_motion
+from .camera_motion import set_up_for_tracks as set_up_for_tracks
 from .check_front_end import check_front_end as check_front_end
 from .front_ends import FrontEnd as FrontEnd
 from .front_ends import available_front_ends as available_front_ends

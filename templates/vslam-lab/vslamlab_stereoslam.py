@@ -12,8 +12,7 @@ from scipy.spatial.transform import Rotation
 import stereo_slam_env as sse
 from filters import Pose
 from stereo_slam_env.datasets import open_for_front_end
-from stereo_slam_env.frontend import record_tracks
-from stereo_slam_env.frontend.camera_motion import set_up_for_tracks
+from stereo_slam_env.frontend import record_tracks, set_up_for_tracks
 
 HEADER = ("ts (ns)", "tx (m)", "ty (m)", "tz (m)", "qx", "qy", "qz", "qw")
 

@@ -25,7 +25,6 @@ from filters import (
     make_filter,
     shown_arrays,
 )
-from filters.contract.foreign_text import first_line, type_name
 from stereo_slam_env import FilterChoice, FilterLoop, Recording
 from stereo_slam_env.benchmark import Backend
 from stereo_slam_env.studies.faults.catalogue import FAULTS, NOMINAL, find_fault
@@ -128,7 +127,9 @@ class _WatchedFilter:
                 raise AssertionError("refused input changed the state") from None
             return False
         except Exception as error:  # the contract is ValueError and nothing else
-            raise AssertionError(f"raised {type_name(error)}: {first_line(error)}") from error
+            raise AssertionError(
+                f"raised {type(error).__name__}: {str(error).strip().partition(chr(10))[0]}"
+            ) from error
         self._check()
         return True
 
