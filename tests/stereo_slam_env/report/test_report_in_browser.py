@@ -118,13 +118,25 @@ def test_the_wheel_scrolls_the_page_and_with_ctrl_it_zooms(visit):
     domain = "JSON.stringify(document.querySelector('#figure-velocity').view.signal('zoom_0'))"
     visit.page.mouse.move(box["x"] + 0.5 * box["width"], box["y"] + 40)
     before = visit.value("scrollY")
-    visit.page.mouse.wheel(0, 60)
-    visit.page.wait_for_function(f"scrollY !== {before}")
+    turn_the_wheel_until(visit.page, 60, f"scrollY !== {before}")
     assert visit.value(domain) == "{}"
     visit.page.keyboard.down("Control")
-    visit.page.mouse.wheel(0, -60)
+    turn_the_wheel_until(visit.page, -60, f"{domain} !== '{{}}'")
     visit.page.keyboard.up("Control")
-    visit.page.wait_for_function(f"{domain} !== '{{}}'")
+
+
+def turn_the_wheel_until(page, step, condition):
+    """Step by step, since a browser on a busy machine loses one."""
+    from playwright.sync_api import TimeoutError as TooLate
+
+    for _ in range(30):
+        page.mouse.wheel(0, step)
+        try:
+            page.wait_for_function(condition, timeout=2000)
+        except TooLate:
+            continue
+        return
+    raise AssertionError(f"not so after 30 steps of the wheel: {condition}")
 
 
 def test_a_phone_does_not_scroll_sideways(visit):
