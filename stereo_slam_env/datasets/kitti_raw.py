@@ -126,9 +126,12 @@ def _read_timestamps(path: Path) -> FloatArray:
 
 def _stamp(line: str) -> np.datetime64:
     try:
-        return np.datetime64(line.strip(), "ns")
+        return np.datetime64(line.strip(), "ns") if "-" in line else _NO_TIME
     except ValueError:
-        return np.datetime64("NaT", "ns")
+        return _NO_TIME
+
+
+_NO_TIME = np.datetime64("NaT", "ns")
 
 
 def _read_packets(folder: Path, count: int) -> FloatArray:
