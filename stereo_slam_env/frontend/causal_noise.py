@@ -64,7 +64,7 @@ class CausalNoiseEKF(ColouredNoiseEKF):
             self._raised = found.claimed_too_small
             told = stated_noise(found, self._R, brings_R, self._stranger)
             assumed = {**coloured_options(told), "drift": told.drift}
-            del assumed["measurement"]  # the rig is as it was stated at the start
+            assumed.pop("measurement", None)  # the rig is as it was stated at the start
             self.assume(StereoNoise(told.R if told.white is None else told.white), **assumed)
         used = observation
         if brings_R and observation.R is not None and self._raised != 1.0:

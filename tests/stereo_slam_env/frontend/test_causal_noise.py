@@ -18,7 +18,7 @@ from stereo_slam_env.frontend.track_noise import COMMON_WALK, TrackStatistics, w
 from stereo_slam_env.loop import Moment
 from stereo_slam_env.recording.recording import Recording
 
-from .test_track_noise import drive
+from .test_track_noise import as_seen_with, drive
 
 
 def last_moment(recording: Recording) -> Moment:
@@ -115,6 +115,13 @@ def test_it_starts_with_no_more_than_R_and_forgets_at_a_reset() -> None:
 def test_the_rig_of_a_simulation_is_taken_as_stated() -> None:
     exact = ColouredNoise(StereoNoise.independent_pixels(2.0).R)
     assert CausalNoiseEKF(drive().camera, exact).options.gauge_walk == 0.0
+
+
+def test_measurements_with_a_covariance_by_an_exact_rig_leave_nothing_of_the_rig_to_assume() -> None:
+    recording = as_seen_with(drive(white=0.3), np.diag([0.1, 0.1, 0.2]))
+    last = last_moment(dataclasses.replace(recording, noise=ColouredNoise(recording.noise.R)))
+    assert last.number == len(recording) - 1
+    assert np.isfinite(last.pose.covariance).all()
 
 
 def test_what_is_stated_of_the_rig_is_believed() -> None:
