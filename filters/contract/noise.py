@@ -128,9 +128,10 @@ class ColouredNoise(StereoNoise):
                 raise ValueError("lasting_time must be given with lasting, got None: how long do the errors last?")
         if self.lasting_time is not None:
             object.__setattr__(self, "lasting_time", positive("lasting_time", self.lasting_time))
-            if self.lasting_covariance is None:
-                raise ValueError("white or lasting must be given with lasting_time: R - white is what lasts")
-            covariance_matrix("R - white", self.lasting_covariance, 3)
+            if self.lasting is None:
+                if self.white is None:
+                    raise ValueError("white or lasting must be given with lasting_time: R - white is what lasts")
+                covariance_matrix("R - white", self.R - self.white, 3)
         object.__setattr__(self, "drift", LandmarkDrift.of(self.drift))
         for name in _ERRORS_IN_COMMON:
             object.__setattr__(self, name, positive(name, getattr(self, name), allow_zero=True))

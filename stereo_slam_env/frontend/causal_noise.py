@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 
 from filters import ColouredNoise, Start, StereoCamera, StereoNoise, StereoObservation, UpdateReport
-from filters.catalogue.presets import ColouredNoiseEKF, coloured_options
+from filters.catalogue.presets import ColouredNoiseEKF
 from filters.contract.noise import RIG_ERRORS
 from filters.contract.stereo_filter import AT_ORIGIN
 from filters.geometry import rotations
+from filters.landmarks.lasting_errors import LastingErrors
 from stereo_slam_env.frontend.ego_motion import Step
-from stereo_slam_env.frontend.track_noise import TrackStatistics, stated_noise
+from stereo_slam_env.frontend.track_noise import LASTING_TIME, TrackStatistics, stated_noise
 
 EVERY = 10
 """Frames after which the filter is told what the tracks say now."""
@@ -33,7 +34,8 @@ class CausalNoiseEKF(ColouredNoiseEKF):
         The rig.
     noise : StereoNoise
         Of which R is taken, and of a `ColouredNoise` what it says of the rig; one without gauge walk says that tracks
-        have no errors in common.
+        have no errors in common, and one without errors that last, as that of measurements which bring a covariance of
+        their own, that landmarks walk instead of keeping such errors in the state.
     **options
         As of `ColouredNoiseEKF`.
     """
@@ -45,6 +47,8 @@ class CausalNoiseEKF(ColouredNoiseEKF):
         nothing_known = stated_noise(self._tracks.noise, self._R, brings_R=False, stranger=self._stranger)
         if isinstance(noise, ColouredNoise):
             nothing_known = dataclasses.replace(nothing_known, **{name: getattr(noise, name) for name in RIG_ERRORS})
+            if noise.lasting_covariance is None:
+                nothing_known = dataclasses.replace(nothing_known, lasting=None, lasting_time=None)
         super().__init__(camera, nothing_known, **options)
 
     def reset(self, start: Start = AT_ORIGIN) -> None:
@@ -60,12 +64,16 @@ class CausalNoiseEKF(ColouredNoiseEKF):
         k = self._frame
         learns = self._tracks.frames < AT_FIRST or k % PERIOD < LEARNING
         if learns and k % EVERY == 0:
-            found = self._tracks.noise
-            self._raised = found.claimed_too_small
-            told = stated_noise(found, self._R, brings_R, self._stranger)
-            assumed = {**coloured_options(told), "drift": told.drift}
-            assumed.pop("measurement", None)  # the rig is as it was stated at the start
-            self.assume(StereoNoise(told.R if told.white is None else told.white), **assumed)
+            measured = self._tracks.noise
+            self._raised = measured.claimed_too_small
+            noise = stated_noise(measured, self._R, brings_R, self._stranger)
+            assumed: dict[str, Any] = {"drift": noise.drift, "gauge_walk": noise.gauge_walk}
+            if isinstance(self.options.landmark, LastingErrors):  # the errors are assumed once, kept or as a walk
+                lasting = noise.lasting_covariance
+                kept = np.zeros((3, 3)) if lasting is None else lasting
+                assumed["landmark"] = LastingErrors(kept, LASTING_TIME)
+                assumed["drift"] = noise.drift if lasting is None else None
+            self.assume(StereoNoise(noise.R if noise.white is None else noise.white), **assumed)
         used = observation
         if brings_R and observation.R is not None and self._raised != 1.0:
             used = dataclasses.replace(observation, R=self._raised * observation.R)

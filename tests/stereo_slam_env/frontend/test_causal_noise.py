@@ -9,11 +9,14 @@ import numpy as np
 import pytest
 
 import stereo_slam_env as sse
-from filters import ColouredNoise, StereoNoise, check_filter
+from filters import ColouredNoise, StereoFilter, StereoNoise, check_filter
 from filters.catalogue.presets import ColouredNoiseEKF
 from filters.landmarks.inverse_depth import InverseDepth
+from filters.landmarks.lasting_errors import LastingErrors
 from stereo_slam_env.frontend.causal_noise import CausalNoiseEKF
 from stereo_slam_env.frontend.ego_motion import Step
+from stereo_slam_env.frontend.recorder import TYPICAL_NOISE
+from stereo_slam_env.frontend.settings import DRIFT_SHARE
 from stereo_slam_env.frontend.track_noise import COMMON_WALK, TrackStatistics, with_measured_noise
 from stereo_slam_env.loop import Moment
 from stereo_slam_env.recording.recording import Recording
@@ -43,11 +46,36 @@ def test_in_the_end_it_assumes_what_a_look_at_the_whole_drive_says(errors: dict[
     assert isinstance(slam, CausalNoiseEKF)
     assert isinstance(ahead, ColouredNoise)
     assert ahead.white is not None
-    assert ahead.drift is not None
-    assert slam.options.drift is not None
+    assert ahead.lasting is not None
     np.testing.assert_allclose(slam.options.gauge_walk, ahead.gauge_walk, rtol=0.2)
     np.testing.assert_allclose(slam.noise.R[0, 0], ahead.white[0, 0], atol=0.4 * recording.noise.R[0, 0])
-    np.testing.assert_allclose(slam.options.drift.pixels[:2], ahead.drift.pixels[:2], rtol=0.25, atol=0.1)
+    assert kept_sigma(slam) == pytest.approx(ahead.lasting[0, 0] ** 0.5, rel=0.25, abs=0.1)
+
+
+def kept_sigma(slam: StereoFilter) -> float:
+    """Standard deviation of the errors of u that a filter keeps in its state, px."""
+    assert isinstance(slam, CausalNoiseEKF)
+    assert isinstance(slam.options.landmark, LastingErrors)
+    return float(np.asarray(slam.options.landmark.covariance)[0, 0] ** 0.5)
+
+
+def test_errors_that_last_are_allowed_for_once() -> None:
+    """In the state, or as a walk where measurements bring a covariance of their own: never both."""
+    bare = drive(slide=0.3)
+    for moment in sse.run(CausalNoiseEKF, bare, use_odometry=False):
+        assert isinstance(moment.slam, CausalNoiseEKF)
+        assert moment.slam.options.drift is None
+    R = np.diag([0.1, 0.1, 0.2])
+    measured = as_seen_with(bare, R)
+    by_plain_noise = last_moment(measured).slam
+    assert kept_sigma(by_plain_noise) == 0.0
+    stated = last_moment(dataclasses.replace(measured, noise=TYPICAL_NOISE)).slam
+    assert isinstance(stated, CausalNoiseEKF)
+    assert not isinstance(stated.options.landmark, LastingErrors)
+    for slam in (by_plain_noise, stated):
+        assert isinstance(slam, CausalNoiseEKF)
+        assert slam.options.drift is not None
+        assert slam.options.drift.share == DRIFT_SHARE
 
 
 def told_wrong_motions(recording: Recording, wrong: float) -> TrackStatistics:
@@ -83,13 +111,9 @@ def test_frames_that_tell_nothing_are_none_of_the_first_it_learns_from() -> None
     recording = drive(white=0.3)
     seen = [frame.observation for frame in recording.frames]
     late = recording.with_observations([one.select(np.arange(5)) for one in seen[:45]] + seen[45:])
-    shares = []
-    for moment in sse.run(CausalNoiseEKF, late, use_odometry=False):
-        assert isinstance(moment.slam, CausalNoiseEKF)
-        assert moment.slam.options.drift is not None
-        shares.append(moment.slam.options.drift.share)
-    assert shares[44] == shares[0]
-    assert shares[-1] < shares[0]
+    sigmas = [kept_sigma(moment.slam) for moment in sse.run(CausalNoiseEKF, late, use_odometry=False)]
+    assert sigmas[44] == sigmas[0]
+    assert sigmas[-1] != sigmas[0]
 
 
 def test_what_it_assumes_changes_every_ten_frames() -> None:
