@@ -4,8 +4,8 @@ Two cumulative sums of log-likelihood ratios (Page's CUSUM, Biometrika 41, 1954)
 should be": of the normalised innovations squared, and of the share of known landmarks that could not be used. A sum
 never falls below 0, so what was long ago does not count; a false alarm is as rare, per update, as e^-threshold at the
 most. Besides, an alarm is raised where nothing has been measured for long and the filter says that it drifts, where
-nothing links a frame to what was mapped before, where the filter itself hardly knows its orientation, and where the
-numbers are none.
+nothing links a frame to the one before, where the filter itself hardly knows its orientation, and where the numbers are
+none.
 """
 
 from __future__ import annotations
@@ -131,7 +131,8 @@ class DivergenceMonitor:
         self._innovations.add(self._inflated(report.nis, report.nis_dof))
         self._refused.add(_lost(used, refused))
         self._known -= len(report.dropped)
-        cut = self._mapped and new > 0 and used == 0 and (refused > 0 or self._known <= 0)
+        was_blind = self._blind > 0.0  # what the dark cost is judged by its length and by the claim
+        cut = self._mapped and not was_blind and new > 0 and used == 0 and (refused > 0 or self._known <= 0)
         self._known += new
         self._mapped = self._mapped or new > 0
         drifts = self._drifts_blind(dt, used + refused + new > 0, pose)

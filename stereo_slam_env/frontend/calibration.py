@@ -28,9 +28,6 @@ CALIBRATION_PAIRS = 60
 """Pairs of a sequence that are looked at."""
 _PROBE = 0.1
 """Step of the differences by which the likelihood is followed, px."""
-_SIGNIFICANT = 3.0
-"""A value of fewer standard deviations may be noise: nothing is corrected then, and a perfect rig is left alone."""
-
 _IMPOSSIBLE = 5.0
 """A value of more standard deviations, with what a careful calibration leaves, is a mistake and no remainder."""
 _LEAST_YAW = 0.0035
@@ -44,7 +41,7 @@ _log = logging.getLogger(__name__)
 def calibrated(
     sequence: ImageSequence, settings: TrackerSettings | None = None, pairs: int = CALIBRATION_PAIRS
 ) -> TrackerSettings:
-    """The settings with the disparity offset that the first `pairs` pairs of a sequence show.
+    """The settings with the disparity offset that the first `pairs` pairs of a sequence show, and its sigma.
 
     Raises
     ------
@@ -71,7 +68,8 @@ def calibrated(
             f"{1e3 * abs(shift) / sequence.camera.fx:.1f} mrad between the cameras: calibrate the pair again"
         )
     _log.info("%s: disparity offset %.3f +- %.3f px", sequence.name, offset.value, offset.sigma)
-    return dataclasses.replace(settings, disparity_offset=settings.disparity_offset + offset.correction)
+    corrected = settings.disparity_offset + offset.value
+    return dataclasses.replace(settings, disparity_offset=corrected, disparity_offset_sigma=offset.sigma)
 
 
 def _is_yaw(rows: RowOffsets, camera: StereoCamera, shift: float, doubt: float) -> bool:
@@ -91,11 +89,6 @@ class DisparityOffset:
         self.value = 0.0
         """The estimate, px."""
         self._information = PRIOR_SIGMA**-2
-
-    @property
-    def correction(self) -> float:
-        """Correction of disparities: `value` where noise alone hardly explains it, else 0; px."""
-        return self.value if abs(self.value) > _SIGNIFICANT * self.sigma else 0.0
 
     @property
     def sigma(self) -> float:

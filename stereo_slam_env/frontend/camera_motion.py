@@ -1,14 +1,15 @@
-"""Motions of the camera between the frames of a recording, from its tracks, and the accelerations they show."""
+"""Motions of the camera between frames, from tracks, and what they show of accelerations and of odometry's errors."""
 
 from __future__ import annotations
 
+import logging
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
 
-from filters import ConstantVelocity, StereoCamera, StereoNoise
+from filters import BodyVelocity, ConstantVelocity, StereoCamera, StereoNoise
 from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray
 from stereo_slam_env.frontend.ego_motion import Pairs, Step, robust_step
@@ -23,6 +24,19 @@ _AS_DEGREES = (30.0, 110.0)
 """Gyro over images, where the gyro gives degrees per second (57.3)."""
 FIRST_GUESS = StereoNoise.independent_pixels(0.4)
 """For the weights of the motion between two frames, where measurements bring no covariance."""
+_LONGEST_DELAY = 0.3
+"""s: what is looked for."""
+_DELAY, _BIAS = 0.05, 0.01
+"""Standard deviations of the delay, s, and of the bias of a rate, rad/s, beforehand."""
+_FEWEST = 30
+"""Steps with odometry and a motion by the tracks; with fewer nothing is measured."""
+_RELATED = 25.0
+"""Squared distances, in all, that the best delay must explain beyond those of the others: of a straight drive it is
+none."""
+_OUTLIER, _BLOCK = 3.0, 10
+"""Robust standard deviations at which a difference is cut off; steps over which errors of tracks last."""
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,10 +128,12 @@ def needed_motion(recording: Recording, usual: ConstantVelocity | None = None) -
 def set_up_for_tracks(recording: Recording) -> Recording:
     """The recording of real pictures with its setup of filters, unless it states one; a simulated one as it is.
 
-    Tracks have outliers, which the joint test over each frame finds, and accelerations that they show themselves.
+    Tracks have outliers, which the joint test over each frame finds, and accelerations that they show themselves;
+    odometry may be late and have a bias, see `with_corrected_odometry`.
     """
     if recording.stated_setup is not None or recording.truth_from.kind == "simulation":
         return recording
+    recording = with_corrected_odometry(recording)
     setup = FilterSetup(consensus=True, motion=asdict(needed_motion(recording)))
     return replace(recording, stated_setup=setup)
 
@@ -182,3 +198,107 @@ def require_gyro_units(recording: Recording) -> None:
             f"{recording.name}: the gyro turns {ratio:.1f} times as far as the images: are its rates in degrees per "
             "second? rad/s are expected"
         )
+
+
+@dataclass(frozen=True, eq=False)
+class OdometryErrors:
+    """Errors of the odometry of a recording, the most likely ones with what is usual beforehand."""
+
+    delay: float
+    """By which odometry comes late, s; negative where it comes early."""
+    delay_sigma: float
+    """Its standard deviation, s."""
+    bias: FloatArray
+    """(3,) of the rates, camera frame, rad/s."""
+    bias_sigma: FloatArray
+    """(3,) its standard deviations, rad/s."""
+
+    def __str__(self) -> str:
+        bias = ", ".join(f"{1e3 * b:+.1f} ± {1e3 * s:.1f}" for b, s in zip(self.bias, self.bias_sigma, strict=True))
+        return f"{1e3 * self.delay:+.0f} ± {1e3 * self.delay_sigma:.0f} ms late, rates off by {bias} mrad/s"
+
+
+def odometry_errors(recording: Recording) -> OdometryErrors | None:
+    """Delay and bias of the odometry of a recording against its tracks; None where too little can be compared.
+
+    The delay is that at which rates of odometry and of tracks differ least, between steps by a parabola; the bias is
+    the mean difference that is left.
+    """
+    times, odometry, by_tracks = _velocities(recording)
+    rates, turned = odometry[:, 3:], by_tracks[:, 3:]
+    if np.isfinite(rates + turned).all(axis=1).sum() < _FEWEST:
+        return None
+    sigma = 1.4826 * np.nanmedian(np.abs(rates - turned - np.nanmedian(rates - turned, axis=0)), axis=0) + 1e-9
+    frame = float(np.median(np.diff(times)))
+    most = min(round(_LONGEST_DELAY / frame), len(times) // 4)
+    costs = np.array([_misfit(rates, turned, sigma, frames) for frames in range(-most, most + 1)])
+    delay, delay_sigma = 0.0, _DELAY
+    best = 1 + int(np.argmin(costs[1:-1])) if len(costs) > 2 else 0
+    if best and np.median(costs) - costs[best] > _RELATED:
+        below, at, above = costs[best - 1 : best + 2]
+        curvature = above - 2.0 * at + below
+        frames = best - most - 0.5 * (above - below) / curvature
+        variance = 2.0 / curvature * at / (3 * len(times)) * frame**2
+        share = _DELAY**2 / (_DELAY**2 + variance)
+        delay, delay_sigma = share * frames * frame, float(np.sqrt(share * variance))
+    left = _at(times, rates, times + delay) - turned
+    left = left[np.isfinite(left).all(axis=1)]
+    left = left[(np.abs(left - np.median(left, axis=0)) < 2.0 * _OUTLIER * sigma).all(axis=1)]
+    blocks = np.array([block.mean(axis=0) for block in np.array_split(left, max(len(left) // _BLOCK, 2))])
+    variances = blocks.var(axis=0, ddof=1) / len(blocks)
+    share = _BIAS**2 / (_BIAS**2 + variances)
+    return OdometryErrors(delay, delay_sigma, share * blocks.mean(axis=0), np.sqrt(share * variances))
+
+
+def with_corrected_odometry(recording: Recording) -> Recording:
+    """The recording with its odometry read when it was measured, less its bias; what is unsure is in its covariance."""
+    errors = odometry_errors(recording)
+    if errors is None:
+        return recording
+    _log.info("%s: its odometry is %s", recording.name, errors)
+    times, odometry, by_tracks = _velocities(recording)
+    read = _at(times, odometry, times + errors.delay)
+    read[:, 3:] -= errors.bias
+    changes = np.diff(by_tracks, axis=0) / np.diff(times)[:, None]
+    unsure = np.nanmedian(changes**2, axis=0) * errors.delay_sigma**2
+    unsure[3:] += errors.bias_sigma**2
+    frames = list(recording.frames)
+    for k, velocity in enumerate(read, start=1):
+        stated = frames[k].odometry
+        if stated is not None:
+            corrected = BodyVelocity(velocity[:3], velocity[3:], stated.covariance + np.diag(unsure))
+            frames[k] = replace(frames[k], odometry=corrected)
+    return replace(recording, frames=tuple(frames), source={**recording.source, "odometry": str(errors)})
+
+
+def _velocities(recording: Recording) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Middles of the K steps, s, and velocities over them (K, 6) by odometry and by tracks; NaN: unknown."""
+    stamps = np.array([frame.timestamp for frame in recording.frames])
+    odometry, by_tracks = np.full((2, max(len(stamps) - 1, 0), 6), np.nan)
+    for k, (frame, step) in enumerate(
+        zip(recording.frames[1:], camera_steps(recording.camera, recording.frames), strict=True)
+    ):
+        if frame.odometry is not None:
+            odometry[k] = np.concatenate([frame.odometry.linear, frame.odometry.angular])
+        if step is not None:
+            moved = np.concatenate([step.step.t, rotations.log(step.step.R)])
+            by_tracks[k] = moved / (stamps[k + 1] - stamps[k])
+    return 0.5 * (stamps[1:] + stamps[:-1]), odometry, by_tracks
+
+
+def _misfit(rates: FloatArray, turned: FloatArray, sigma: FloatArray, frames: int) -> float:
+    """Squared distance of rates so many frames later from those of the tracks, as if all K were there."""
+    later = np.full_like(rates, np.nan)
+    if frames >= 0:
+        later[: len(rates) - frames] = rates[frames:]
+    else:
+        later[-frames:] = rates[:frames]
+    difference = later - turned
+    distances = np.minimum(((difference - np.nanmedian(difference, axis=0)) / sigma) ** 2, _OUTLIER**2)
+    return float(np.nanmean(distances.sum(axis=1)) * len(rates))
+
+
+def _at(times: FloatArray, velocities: FloatArray, when: FloatArray) -> FloatArray:
+    """Velocities at other times, linear in between; unknown ones are bridged."""
+    known = np.isfinite(velocities).all(axis=1)
+    return np.column_stack([np.interp(when, times[known], column[known]) for column in velocities.T])

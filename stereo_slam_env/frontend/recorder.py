@@ -95,7 +95,7 @@ def record_tracks(
         truth_from=sequence.truth_from,
     )
     require_gyro_units(recording)
-    return with_measured_noise(with_moving_start(recording, first_step))
+    return with_measured_noise(with_moving_start(recording, first_step), settings.disparity_offset_sigma)
 
 
 class ActiveSearch:

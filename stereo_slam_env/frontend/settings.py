@@ -53,8 +53,6 @@ class TrackerSettings:
     taken."""
     gate: float = 0.999
     """Probability with which a standing landmark passes the test against the motion of the scene."""
-    probation: int = 2
-    """Pairs in which a new landmark must pass that test before the filter gets it."""
     max_misses: int = 2
     """Most pairs in a row without a match: a landmark that is missed in one more is dropped."""
     margin: int = 8
@@ -67,6 +65,8 @@ class TrackerSettings:
     """By how much the angular velocity may change between pairs, rad/s^2."""
     disparity_offset: float = 0.0
     """Added to every measured disparity, px: what the rectification left, see `frontend.calibration`."""
+    disparity_offset_sigma: float = 0.0
+    """Standard deviation of that offset, px, for filters that estimate what is left of it."""
     sigma_floor: float = 0.05
     """No pixel coordinate is believed to better than this, px. Enough for images of a camera or of `gl`, not for those
     of `tiny`: see `settings_for`."""
@@ -78,14 +78,15 @@ class TrackerSettings:
     parallax, in time or between the cameras, the more that displaces a match."""
 
     def __post_init__(self) -> None:
-        lowest = {"max_landmarks": 1, "refill_below": 0, "probation": 0, "max_misses": 0, "margin": 8}
+        lowest = {"max_landmarks": 1, "refill_below": 0, "max_misses": 0, "margin": 8}
         for name, low in lowest.items():
             whole_number(name, getattr(self, name), low)
         if self.refill_below > self.max_landmarks:
             most = f"max_landmarks = {self.max_landmarks}"
             raise ValueError(f"refill_below must be at most {most}, got {self.refill_below}")
         finite_array("disparity_offset", self.disparity_offset, ())
-        positive("image_blur", self.image_blur, allow_zero=True)
+        for name in ("image_blur", "disparity_offset_sigma"):
+            positive(name, getattr(self, name), allow_zero=True)
         for name in _POSITIVE:
             positive(name, getattr(self, name))
         for name in ("min_score", "uniqueness", "search_gate", "gate"):

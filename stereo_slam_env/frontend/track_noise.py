@@ -262,7 +262,7 @@ def track_noise(recording: Recording) -> TrackNoise:
     return statistics.noise
 
 
-def with_measured_noise(recording: Recording) -> Recording:
+def with_measured_noise(recording: Recording, offset_sigma: float = 0.0) -> Recording:
     """The recording with what its tracks say of their noise: `ColouredNoise`, with the R that it had.
 
     Measurements that bring a covariance of their own keep it as the white part and drift by a share of it. The white
@@ -271,7 +271,8 @@ def with_measured_noise(recording: Recording) -> Recording:
     of the residuals that is not white makes it, and as R where nothing is known. The rig of a simulation is as stated;
     that of anybody else has the errors of the constants above, and its tracks have a part in common that no residual
     shows. A roll of the right camera is looked for only where measurements bring a covariance: tracks that slide over
-    the ground ahead look like one.
+    the ground ahead look like one. `offset_sigma`, px, is that of a disparity offset that is already corrected, where
+    it is less known than usual.
     """
     found = track_noise(recording)
     if found.is_rough:
@@ -291,6 +292,7 @@ def with_measured_noise(recording: Recording) -> Recording:
         )
     stranger = recording.truth_from.kind != "simulation"
     noise = stated_noise(found, recording.noise, bring_R(recording), stranger)
+    noise = dataclasses.replace(noise, disparity_offset=max(noise.disparity_offset, offset_sigma))
     _log.info("%s: %s", recording.name, noise)
     return dataclasses.replace(_with_claims_raised(recording, found.claimed_too_small), noise=noise)
 

@@ -21,7 +21,7 @@ from stereo_slam_env.frontend.ego_motion import (
     robust_step,
 )
 from stereo_slam_env.frontend.finding import Found, PairFinder
-from stereo_slam_env.frontend.moving_objects import STRIKES, beside_moving, judged
+from stereo_slam_env.frontend.moving_objects import beside_moving, judged
 from stereo_slam_env.frontend.patches import SUPPORT, cut_patches
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.frontend.tracks import (
@@ -60,7 +60,7 @@ _MODELLED = (1e-3, 10.0)
 """The model of the motion is asked about times within this, s: velocities from shorter ones are all noise, and it says
 nothing about longer ones."""
 _SPARE = 1.4
-"""Landmarks followed for each one that the filter may have: some are on probation."""
+"""Landmarks followed for each one that the filter may have: some are not found in a pair."""
 
 
 class StereoTracker:
@@ -146,7 +146,7 @@ class StereoTracker:
             followed, searched, dropped = self._follow(finder, positive("dt", dt), forecast)
         fresh = self._new_corners(finder, followed)
         corners = StereoObservation(fresh.ids, fresh.uvd, R=fresh.R)
-        measured, tracks, initialised = self._release(followed.joined(fresh), first=first)
+        measured, tracks, initialised = self._release(followed.joined(fresh))
         self._tracks, self._left = tracks, left.copy()  # a camera may write its next image over this one
         return TrackedPair(*measured, searched, corners, initialised, dropped)
 
@@ -258,7 +258,7 @@ class StereoTracker:
     def _kept(self, tracks: Tracks, outcome: IntArray) -> BoolArray:
         standing = ~tracks.moving
         gone = (outcome == Outcome.OUT_OF_VIEW) | (tracks.misses > self.settings.max_misses)
-        gone |= standing & (tracks.strikes >= np.where(tracks.released, _GIVE_UP_STRIKES, STRIKES))
+        gone |= standing & (tracks.strikes >= _GIVE_UP_STRIKES)
         return np.asarray(~gone)
 
     def _new_corners(self, finder: PairFinder, tracks: Tracks) -> Tracks:
@@ -273,11 +273,10 @@ class StereoTracker:
         patches = cut_patches(finder.left, uvd[:, :2])
         return new_tracks(ids, patches, uvd, R, self._R_vc, self._position_v)
 
-    def _release(self, tracks: Tracks, *, first: bool) -> tuple[Measured, Tracks, IntArray]:
-        """Ids, (u, v, d), R for the filter: found in this pair, standing, past probation (in the first pair: all)."""
-        here = np.isfinite(tracks.measured[:, 0, 0]) & ~tracks.moving & (tracks.strikes == 0)
-        here &= tracks.released | (tracks.age >= self.settings.probation) | first
-        candidates = np.flatnonzero(here)
+    def _release(self, tracks: Tracks) -> tuple[Measured, Tracks, IntArray]:
+        """Ids, (u, v, d), R for the filter, of landmarks found in this pair that move like the scene."""
+        found = np.isfinite(tracks.measured[:, 0, 0]) & ~tracks.moving & (tracks.strikes == 0)
+        candidates = np.flatnonzero(found)
         if len(candidates) > self.settings.max_landmarks:
             order = np.argsort(~tracks.released[candidates], kind="stable")  # those the filter has, then by id
             candidates = np.sort(candidates[order[: self.settings.max_landmarks]])

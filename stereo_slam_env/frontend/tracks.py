@@ -71,7 +71,7 @@ class TrackedPair:
     search: Search = field(default_factory=nothing_searched)
     """How the landmarks of earlier pairs were followed; empty where that is not told."""
     corners: StereoObservation | None = None
-    """New corners of this pair, which the filter may get after a probation; None: those new in `ids`."""
+    """New corners of this pair, of which the filter gets as many as it may have; None: those new in `ids`."""
     initialised: IntArray = field(default_factory=_no_ids)
     """(K,): which of `ids` are new to the filter."""
     dropped: IntArray = field(default_factory=_no_ids)

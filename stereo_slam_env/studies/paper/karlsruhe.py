@@ -82,7 +82,7 @@ def experiments(found: Mapping[str, Path]) -> dict[str, partial[Arrays]]:
 
 def turn(folder: str, frames: tuple[int, int], files: Any = None) -> Arrays:
     """Depth histories of the landmarks seen throughout; `files` tells results of other files apart."""
-    recording = _recording(folder, frames, probation=0)
+    recording = _recording(folder, frames)
     ids = convergence.seen_throughout(recording)
     constant = recording.camera.disparity_constant
     raw = convergence.raw_depths(convergence.measured_disparities(recording, ids), constant)
@@ -226,9 +226,9 @@ def _without_own_R(recording: Recording) -> Recording:
     return recording.with_observations(replace(frame.observation, R=None) for frame in recording.frames)
 
 
-def _recording(folder: str, frames: tuple[int, int], **front_end: Any) -> Recording:
+def _recording(folder: str, frames: tuple[int, int]) -> Recording:
     sequence, settings = open_for_front_end(folder, first=frames[0], last=frames[1], on_broken="skip")
-    return record_tracks(sequence, replace(settings, **front_end))
+    return record_tracks(sequence, settings)
 
 
 def _stamp(folder: Path) -> list[float]:

@@ -4,11 +4,26 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from filters import ConstantVelocity, InertialSamples, InertialUnit, StereoCamera, StereoNoise, StereoObservation
-from stereo_slam_env.frontend.camera_motion import camera_steps, needed_motion, require_gyro_units
-from stereo_slam_env.recording.recording import Frame, Recording
+from filters import (
+    BodyVelocity,
+    ConstantVelocity,
+    InertialSamples,
+    InertialUnit,
+    StereoCamera,
+    StereoNoise,
+    StereoObservation,
+)
+from stereo_slam_env.frontend.camera_motion import (
+    camera_steps,
+    needed_motion,
+    odometry_errors,
+    require_gyro_units,
+    set_up_for_tracks,
+)
+from stereo_slam_env.recording.recording import Frame, Recording, Reference
 
 CAMERA = StereoCamera(400.0, 400.0, 319.5, 239.5, 0.25, 640, 480)
 NOISE = StereoNoise.independent_pixels(0.3)
@@ -119,3 +134,69 @@ def test_the_velocity_between_frames_counts_with_their_own_times():
     uneven = [frame for k, frame in enumerate(steady) if k % 3]
     found = needed_motion(replace(recording, frames=tuple(uneven)), NOTHING)
     assert found.sigma_acceleration < 0.4
+
+
+# --- odometry against tracks ---
+
+SIGMAS = np.repeat([0.05, 0.02], 3)
+
+
+def swaying(late: float = 0.0, bias: ArrayLike = 0.0, turns: float = 0.2, seed: int = 0) -> Recording:
+    """A camera that sways before 100 points, with odometry `late` by some seconds and off by a bias, rad/s."""
+    rng, fine = np.random.default_rng(seed), DT / 20
+    times = np.arange(20 * (FRAMES + 10)) * fine
+    rates = turns * np.sin(np.outer(times, [1.3, 2.1, 1.7]))
+    speeds = 0.3 * np.cos(np.outer(times, [1.1, 0.7, 1.9]))
+    points, pixels = rng.uniform(-1.0, 1.0, (100, 3)) * 3.0 + [0.0, 0.0, 6.0], np.linalg.cholesky(NOISE.R)
+    p, R, frames, covariance = np.zeros(3), Rotation.identity(), [], np.diag(SIGMAS**2)
+    for k in range(FRAMES):
+        uvd = CAMERA.project(R.inv().apply(points - p)) + rng.normal(size=(len(points), 3)) @ pixels.T
+        seen, odometry = np.flatnonzero(CAMERA.in_view(uvd)), None
+        if k:
+            begin = 20 * (k + 4) - round(late / fine)
+            over = slice(begin, begin + 20)
+            noise = SIGMAS * rng.normal(size=6)
+            odometry = BodyVelocity(
+                speeds[over].mean(axis=0) + noise[:3], rates[over].mean(axis=0) + bias + noise[3:], covariance
+            )
+        frames.append(Frame(k * DT, StereoObservation(seen, uvd[seen]), odometry))
+        for i in range(20 * (k + 5), 20 * (k + 6)):
+            p, R = p + R.apply(speeds[i] * fine), R * Rotation.from_rotvec(rates[i] * fine)
+    return Recording("swaying", CAMERA, tuple(frames), NOISE, truth_from=Reference("surveyed", "exact"))
+
+
+@pytest.mark.parametrize("late", [0.0, 0.07, 0.2, -0.05])
+def test_the_delay_of_odometry_is_measured_as_well_as_it_claims(late):
+    found = odometry_errors(swaying(late))
+    assert found.delay_sigma < 0.01
+    assert abs(found.delay - late) < 3.5 * found.delay_sigma
+
+
+def test_a_bias_of_its_rates_is_measured_as_well_as_it_claims():
+    bias = (0.011, -0.011, 0.006)
+    errors = [odometry_errors(swaying(0.05, bias, seed=seed)) for seed in range(4)]
+    normalised = np.array([(e.bias - bias) / e.bias_sigma for e in errors])
+    assert np.abs(normalised).max() < 4.0
+    assert max(e.bias_sigma.max() for e in errors) < 0.004
+
+
+def test_without_turns_a_delay_stays_as_unknown_as_it_was():
+    found = odometry_errors(swaying(0.1, turns=0.0))
+    assert (found.delay, found.delay_sigma) == (0.0, 0.05)
+
+
+def test_a_recording_is_set_up_with_its_odometry_in_time_and_without_the_bias():
+    wrong, right = swaying(0.2, (0.02, 0.0, 0.0)), swaying()
+    read = set_up_for_tracks(wrong)
+    assert "ms late" in read.source["odometry"]
+    pairs = [(a.odometry, b.odometry) for a, b in zip(read.frames[1:-3], right.frames[1:-3], strict=True)]
+    off = np.array([np.r_[a.linear - b.linear, a.angular - b.angular] for a, b in pairs])
+    assert np.abs(off.mean(axis=0)).max() < 0.01
+    assert np.all(off.std(axis=0) < 2.0 * SIGMAS)
+    assert all(np.all(np.diag(a.covariance) > np.diag(b.covariance)) for a, b in pairs)
+
+
+def test_odometry_of_few_frames_and_of_simulations_is_left_alone():
+    assert odometry_errors(swaying(0.2)[:20]) is None
+    simulated = replace(swaying(0.2), truth_from=Reference("simulation", "exact"))
+    assert set_up_for_tracks(simulated) is simulated

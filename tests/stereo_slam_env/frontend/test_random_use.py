@@ -113,7 +113,6 @@ sequences = st.lists(calls, min_size=4, max_size=8)
 options = st.fixed_dictionaries(
     {
         "max_landmarks": st.sampled_from([1, 5, 40]),
-        "probation": st.integers(0, 2),
         "max_misses": st.integers(0, 3),
         "margin": st.sampled_from([8, 8, 100, 300]),
         "max_radius": st.sampled_from([0.01, 24.0, 1e9]),

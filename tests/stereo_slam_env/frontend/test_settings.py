@@ -21,7 +21,6 @@ from stereo_slam_env.frontend.settings import TrackerSettings
         ("search_gate", None),
         ("gate", 1.0),
         ("max_radius", float("nan")),
-        ("probation", True),
         ("max_misses", -1),
         ("margin", 3),
         ("min_distance", 0.0),
@@ -30,6 +29,7 @@ from stereo_slam_env.frontend.settings import TrackerSettings
         ("image_blur", -0.1),
         ("image_blur", float("nan")),
         ("disparity_offset", float("inf")),
+        ("disparity_offset_sigma", -0.1),
     ],
 )
 def test_an_impossible_value_is_named_in_one_line(field, value):
@@ -48,9 +48,15 @@ def test_what_is_not_set_is_as_documented():
         **{"method": "active-search", "model": None, "matcher_model": None},
         **{"max_landmarks": 100, "refill_below": 85, "nearest": 2.5, "min_disparity": 1.0},
         **{"min_score": 0.8, "uniqueness": 0.92, "search_gate": 0.99, "max_radius": 24.0, "gate": 0.999},
-        **{"probation": 2, "max_misses": 2, "margin": 8, "min_distance": 10.0},
+        **{"max_misses": 2, "margin": 8, "min_distance": 10.0},
         **{"sigma_acceleration": 3.0, "sigma_angular_acceleration": 0.6},
-        **{"disparity_offset": 0.0, "sigma_floor": 0.05, "image_blur": 0.0, "sigma_relief": 0.04},
+        **{
+            "disparity_offset": 0.0,
+            "disparity_offset_sigma": 0.0,
+            "sigma_floor": 0.05,
+            "image_blur": 0.0,
+            "sigma_relief": 0.04,
+        },
     }
 
 
@@ -59,7 +65,6 @@ def test_what_is_not_set_is_as_documented():
     [
         {"max_landmarks": 1, "refill_below": 1},
         {"max_landmarks": 1, "refill_below": 0},
-        {"probation": 0},
         {"max_misses": 0},
         {"margin": 8},
         {"image_blur": 0.0},
