@@ -7,15 +7,16 @@
     python benchmarks/changed_recordings.py DATA --options '{"iterations": 3}'    # of the filter
     python benchmarks/changed_recordings.py DATA --severe                         # what no filter survives
     python benchmarks/changed_recordings.py DATA --grades                         # noise and outliers in between
+    python benchmarks/changed_recordings.py DATA --odometry                       # as stated and corrected
     python benchmarks/changed_recordings.py --rendered 6 --renderer gl            # right turns, all changes
     python benchmarks/changed_recordings.py --wrong-rigs 5 --rigs 4               # rendered drives, wrong rigs of each
 
 DATA is the folder that holds the recordings of `benchmarks/real_covariances.py`. The tracks are changed, their noise is
-measured again as a stranger's would be, and "coloured-noise" runs on them with vision only. NEES/6 of the pose and of
-the motion over windows of 1 s and 3 s should be 1, with the number of windows; the log score is minus the mean log
-likelihood of windows (nats, lower is better); ATE is rigid, m. NIS by its degrees of freedom, the share of gated
-measurements and that of the frames in which the alarm of a `DivergenceMonitor` stands, %, are what a user sees without
-a truth.
+measured again as a stranger's would be, and "coloured-noise" runs on them, vision only but for `--odometry`. NEES/6 of
+the pose and of the motion over windows of 1 s and 3 s should be 1, with the number of windows; the log score is minus
+the mean log likelihood of windows (nats, lower is better); ATE is rigid, m. NIS by its degrees of freedom, the share of
+gated measurements and that of the frames in which the alarm of a `DivergenceMonitor` stands, %, are what a user sees
+without a truth.
 """
 
 from __future__ import annotations
@@ -28,13 +29,14 @@ from typing import Any
 import numpy as np
 
 import stereo_slam_env as sse
-from filters import DivergenceMonitor, Pose, StereoCamera, StereoNoise, StereoObservation, nees
+from filters import BodyVelocity, DivergenceMonitor, Pose, StereoCamera, StereoNoise, StereoObservation, nees
 from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray
 from harness import arguments, show
+from stereo_slam_env.datasets import layout_of, track_layouts
 from stereo_slam_env.evaluation.trajectory_metrics import ate_rigid
 from stereo_slam_env.evaluation.windows import window_ends
-from stereo_slam_env.frontend import with_measured_noise
+from stereo_slam_env.frontend import set_up_for_tracks, with_measured_noise
 from stereo_slam_env.frontend.causal_noise import CausalNoiseEKF
 from stereo_slam_env.frontend.track_noise import MISALIGNMENT, bring_R, stated_noise, track_noise
 from stereo_slam_env.recording.recording import GIVEN_TRUTH, Frame, Recording
@@ -66,6 +68,25 @@ def measured_again(recording: Recording, look: int | None = None) -> Recording:
 def every(n: int) -> Change:
     """Every nth frame; odometry is of single steps and left out."""
     return lambda drive, rng: replace(drive, frames=tuple(replace(frame, odometry=None) for frame in drive.frames[::n]))
+
+
+def late(frames: int) -> Change:
+    """Odometry that comes so many frames late."""
+
+    def change(drive: Recording, rng: np.random.Generator) -> Recording:
+        told = [drive.frames[max(k - frames, 1)].odometry for k in range(len(drive))]
+        return replace(drive, frames=tuple(replace(f, odometry=o) for f, o in zip(drive.frames, told, strict=True)))
+
+    return change
+
+
+def biased(*rates: float) -> Change:
+    """A gyro with a bias, rad/s."""
+
+    def off(odometry: BodyVelocity | None) -> BodyVelocity | None:
+        return None if odometry is None else replace(odometry, angular=odometry.angular + rates)
+
+    return lambda drive, rng: replace(drive, frames=tuple(replace(f, odometry=off(f.odometry)) for f in drive.frames))
 
 
 def _seen(drive: Recording, change: Callable[[StereoObservation], StereoObservation]) -> Recording:
@@ -184,6 +205,12 @@ GRADES: Mapping[str, Change] = {
     **{f"{100 * share:g} % outliers": outliers(share) for share in (0.1, 0.2)},
 }
 """Noise and wrong matches in between."""
+ODOMETRY: Mapping[str, Change] = {
+    "as it is": lambda drive, rng: drive,
+    "1 frame late": late(1),
+    "rates + 11 mrad/s": biased(-0.011, -0.011, 0.010),
+}
+"""Odometry that is worse."""
 OF_THE_RIG = (*tuple(CHANGES)[-3:], *tuple(SEVERE)[-2:])
 """Changes after which the rig is not as it is stated."""
 
@@ -228,8 +255,10 @@ class Row:
 HEADS = ("", "NEES/6", "1 s (n)", "3 s (n)", "score 1 s", "3 s", "ATE, m", "NIS", "gated, %", "alarm, %")
 
 
-def scored(recording: Recording, slam: str | type = "coloured-noise", **options: Any) -> Row:
-    """A filter on a recording, vision only."""
+def scored(
+    recording: Recording, slam: str | type = "coloured-noise", use_odometry: bool = False, **options: Any
+) -> Row:
+    """A filter on a recording, vision only unless said."""
     reference, frames = recording.reference, recording.frames
     times = np.array([frame.timestamp for frame in frames])
     scored_at = np.flatnonzero([frame.truth is not None for frame in frames] & reference.has_settled(times))
@@ -237,7 +266,7 @@ def scored(recording: Recording, slam: str | type = "coloured-noise", **options:
     found: dict[float, list[tuple[float, float]]] = {seconds: [] for seconds in WINDOWS}
     pose, estimates, nis, dof, gated, measured = [], [], 0.0, 0, 0, 0
     monitor, alarmed = DivergenceMonitor(), 0
-    for moment in sse.run(slam, recording, use_odometry=False, **options):
+    for moment in sse.run(slam, recording, use_odometry=use_odometry, **options):
         k, running = moment.number, moment.slam
         nis, dof = nis + moment.report.nis, dof + moment.report.nis_dof
         gated, measured = gated + len(moment.report.gated), measured + len(moment.observation)
@@ -298,6 +327,22 @@ def show_changes(
         for name in changes
     ]
     show(title, HEADS, rows)
+
+
+def show_odometry(folder: Path, frames: int | None) -> None:
+    """A row for each change of the odometry, as it is stated and corrected by the tracks; and without it."""
+    layouts = {layout.NAME: layout for layout in track_layouts()}
+    stated = layouts[layout_of(folder)].read(folder)[:frames]
+    drive = set_up_for_tracks(with_measured_noise(stated))
+    rows = [("vision only", *scored(drive).cells)]
+    for name, change in ODOMETRY.items():
+        wrong = change(replace(stated, noise=drive.noise), np.random.default_rng(0))
+        for how, one in (
+            ("as stated", replace(wrong, stated_setup=drive.stated_setup)),
+            ("corrected", set_up_for_tracks(wrong)),
+        ):
+            rows.append((f"{name}, {how}", *scored(one, use_odometry=True).cells))
+    show(f"odometry of {folder.name}, {len(drive)} frames", HEADS, rows)
 
 
 def _mean(rows: Sequence[Row]) -> Row:
@@ -361,11 +406,16 @@ def main() -> None:
         wrong_rigs=0,
         rigs=1,
         exact_mounting=False,
+        odometry=False,
         first_seed=0,
         renderer="gl",
         route="right-turn",
     )
     look = 0 if given.causal else given.look
+    if given.odometry and given.data is not None:
+        for name in set(given.recordings) & {"kitti07_tracks", "starry_night_a"}:
+            show_odometry(given.data / name, RECORDINGS[name])
+        return
     changes = list(SEVERE) if given.severe else list(GRADES) if given.grades else given.changes
     if given.data is not None:
         for name in given.recordings:
