@@ -8,8 +8,6 @@ measurement of the vertical in the camera frame in each frame, `--sigma-mrad` of
 
 from __future__ import annotations
 
-from typing import Any
-
 import gymnasium as gym
 import numpy as np
 from scipy.stats import bootstrap
@@ -20,8 +18,8 @@ from filters.geometry.arrays import FloatArray
 from harness import arguments, show
 from stereo_slam_env.envs.recorder import recording_of
 from stereo_slam_env.recording.recording import Recording
+from stereo_slam_env.training import GazeTask
 
-OPTIONS: dict[str, Any] = {"drop_unseen": False, "motion": "velocity-driven", "iterations": 2}
 DOWN = np.array([0.0, 1.0, 0.0])
 AXES = "sideways", "vertical", "ahead"
 
@@ -43,7 +41,7 @@ def drive(seed: int) -> Recording:
 
 def final_error(recording: Recording, seed: int, sigma: float | None) -> FloatArray:
     """Position error in the last frame, (3,) m; the vertical is measured to `sigma`, rad, unless that is None."""
-    slam = make_filter("shared-anchor", camera=recording.camera, noise=recording.noise, **OPTIONS)
+    slam = make_filter("shared-anchor", camera=recording.camera, noise=recording.noise, **GazeTask().filter_options)
     slam.reset(recording.start)
     rng, before = np.random.default_rng(seed), recording.frames[0].timestamp
     for number, frame in enumerate(recording.frames):

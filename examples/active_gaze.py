@@ -12,10 +12,11 @@ import gymnasium as gym
 import numpy as np
 
 import stereo_slam_env as sse
-from filters import Pose, VelocityDriven, make_filter
+from filters import Pose, make_filter
+from stereo_slam_env.training import GazeTask
 
-# The map keeps what is out of view; the odometry is believed; what comes back into view needs two linearisations.
-OPTIONS = {"drop_unseen": False, "motion": VelocityDriven(), "iterations": 2}
+# The map keeps what is out of view, the odometry is believed, what comes back into view is linearised twice.
+OPTIONS = GazeTask().filter_options
 SIDEWAYS = 0.9  # rad; what is farther round has almost been passed
 
 

@@ -19,10 +19,10 @@ from torch import nn
 from torch.distributions import Normal
 
 import stereo_slam_env  # noqa: F401 (registers the ids)
+from stereo_slam_env.training import GazeTask
 
 DISCOUNT, GAE_LAMBDA, CLIP, EPOCHS, MINIBATCHES = 0.95, 0.95, 0.2, 10, 4
 VALUE_WEIGHT, MAX_GRADIENT, REWARD_SCALE = 0.5, 0.5, 1.0
-FILTER = {"drop_unseen": False, "motion": "velocity-driven", "iterations": 2}
 
 
 class Agent(nn.Module):
@@ -95,7 +95,8 @@ def main():
     given = parser.parse_args()
     torch.manual_seed(given.seed)
     torch.set_num_threads(1)  # so small a network is slower on several
-    loop = {"belief": {"options": FILTER, "hold": 4}, "panorama": {}, "error": {}}  # a decision holds for 0.4 s
+    belief = {"options": GazeTask().filter_options, "hold": 4}  # a decision holds for 0.4 s
+    loop = {"belief": belief, "panorama": {}, "error": {}}
     kind = {**loop, "keys": ["belief_sigmas", "head", "panorama"], "route": given.route}
     envs = FlattenObservation(gym.make_vec("StereoSlam/Gaze-v0", given.environments, **kind))
     assert envs.metadata["autoreset_mode"] is gym.vector.AutoresetMode.NEXT_STEP

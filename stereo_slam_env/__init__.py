@@ -55,9 +55,9 @@ _register("StereoSlam/Drive-v0", "envs.drive", "StereoDriveEnv", 1200, 32.7)
 _register("StereoSlam/Gaze-v0", "envs.gaze", "StereoGazeEnv", 3000)
 _register("StereoSlam/DriveGaze-v0", "envs.drive_gaze", "StereoDriveGazeEnv", 1200)
 for _task, _made, _most, _best in (
-    ("ActiveGaze", "active_gaze", 600, -0.59),
-    ("Explore", "explore", 1200, 8.34),
-    ("Revisit", "revisit", 100, 8.28),
+    ("ActiveGaze", "active_gaze", 600, -0.69),
+    ("Explore", "explore", 1200, 8.36),
+    ("Revisit", "revisit", 100, 8.29),
     ("ClosedLoop", "closed_loop", 1200, 21.5),
     ("Branches", "branches", 1000, 22.1),
 ):

@@ -32,9 +32,15 @@ from stereo_slam_env.wrappers.information import CRITERIA, Criterion
 from stereo_slam_env.wrappers.information_gain import BeliefOf
 from stereo_slam_env.wrappers.vectors import rows_of
 
-GAZE_FILTER: Mapping[str, Any] = {"drop_unseen": False, "motion": "velocity-driven", "iterations": 2}
-"""Options of a filter for a head that turns: it keeps what is out of view, believes the odometry, and linearises twice,
-because landmarks that come back into view correct it by a lot at once."""
+GAZE_FILTER: Mapping[str, Any] = {
+    "drop_unseen": False,
+    "motion": "velocity-driven",
+    "iterations": 2,
+    "relinearise_above": 1.0,
+}
+"""Options of a filter for a head that turns: it keeps what is out of view, believes the odometry, and linearises a
+second time what its first tangent misses by more than its noise: landmarks that come back into view correct it by a lot
+at once, and all others, relinearised, would stretch the way."""
 POLICY_KEYS = ("belief_sigmas", "head", "panorama")
 """Keys of the observation that a network decides by, in their order."""
 _ID = "StereoSlam/ActiveGaze-v0"

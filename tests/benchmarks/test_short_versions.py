@@ -168,3 +168,15 @@ def test_the_same_corners_are_compared_with_every_blur() -> None:
     everything = np.concatenate([matched for _, matched in blocks])
     np.testing.assert_allclose(mean, 1e3 * everything.mean(axis=0) / image_blur.LATER)
     assert np.all(error > 0.0)
+
+
+def test_the_filter_of_the_gaze_tasks_does_not_stretch_the_way_and_one_that_relinearises_everything_does() -> None:
+    """64 drives with a narrow baseline: the signed error ahead over its claim is within 4 over the root of 64."""
+    relinearising = script("relinearising")
+
+    def signed(options: dict[str, object]) -> float:
+        errors, P = relinearising.ends("groves", 0.12, "fixed", options, 64, 910_000)
+        return float(np.mean(errors[:, 2] / np.sqrt(P[:, 2, 2])))
+
+    assert abs(signed({})) < 0.5
+    assert signed(relinearising.UPDATES["two passes"]) < -0.5
