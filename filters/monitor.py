@@ -3,9 +3,9 @@
 Two cumulative sums of log-likelihood ratios (Page's CUSUM, Biometrika 41, 1954), each of "gone wrong" against "as it
 should be": of the normalised innovations squared, and of the share of known landmarks that could not be used. A sum
 never falls below 0, so what was long ago does not count; a false alarm is as rare, per update, as e^-threshold at the
-most. Besides, an alarm is raised where nothing has been measured for long and the filter says that it drifts, where
-nothing links a frame to the one before, where the filter itself hardly knows its orientation, and where the numbers are
-none.
+most. Besides, an alarm is raised where nothing of the map has been measured for long and the filter says that it
+drifts, where all that is known is refused beside new landmarks, where the filter itself hardly knows its orientation,
+and where the numbers are none.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class Cause(Enum):
 
     INNOVATIONS = "innovations larger than claimed"
     REFUSED = "most known landmarks refused"
-    BLIND = "nothing measured"
+    BLIND = "nothing known measured"
     CUT = "no link to the map"
     VAGUE = "orientation hardly known"
     NUMBERS = "not finite, or not positive definite"
@@ -61,7 +61,7 @@ class DivergenceMonitor:
         NIS over its degrees of freedom, above 1, that is to be told from 1. What stays below
         ln(inflation) / (1 - 1 / inflation), 1.39 for 2, never raises an alarm.
     longest_blind : float
-        For how long nothing may be measured, s.
+        For how long nothing of the map may be measured, s.
     farthest_blind : float
         By how much the claimed standard deviation of the position may grow while nothing is measured, for however long,
         m. A filter with odometry may well be blind.
@@ -100,7 +100,7 @@ class DivergenceMonitor:
         """Why there is an alarm now; None where the filter agrees with what it measures, also again."""
         self._innovations, self._refused = _Sum(self._threshold), _Sum(self._threshold)
         self._blind, self._sigma_seeing = 0.0, 0.0
-        self._mapped, self._known = False, 0
+        self._mapped = False
 
     def look(self, dt: float, report: UpdateReport, pose: PoseBelief | None = None) -> Alarm | None:
         """Take notice of an update.
@@ -130,12 +130,9 @@ class DivergenceMonitor:
         refused = len(report.gated) + len(report.behind_camera) + len(report.failed)
         self._innovations.add(self._inflated(report.nis, report.nis_dof))
         self._refused.add(_lost(used, refused))
-        self._known -= len(report.dropped)
-        was_blind = self._blind > 0.0  # what the dark cost is judged by its length and by the claim
-        cut = self._mapped and not was_blind and new > 0 and used == 0 and (refused > 0 or self._known <= 0)
-        self._known += new
+        cut = new > 0 and used == 0 and refused > 0
+        drifts = self._drifts_blind(dt, used > 0 or (new > 0 and not self._mapped), pose)
         self._mapped = self._mapped or new > 0
-        drifts = self._drifts_blind(dt, used + refused + new > 0, pose)
         found: tuple[Cause, str] | None = None
         if not math.isfinite(report.nis) or (pose is not None and not _is_sound(pose)):
             found = Cause.NUMBERS, "NIS or the pose is not finite, or its covariance not positive definite"
@@ -144,7 +141,7 @@ class DivergenceMonitor:
         elif self._refused.alarmed:
             found = Cause.REFUSED, f"{refused} of {used + refused} known landmarks refused"
         elif drifts:
-            found = Cause.BLIND, f"nothing has been measured for {self._blind:.1f} s"
+            found = Cause.BLIND, f"no known landmark has been measured for {self._blind:.1f} s"
         elif cut:
             found = Cause.CUT, f"{new} landmarks are new, {refused} known ones refused, none used: a new start"
         elif pose is not None and (sigma := _rotation_sigma(pose)) > self._vaguest:
@@ -152,7 +149,7 @@ class DivergenceMonitor:
         return self._told(found)
 
     def _drifts_blind(self, dt: float, seeing: bool, pose: PoseBelief | None) -> bool:
-        """Whether nothing has been measured for long, and the filter says that it shows."""
+        """Whether no known landmark has been measured for long, and the filter says that it shows."""
         if seeing:
             self._blind, self._sigma_seeing = 0.0, 0.0 if pose is None else _position_sigma(pose)
             return False
