@@ -156,7 +156,7 @@ class TrackStatistics:
         tracks.residuals[:, 0] = np.where(there[:, None], residuals, np.nan)
         products = tracks.residuals * tracks.residuals[:, :1]
         products[:, 1] = _at_one_frame(tracks.residuals, expected.by_first)
-        known = np.isfinite(products[:, :, 0])
+        known = np.isfinite(products).all(axis=2)
         products[~known] = 0.0
         self._counts += known.sum(axis=0)
         self._products += products.sum(axis=0)
@@ -309,7 +309,7 @@ def stated_noise(found: TrackNoise, R: StereoNoise, brings_R: bool, stranger: bo
     else:
         of_pixels = StereoNoise.independent_pixels(1.0).R
         step, white = (float(np.mean(sigma[:2] ** 2)) for sigma in (found.step, found.white))
-        slid = step - 2.0 * white
+        slid = max(step - 2.0 * white, 0.0)  # white errors leave nothing but rounding
         # By what lasts over many frames alone, tracks that slide a little were put down to the right camera, with a
         # white part that small; by the part of a step that is not white alone, white noise on top cost 0.8 nats.
         known = float(np.sqrt(found.known_to_last * slid / max(step, TINY)))

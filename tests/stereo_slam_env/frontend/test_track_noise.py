@@ -23,6 +23,8 @@ from stereo_slam_env.frontend.track_noise import (
     MISALIGNMENT,
     RIGHT_TURN,
     SCALE,
+    TrackNoise,
+    stated_noise,
     track_noise,
     with_measured_noise,
 )
@@ -322,3 +324,12 @@ def test_many_wrong_matches_are_warned_of(share: float, warned: bool, caplog: py
     assert track_noise(recording).mismatched == pytest.approx(1.0 - (1.0 - share) ** 2, abs=0.04)
     with_measured_noise(recording)
     assert ["of the steps of its tracks are far" in message for message in caplog.messages] == [True] * warned
+
+
+def test_white_errors_alone_leave_nothing_that_lasts_whatever_the_rounding() -> None:
+    """Half of the variance of a step is white at most; the rest was -1e-17 now and then, and its root no number."""
+    for sigma in np.random.default_rng(0).uniform(0.1, 2.0, (300, 3)):
+        white = TrackNoise(sigma, np.sqrt(0.5) * sigma, 0.1 * sigma, np.zeros((LAGS + 1, 3)), 0.5, 0.2, 1.0, 0.0)
+        noise = stated_noise(white, StereoNoise.independent_pixels(1.0), brings_R=False, stranger=True)
+        assert noise.drift is not None
+        assert max(noise.drift.gate_pixels) < 1e-3
