@@ -245,7 +245,8 @@ def odometry_errors(recording: Recording) -> OdometryErrors | None:
     left = left[np.isfinite(left).all(axis=1)]
     left = left[(np.abs(left - np.median(left, axis=0)) < 2.0 * _OUTLIER * sigma).all(axis=1)]
     blocks = np.array([block.mean(axis=0) for block in np.array_split(left, max(len(left) // _BLOCK, 2))])
-    variances = blocks.var(axis=0, ddof=1) / len(blocks)
+    # Of few blocks the scatter may be small by chance: no less than that of white noise.
+    variances = np.maximum(blocks.var(axis=0, ddof=1) / len(blocks), left.var(axis=0) / len(left))
     share = _BIAS**2 / (_BIAS**2 + variances)
     return OdometryErrors(delay, delay_sigma, share * blocks.mean(axis=0), np.sqrt(share * variances))
 

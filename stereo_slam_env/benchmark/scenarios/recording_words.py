@@ -113,4 +113,5 @@ def _rig_found(recording: Recording) -> dict[str, str]:
 
 
 def _listed(entries: Mapping[str, object]) -> str:
-    return ", ".join(f"{_LEFT_OUT.get(key, key)} = {value}" for key, value in entries.items())
+    words = {key: f"{value:.4g}" if isinstance(value, float) else value for key, value in entries.items()}
+    return ", ".join(f"{_LEFT_OUT.get(key, key)} = {value}" for key, value in words.items())
