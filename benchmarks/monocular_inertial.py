@@ -136,6 +136,16 @@ def invented(share: float) -> Change:
     return change
 
 
+def alone(recording: Recording) -> Recording:
+    """The recording as one camera measures it."""
+    frames = []
+    for frame in recording.frames:
+        seen = frame.observation
+        R = seen.covariances(recording.noise)[:, :2, :2]
+        frames.append(replace(frame, observation=StereoObservation.of_left(seen.ids, seen.uvd[:, :2], R)))
+    return replace(recording, frames=tuple(frames))
+
+
 MISTAKES: Mapping[str, tuple[Change, Mapping[str, Any]]] = {
     "none": (unchanged, {}),
     "focal length 0.3 % too large": (zoomed, {}),
@@ -143,6 +153,7 @@ MISTAKES: Mapping[str, tuple[Change, Mapping[str, Any]]] = {
     "tracks that walk by 0.3 px": (drifting, {}),
     "quaternion errors": (unchanged, {"error": "quaternion"}),
     "first-estimates": (unchanged, {"error": "first-estimates"}),
+    "no disparities at all": (alone, {}),
     "disparities invented, as if measured": (invented(0.0), {}),
     "disparities invented, off by half": (invented(0.5), {}),
     "disparities invented, off by all": (invented(1.0), {}),

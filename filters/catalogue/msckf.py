@@ -186,7 +186,8 @@ class MultiStateConstraintEKF(StereoEKF):
         """Complete tracks correct the window, then landmarks of the map the pose, which becomes a clone."""
         if not isinstance(observation, StereoObservation):
             raise ValueError(f"observation must be a StereoObservation, got {type(observation).__name__}")
-        ids, in_map = (observation := observation.ordered()).ids.tolist(), set(self.ids.tolist())
+        observation = self.options.measurement.completed(observation.ordered(), self.camera)
+        ids, in_map = observation.ids.tolist(), set(self.ids.tolist())
         numbers, r = np.zeros((len(ids), 4, 3)), self._size
         R = self.noise.R[None] if observation.R is None else observation.R
         numbers[:, :r, :r] = np.linalg.inv(np.linalg.cholesky(R[:, :r, :r]))  # whitens
