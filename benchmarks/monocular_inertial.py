@@ -102,7 +102,7 @@ def boasted(recording: Recording) -> Recording:
             unit = frame.inertial.unit
             names = "gyro_density", "accelerometer_density", "gyro_walk", "accelerometer_walk"
             unit = replace(unit, **{name: getattr(unit, name) / 3.0 for name in names})
-            frame = replace(frame, inertial=replace(frame.inertial, unit=unit))  # noqa: PLW2901
+            frame = replace(frame, inertial=replace(frame.inertial, unit=unit))
         frames.append(frame)
     return replace(recording, frames=tuple(frames))
 

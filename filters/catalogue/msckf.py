@@ -142,7 +142,7 @@ class MultiStateConstraintEKF(StereoEKF):
         Landmarks that may be in the map, those first that outlive a window; 0: the plain multi-state constraint filter.
     **options
         Any of `StereoEKF`. `motion="strapdown"` makes it visual-inertial. `measurement` is "joint", or "left":
-        monocular, without any use of disparities, and without a map.
+        monocular, without any use of disparities, and without a map; clones are kept by motion.
 
     Raises
     ------
@@ -194,7 +194,7 @@ class MultiStateConstraintEKF(StereoEKF):
         numbers[:, 3] = observation.uvd - [self.camera.cx, self.camera.cy, 0.0]
         seen = dict(zip(ids, numbers, strict=True))
         ended = [i for i in self._tracks if i not in seen]
-        moved = r == 3 or self._has_moved(seen)
+        moved = r == 3 or not self._stands(seen)
         full = sorted(i for i, track in self._tracks.items() if len(track) == self.window and i in seen and moved)
         told = self._correct_by({i: self._tracks.pop(i) for i in (*ended, *full)})
         new = [i for i in ids if i not in in_map and i not in self._tracks and i not in full]
@@ -216,20 +216,20 @@ class MultiStateConstraintEKF(StereoEKF):
         for i in np.asarray(ids).tolist():
             self._tracks.pop(i, None)
 
-    def _has_moved(self, seen: dict[int, Array]) -> bool:
-        """Whether the tracks have moved since the last clone; where they have not for long, the velocity is zero."""
+    def _stands(self, seen: dict[int, Array]) -> bool:
+        """Whether tracks have not moved since the last clone; where they have not for long, the velocity is zero."""
         pairs = [(track[-1], seen[i]) for i, track in self._tracks.items() if i in seen]
         if len(pairs) < _LEAST:
-            return True
+            return False
         before, now = np.array(pairs).transpose(1, 0, 2, 3)
         distances = np.einsum("nij,nj->ni", now[:, :2, :2], now[:, 3, :2] - before[:, 3, :2])
         if np.median(np.sum(distances**2, axis=1)) > 2.0 * _MOVED:
-            return True
-        if self._since < _STILL:
             return False
+        if self._since < _STILL:
+            return True
         velocity, R = self.velocity, np.diag(_AT_REST**2) / self._dt
         at_rest = -np.concatenate([velocity.linear, velocity.angular])
-        return not self.correct(at_rest, {"velocity": np.eye(6)}, R, self.options.gate).used
+        return self.correct(at_rest, {"velocity": np.eye(6)}, R, self.options.gate).used
 
     @property
     def _names(self) -> tuple[str, ...]:

@@ -98,9 +98,7 @@ def read(path: Path, *, use_truth: bool = True) -> Recording:
         frames.append(Frame(times[k] - times[begin], pixels, None, relative, inertial=steps[k] if k > begin else None))
     source = {"reader": NAME, "path": str(path), "sigma_px": sigma, "epoch_s": float(times[begin])}
     noise, setup = StereoNoise.independent_pixels(sigma), FilterSetup()
-    return Recording(
-        path.name, rig, tuple(frames), noise, source=source, truth_from=reference, stated_setup=setup
-    )
+    return Recording(path.name, rig, tuple(frames), noise, source=source, truth_from=reference, stated_setup=setup)
 
 
 def _table(path: Path) -> Mapping[str, Any]:
