@@ -105,7 +105,11 @@ def _constrain(
             move = np.linalg.solve(V[:free, :free].copy(), V[:free, 3].copy())
             if size == 2 and step == 0:
                 variance = np.linalg.det(V[:2, :2].copy()) / np.linalg.det(V[:3, :3].copy())
-                if not move[2] > _PARALLAX * np.sqrt(max(variance, 0.0)):
+                least = _PARALLAX * np.sqrt(max(variance, 0.0))
+                if not move[2] > -least:
+                    fell = np.nan  # beyond infinity: the clones are wrong
+                    break
+                if not move[2] > least:
                     free, move = 2, np.linalg.solve(V[:2, :2].copy(), V[:2, 3].copy())
             x[:free] += move
             fell = move @ V[:free, 3].copy()
