@@ -157,6 +157,22 @@ def vslam_lab() -> Files:
     }
 
 
+def mono_tracks() -> Files:
+    """Tracks of one camera, and samples of an inertial unit."""
+    unit = "position = [0, 0, 0]\norientation = [0, 0, 0, 1]\ngyro_density = 1e-4\naccelerometer_density = 1e-3\n"
+    about = "camera = { fx = 30.0, fy = 30.0, cx = 15.5, cy = 11.5, width = 32, height = 24 }\nsigma_px = 1.0\n"
+    about += 'truth = "truth.tum"\nreference = "surveyed"\n'
+    truth = "".join(f"{DT * k:.1f} 0 0 {0.7 * k:.1f} 0 0 0 1\n" for k in range(FRAMES))
+    tracks = "".join(f"{DT * k:.1f},{j},{10 + k},{5 + j}\n" for k in range(FRAMES) for j in range(2))
+    samples = "".join(f"{0.02 * k:.2f},0,0,0,0,-9.81,0\n" for k in range(5 * FRAMES))
+    return {
+        "recording.toml": f"{about}[unit]\n{unit}gyro_walk = 1e-5\naccelerometer_walk = 1e-4\n".encode(),
+        "tracks.csv": f"t,id,u,v\n{tracks}".encode(),
+        "imu.csv": f"t,wx,wy,wz,ax,ay,az\n{samples}".encode(),
+        "truth.tum": truth.encode(),
+    }
+
+
 def stereo_folder() -> Files:
     """A plain folder that says what it is."""
     numbers = "fx = 30.0, fy = 30.0, cx = 15.5, cy = 11.5, baseline = 0.5, width = 32, height = 24"

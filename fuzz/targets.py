@@ -73,6 +73,7 @@ def targets() -> tuple[Target, ...]:
         Target("kitti07_tracks", seeds.kitti07(), load, calls=_LOAD),
         Target("kitti00_stereo_tracks", seeds.kitti00(), load, calls=_LOAD),
         Target("starry_night", seeds.starry_night(), load, calls=_LOAD),
+        Target("mono_tracks", others.mono_tracks(), load, calls=_LOAD),
         Target("kitti06_stereo51", seeds.kitti06(), _pairs, calls=_IMAGES),
         Target("kitti_odometry", seeds.kitti_odometry(), lambda folder: _pairs(folder / "sequences" / "07")),
         Target("kitti_raw", seeds.kitti_raw(), _pairs),

@@ -17,6 +17,8 @@ from scipy.linalg import qr
 from scipy.special import chdtri
 
 from filters import (
+    BodyVelocity,
+    InertialSamples,
     LeftOnly,
     RangeBearing,
     Start,
@@ -35,6 +37,12 @@ _STEPS, _SETTLED = 10, 1e-14
 """Gauss-Newton steps at most, and the fall of the squared distance that is too small for another one."""
 _NEAREST, _BLIND = 0.05, 1e-12
 """Depth of a point over that at its first sight, and information on the inverse depth over that on the ray."""
+_PARALLAX = 5.0
+"""Inverse depth of a track without disparities over its standard deviation: below, it is taken for infinitely far."""
+_MOVED = 3.0
+"""Median of half the squared distance of the pixels from those at the last clone, in variances: 1.4 at rest."""
+_STILL, _AT_REST = 0.5, np.repeat([0.02, 0.003], 3)
+"""Time without motion after which the velocities are zero, s, and how well, m/s and rad/s per root of a hertz."""
 
 
 @kernel
@@ -68,7 +76,7 @@ def _constrain(
             R = Rs[a + k].T
             M[k, :3, :3], M[k, 3, 2] = R @ Rs[a], 1.0
             M[k, :3, 3], M[k, :3, 2] = M[k, :3, 2], R @ (ps[a] - ps[a + k])
-        z = tracks[begin, 3]
+        z, free = tracks[begin, 3], 3
         x = np.array([z[0] / fx, z[1] / fy, z[2] / fb if size == 3 else 0.0, 1.0])
         for step in range(_STEPS):
             settled = not fell > _SETTLED or step == _STEPS - 1
@@ -91,11 +99,24 @@ def _constrain(
                 break
             C = A[:, :4].copy()
             V = C.T @ C
-            move = np.linalg.solve(V[:3, :3].copy(), V[:3, 3].copy())
-            x[:3] += move
-            fell = move @ V[:3, 3].copy() if V[2, 2] > _BLIND * V[0, 0] else np.nan  # else no depth can be seen
+            if not V[2, 2] > _BLIND * V[0, 0]:
+                fell = np.nan  # no depth can be seen
+                break
+            move = np.linalg.solve(V[:free, :free].copy(), V[:free, 3].copy())
+            if size == 2 and step == 0:
+                variance = np.linalg.det(V[:2, :2].copy()) / np.linalg.det(V[:3, :3].copy())
+                least = _PARALLAX * np.sqrt(max(variance, 0.0))
+                if not move[2] > -least:
+                    fell = np.nan  # beyond infinity: the clones are wrong
+                    break
+                if not move[2] > least:
+                    free, move = 2, np.linalg.solve(V[:2, :2].copy(), V[:2, 3].copy())
+            x[:free] += move
+            fell = move @ V[:free, 3].copy()
         if np.isnan(fell):
             continue
+        if free == 2:  # so much may hide in its noise
+            A /= _PARALLAX
         for c in range(3):  # Householder: afterwards the landmark is in the first three rows alone
             n = A[c:, c].copy()
             n[0] += np.copysign(np.sqrt(n @ n), n[0])
@@ -125,7 +146,7 @@ class MultiStateConstraintEKF(StereoEKF):
         Landmarks that may be in the map, those first that outlive a window; 0: the plain multi-state constraint filter.
     **options
         Any of `StereoEKF`. `motion="strapdown"` makes it visual-inertial. `measurement` is "joint", or "left":
-        monocular, without any use of disparities, and without a map.
+        monocular, without any use of disparities, and without a map; clones are kept by motion.
 
     Raises
     ------
@@ -157,31 +178,39 @@ class MultiStateConstraintEKF(StereoEKF):
     def reset(self, start: Start = Start()) -> None:  # noqa: B008  frozen
         """Start again, without clones, tracks and landmarks."""
         super().reset(start)
-        self._frame = 0
+        self._frame, self._since = 0, 0.0
         self._tracks: dict[int, list[Array]] = {}
+
+    def predict(self, dt: float, odometry: BodyVelocity | None = None, inertial: InertialSamples | None = None) -> None:
+        """Move the belief forward; see `StereoEKF.predict`."""
+        super().predict(dt, odometry, inertial)
+        self._dt, self._since = dt, self._since + dt
 
     def update(self, observation: StereoObservation) -> UpdateReport:
         """Complete tracks correct the window, then landmarks of the map the pose, which becomes a clone."""
         if not isinstance(observation, StereoObservation):
             raise ValueError(f"observation must be a StereoObservation, got {type(observation).__name__}")
-        ids, in_map = (observation := observation.ordered()).ids.tolist(), set(self.ids.tolist())
+        observation = self.options.measurement.completed(observation.ordered(), self.camera)
+        ids, in_map = observation.ids.tolist(), set(self.ids.tolist())
         numbers, r = np.zeros((len(ids), 4, 3)), self._size
         R = self.noise.R[None] if observation.R is None else observation.R
         numbers[:, :r, :r] = np.linalg.inv(np.linalg.cholesky(R[:, :r, :r]))  # whitens
         numbers[:, 3] = observation.uvd - [self.camera.cx, self.camera.cy, 0.0]
         seen = dict(zip(ids, numbers, strict=True))
-        full = sorted(i for i, track in self._tracks.items() if len(track) == self.window and i in seen)
         ended = [i for i in self._tracks if i not in seen]
+        moved = r == 3 or not self._stands(seen)
+        full = sorted(i for i, track in self._tracks.items() if len(track) == self.window and i in seen and moved)
         told = self._correct_by({i: self._tracks.pop(i) for i in (*ended, *full)})
         new = [i for i in ids if i not in in_map and i not in self._tracks and i not in full]
         in_map.update((full + new)[: max(self.map_landmarks - len(in_map & seen.keys()), 0)])
         mine = super().update(observation.select(np.array([i in in_map for i in ids], dtype=np.bool_)))
-        if self._frame >= self.window:
-            self.forget_clone(self._names[0])
-        self.clone_pose(f"window {self._frame}")
-        self._frame += 1
-        for i in seen.keys() - set(self.ids.tolist()):
-            self._tracks.setdefault(i, []).append(seen[i])
+        if moved:
+            if self._frame >= self.window:
+                self.forget_clone(self._names[0])
+            self.clone_pose(f"window {self._frame}")
+            self._frame, self._since = self._frame + 1, 0.0
+            for i in seen.keys() - set(self.ids.tolist()):
+                self._tracks.setdefault(i, []).append(seen[i])
         both = {n: np.concatenate([getattr(told, n), getattr(mine, n)]) for n in ("updated", "gated", "behind_camera")}
         return replace(mine, **both, nis=told.nis + mine.nis, nis_dof=told.nis_dof + mine.nis_dof)
 
@@ -190,6 +219,21 @@ class MultiStateConstraintEKF(StereoEKF):
         super().forget(ids)
         for i in np.asarray(ids).tolist():
             self._tracks.pop(i, None)
+
+    def _stands(self, seen: dict[int, Array]) -> bool:
+        """Whether tracks have not moved since the last clone; where they have not for long, the velocity is zero."""
+        pairs = [(track[-1], seen[i]) for i, track in self._tracks.items() if i in seen]
+        if len(pairs) < _LEAST:
+            return False
+        before, now = np.array(pairs).transpose(1, 0, 2, 3)
+        distances = np.einsum("nij,nj->ni", now[:, :2, :2], now[:, 3, :2] - before[:, 3, :2])
+        if np.median(np.sum(distances**2, axis=1)) > 2.0 * _MOVED:
+            return False
+        if self._since < _STILL:
+            return True
+        velocity, R = self.velocity, np.diag(_AT_REST**2) / self._dt
+        at_rest = -np.concatenate([velocity.linear, velocity.angular])
+        return self.correct(at_rest, {"velocity": np.eye(6)}, R, self.options.gate).used
 
     @property
     def _names(self) -> tuple[str, ...]:

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from filters.contract.noise import LARGEST_VARIANCE, StereoNoise
 from filters.contract.validation import at_most, covariance_matrix, finite_array, unique_ids
-from filters.geometry.arrays import FloatArray, IntArray
+from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +25,8 @@ class StereoObservation:
     v_right : (M,) array_like, optional
         Row measured in the right image, px, where the sensor measures it on its own.
     R : (M, 3, 3) array_like, optional
-        Covariance of each measurement, px^2; where None, the filter's `noise` holds.
+        Covariance of each measurement, px^2; where None, the filter's `noise` holds. One whose last variance is 1e18
+        has no disparity: `of_left` makes such ones.
 
     Raises
     ------
@@ -55,8 +56,26 @@ class StereoObservation:
             object.__setattr__(self, "R", covariance_matrix("R", R, 3, batch=len(ids), definite=True))
             at_most("R", self.R, LARGEST_VARIANCE, "px^2")
 
+    @classmethod
+    def of_left(cls, ids: ArrayLike, uv: ArrayLike, R: ArrayLike) -> StereoObservation:
+        """Measurements of one camera alone: pixels uv (M, 2) with covariance R, (2, 2) or (M, 2, 2), no disparity."""
+        uv = finite_array("uv", uv, ("M", 2))
+        every = np.zeros((len(uv), 3, 3))
+        every[:, :2, :2], every[:, 2, 2] = R, LARGEST_VARIANCE
+        return cls(np.asarray(ids), np.column_stack([uv, np.zeros(len(uv))]), R=every)
+
     def __len__(self) -> int:
         return len(self.ids)
+
+    @property
+    def with_disparity(self) -> BoolArray:
+        """(M,): which measurements have a disparity, however bad."""
+        return np.ones(len(self), dtype=np.bool_) if self.R is None else self.R[:, 2, 2] < LARGEST_VARIANCE
+
+    @property
+    def has_disparity(self) -> bool:
+        """Whether all measurements have one."""
+        return bool(self.with_disparity.all())
 
     def select(self, index: ArrayLike) -> StereoObservation:
         """The measurements at `index` (positions or a mask), in that order."""

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from filters.contract.beliefs import Forecast
 from filters.contract.inertial import InertialSamples
+from filters.contract.noise import LARGEST_VARIANCE
 from filters.contract.observation import StereoObservation
 from filters.contract.odometry import BodyVelocity
 from filters.contract.start import Start
@@ -292,6 +293,8 @@ class FilterBatch(Sequence[StereoEKF]):
         if again.any():
             raise ValueError(f"ids must be unique for each filter, repeated: {flat_ids[1:][again][:5].tolist()}")
         noise = self.R[rows] if R is None else np.asarray(R, dtype=np.float64)
+        if R is not None and (noise[..., 2, 2] >= LARGEST_VARIANCE).any():
+            raise ValueError("R must be that of measured disparities: give observations of one camera to step")
         if noise.ndim == 4:
             noise = noise[rows, columns]
         offsets = np.concatenate([[0], np.cumsum(counts)])
@@ -340,7 +343,9 @@ class FilterBatch(Sequence[StereoEKF]):
         for observation in observations:
             if observation is not None and not isinstance(observation, StereoObservation):
                 raise ValueError(f"observations must be StereoObservation or None, got {type(observation).__name__}")
-        seen = np.array([o is not None for o in observations])
+        first, seen = self._filters[0], np.array([o is not None for o in observations])
+        sensor = first.options.measurement
+        observations = [None if o is None else sensor.completed(o, first.camera) for o in observations]
         there = [o for o in observations if o is not None]
         counts = np.array([0 if o is None else len(o) for o in observations])
         offsets = np.concatenate([[0], np.cumsum(counts)])

@@ -176,7 +176,7 @@ class StereoEKF(StereoFilter):
         if not isinstance(observation, StereoObservation):
             raise ValueError(f"observation must be a StereoObservation, got {type(observation).__name__}")
         # One order for everything below, so that the result cannot depend on the order of the measurements.
-        return self._row.update(observation.ordered(), self.noise)
+        return self._row.update(self.options.measurement.completed(observation.ordered(), self.camera), self.noise)
 
     def assume(self, noise: StereoNoise, **options: Any) -> None:
         """Go on with another noise of the measurements, as one that is measured while the drive goes.

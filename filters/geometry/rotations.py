@@ -65,7 +65,7 @@ def from_matrix(rotation_matrix: ArrayLike) -> FloatArray:
 def exp_quaternion(rotation_vector: ArrayLike) -> FloatArray:
     """The quaternion q(phi) of Eq. 6; (..., 3) rad -> (..., 4) xyzw."""
     if np.ndim(rotation_vector) > 1:
-        phi = np.asarray(rotation_vector, dtype=np.float64)
+        phi = np.array(rotation_vector, dtype=np.float64)  # a copy: SciPy 1.17 refuses read-only arrays
         # One leading dimension: what scipy takes on every Python.
         return np.asarray(Rotation.from_rotvec(phi.reshape(-1, 3)).as_quat()).reshape(*phi.shape[:-1], 4)
     return np.array(quaternion_of(*_numbers(rotation_vector)))

@@ -160,6 +160,22 @@ class MeasurementModel:
         """
         return tuple(rows.of(observation, R) for rows in self.rows(observation.v_right is not None))
 
+    def completed(self, observation: StereoObservation, camera: StereoCamera) -> StereoObservation:
+        """The observation with all that the model needs of it.
+
+        Raises
+        ------
+        ValueError
+            It has no disparities, as of one camera, and the model needs them.
+        """
+        if observation.has_disparity:
+            return observation
+        name = type(self).__name__
+        raise ValueError(
+            f"observation has no disparity, which measurement={name}() needs: take measurement='left' with inertial "
+            "samples, as make_filter('inertial', measurement='left', ...)"
+        )
+
     def in_front(self, points_c: FloatArray) -> BoolArray:
         """Which homogeneous points (M, 4) the sensor can see at all: those with a direction ahead."""
         forward: BoolArray = points_c[:, 2] > 0.0

@@ -7,11 +7,12 @@ right row is not measured on its own it is the left one, and carries no informat
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 
+from filters.contract.observation import StereoObservation
 from filters.contract.validation import positive
 from filters.geometry.arrays import BoolArray, FloatArray
 from filters.geometry.camera import StereoCamera
@@ -141,9 +142,30 @@ class Stacked(_BothCameras):
 
 @dataclass(frozen=True)
 class LeftOnly(RectifiedPair):
-    """Monocular updates: the left pixel. The disparity serves for initialisation only."""
+    """Monocular updates: the left pixel. The disparity serves for initialisation only.
 
+    Parameters
+    ----------
+    inverse_depth, sigma_inverse_depth : float
+        Of a new landmark whose disparity was not measured, and its standard deviation, 1/m.
+    """
+
+    inverse_depth: float = 0.1
+    sigma_inverse_depth: float = 0.1
     kernels: ClassVar[MeasurementKernels | None] = KERNELS
+
+    def __post_init__(self) -> None:
+        for name in ("inverse_depth", "sigma_inverse_depth"):
+            positive(name, getattr(self, name))
+
+    def completed(self, observation: StereoObservation, camera: StereoCamera) -> StereoObservation:
+        """The observation with disparities of the prior where none was measured: landmarks start from them alone."""
+        if observation.has_disparity or observation.R is None:
+            return observation
+        uvd, R, missing = observation.uvd.copy(), observation.R.copy(), ~observation.with_disparity
+        uvd[missing, 2] = camera.disparity_constant * self.inverse_depth
+        R[missing, 2, 2] = (camera.disparity_constant * self.sigma_inverse_depth) ** 2
+        return replace(observation, uvd=uvd, R=R)
 
     def rows(self, with_right: bool) -> tuple[StageRows, ...]:
         """One stage."""

@@ -15,6 +15,7 @@ from filters import (
     InverseDepth,
     LandmarkBelief,
     MotionModel,
+    RangeBearing,
     StereoCamera,
     StereoNoise,
     StereoObservation,
@@ -98,6 +99,7 @@ class FilterpyEKF(CameraFilter):
 
     def _use(self, observation: StereoObservation) -> UpdateReport:
         """Correct with known landmarks (Eq. 13-18), drop those not seen, add the new ones (Eq. 19-25)."""
+        observation = RangeBearing().completed(observation, self.camera)
         ids, R = observation.ids, observation.covariances(self.noise)
         known = np.isin(ids, self._ids)
         uvd, H, forward = self._linearised(np.searchsorted(self._ids, ids[known]))

@@ -12,6 +12,7 @@ from filters import (
     CameraState,
     InertialSamples,
     MotionModel,
+    RangeBearing,
     StereoCamera,
     StereoNoise,
     StereoObservation,
@@ -124,6 +125,7 @@ class FrameToFrame(CameraFilter):
 
     def _use(self, observation: StereoObservation) -> UpdateReport:
         """Measure the step from the reference frame; the frame becomes the next reference if it can be one."""
+        observation = RangeBearing().completed(observation, self.camera)
         R = observation.covariances(self.noise)
         cross = np.zeros((len(observation), 12, 3))
         known = used = np.zeros(0, dtype=np.int64)

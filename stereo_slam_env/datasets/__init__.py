@@ -105,6 +105,7 @@ def load(source: str | Path, **options: Any) -> Recording:
 
 def _with_its_noise(recording: Recording) -> Recording:
     stated = isinstance(recording.noise, ColouredNoise) or recording.truth_from.kind == "simulation"
+    stated |= not all(frame.observation.has_disparity for frame in recording.frames)  # one camera shows no motion
     return recording if stated else with_measured_noise(with_moving_start(recording))
 
 

@@ -27,7 +27,7 @@ ENTRY_POINT_GROUP = "stereo_slam.recordings"
 NOT_AVAILABLE = "not available"
 """Begins the line of a layout that is there and cannot be used."""
 _OURS = (
-    *("kitti07_tracks", "kitti00_stereo_tracks", "starry_night"),
+    *("kitti07_tracks", "kitti00_stereo_tracks", "starry_night", "mono_tracks"),
     *("kitti06_stereo51", "kitti_odometry", "kitti_raw", "karlsruhe", "euroc", "tartanair", "vslam_lab"),
     *("stereo_folder", "ros_bag"),
 )

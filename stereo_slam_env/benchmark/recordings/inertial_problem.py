@@ -15,6 +15,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from filters import BodyVelocity, Pose, Start, StereoCamera, StereoObservation
+from filters.contract.validation import finite_array, positive
 from filters.geometry.arrays import FloatArray, IntArray
 from stereo_slam_env.recording.recording import SIMULATION, Frame, LandmarkTruth, Recording, Velocity
 from stereo_slam_env.sensing.imu import GRAVITY, DataSheet, Imu, Path
@@ -22,7 +23,7 @@ from stereo_slam_env.sensing.pixel_noise import NOISE_MODELS
 from stereo_slam_env.sensing.rigs import Rig, camera_of
 
 PERIOD = 0.1
-"""s between two frames."""
+"""s between two frames, unless another rate is asked for."""
 DOWN = np.array([0.0, 1.0, 0.0])
 START_SIGMAS = np.repeat([1e-6, 1e-6, 0.5, 0.05], 3)
 """Of what filters are told of the start: position, rotation, velocities."""
@@ -31,7 +32,9 @@ ODOMETRY_SIGMAS = np.repeat([0.1, 0.01], 3)
 NEAREST, FARTHEST = 2.0, 60.0
 """Depth of measured points, m."""
 LOST = 0.1
-"""Share of the tracks that end in a frame, as those of KLT do."""
+"""Share of the tracks that end in 0.1 s, as those of KLT do."""
+_STOPPING = 1.0
+"""s that it takes to stop, and to start again."""
 _SUSPENSION = 0.007
 """Roll and pitch of a car's body by the acceleration, rad per m/s^2."""
 
@@ -49,6 +52,8 @@ def _recorded(
     imu: str | DataSheet = "adis16448",
     imu_rate: float = 200.0,
     time_offset: float = 0.0,
+    period: float = PERIOD,
+    rest: Sequence[float] = (0.0, 0.0),
 ) -> Recording:
     """A camera on a path.
 
@@ -65,13 +70,17 @@ def _recorded(
     noise, sigma, rig : str, float, str or StereoCamera or mapping
         As of `long_drive`.
     frames : int
-        Length, 0.1 s each.
+        Length, one period each.
     landmarks : int
         Tracks in a frame.
     imu : str or DataSheet
         Data sheet of the unit, or the name of one of `sensing.imu.DATA_SHEETS`.
     imu_rate, time_offset : float
         Samples a second, and the error of its clock, s.
+    period : float
+        Time between two frames, s.
+    rest : (2,) sequence of float
+        Begin and end of a rest, s; it takes a second to stop before it, and another one to go on.
 
     Raises
     ------
@@ -84,9 +93,14 @@ def _recorded(
     for what, value in (("frames", frames), ("landmarks", landmarks)):
         if type(value) is not int or value < 2:
             raise ValueError(f"{what} must be an integer >= 2, got {value!r}")
+    period, (halt, go) = positive("period", period), finite_array("rest", rest, (2,)).tolist()
+    if not 0.0 <= halt <= go:
+        raise ValueError(f"rest must be its begin and its end, s, 0 <= begin <= end, got {rest!r}")
     camera, pixels = camera_of(rig), NOISE_MODELS[noise](sigma)
     path_rng, point_rng, imu_rng, sensor_rng, start_rng = np.random.default_rng(seed).spawn(5)
-    level, times = along(path_rng), PERIOD * np.arange(frames, dtype=np.float64)
+    level, times = along(path_rng), period * np.arange(frames, dtype=np.float64)
+    if go > halt:
+        level = _rested(level, halt, go)
     (origin,), R_0 = level(np.zeros(1))
 
     def path(t: FloatArray) -> tuple[FloatArray, Rotation]:
@@ -103,13 +117,13 @@ def _recorded(
     taken, seen = [], np.zeros(0, dtype=np.int64)
     for k in range(frames):
         points_c = R[k].inv().apply(points - positions[k])
-        seen = _tracked(camera, points_c, seen, landmarks, sensor_rng)
+        seen = _tracked(camera, points_c, seen, landmarks, LOST * (period / PERIOD), sensor_rng)
         uvd, v_right = pixels.corrupt(camera.project(points_c[seen]), sensor_rng)
         odometry = None
         if k:
             moved, turn = positions[k] - positions[k - 1], (R[k - 1].inv() * R[k]).as_rotvec()
             half_way = R[k - 1] * Rotation.from_rotvec(0.5 * turn)
-            mean = np.concatenate([half_way.inv().apply(moved), turn]) / PERIOD
+            mean = np.concatenate([half_way.inv().apply(moved), turn]) / period
             mean += ODOMETRY_SIGMAS * sensor_rng.standard_normal(6)
             odometry = BodyVelocity(mean[:3], mean[3:], np.diag(ODOMETRY_SIGMAS**2))
         frame = Frame(
@@ -133,21 +147,32 @@ def _recorded(
         pixels.stereo_noise,
         start,
         truth,
-        source | {"time_offset": unit.time_offset},
+        source | {"time_offset": unit.time_offset, "period": period, "rest": [halt, go]},
         SIMULATION,
     )
 
 
 def _tracked(
-    camera: StereoCamera, points_c: FloatArray, seen: IntArray, most: int, rng: np.random.Generator
+    camera: StereoCamera, points_c: FloatArray, seen: IntArray, most: int, lost: float, rng: np.random.Generator
 ) -> IntArray:
     """Ids of the points that are tracked on, less those that are lost, and of new ones up to `most`."""
     ahead = points_c[:, 2] > NEAREST
     in_view = ahead & camera.in_view(camera.project(np.where(ahead[:, None], points_c, [0.0, 0.0, 1.0])))
     visible = np.flatnonzero(in_view & (points_c[:, 2] < FARTHEST))
-    kept = seen[np.isin(seen, visible) & (rng.random(len(seen)) >= LOST)]
+    kept = seen[np.isin(seen, visible) & (rng.random(len(seen)) >= lost)]
     fresh = rng.permutation(np.setdiff1d(visible, seen))[: max(most - len(kept), 0)]
     return np.sort(np.concatenate([kept, fresh]))
+
+
+def _rested(path: Path, halt: float, go: float) -> Path:
+    """The path, with a rest from `halt` to `go`, s: its time stands still."""
+
+    def moving(t: FloatArray) -> FloatArray:
+        """Time of the path after t of a start from rest, whose speed grows as a half wave of a cosine."""
+        share = np.clip(t / _STOPPING, 0.0, 1.0)
+        return np.maximum(t - _STOPPING, 0.0) + 0.5 * _STOPPING * (share - np.sin(np.pi * share) / np.pi)
+
+    return lambda t: path(moving(np.full(1, halt)) - moving(halt - t) + moving(t - go))
 
 
 def _velocity(path: Path, t: float) -> FloatArray:
