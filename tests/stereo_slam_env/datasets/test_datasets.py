@@ -34,8 +34,9 @@ def test_an_unknown_folder_gets_one_line_that_says_where_the_known_layouts_are(t
 
 @pytest.mark.parametrize("reader", [r for r in track_layouts() if len(r.FILES[0]) > 1], ids=lambda reader: reader.NAME)
 def test_a_missing_file_is_named(tmp_path, reader):
-    folder = {"kitti07_tracks": kitti07, "kitti00_stereo_tracks": kitti00}[reader.NAME](tmp_path)
-    (folder / reader.FILES[0][0]).unlink()
+    for name in reader.FILES[0][1:]:
+        (tmp_path / name).write_text("")
+    folder = tmp_path
     assert complaint(folder) == f" has no known layout: nearest is {reader.NAME}, which lacks {reader.FILES[0][0]}"
 
 
