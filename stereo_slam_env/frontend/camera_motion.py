@@ -234,13 +234,15 @@ def odometry_errors(recording: Recording) -> OdometryErrors | None:
     costs = np.array([_misfit(rates, turned, sigma, frames) for frames in range(-most, most + 1)])
     delay, delay_sigma = 0.0, _DELAY
     best = 1 + int(np.argmin(costs[1:-1])) if len(costs) > 2 else 0
-    if best and np.median(costs) - costs[best] > _RELATED:
-        below, at, above = costs[best - 1 : best + 2]
-        curvature = above - 2.0 * at + below
-        frames = best - most - 0.5 * (above - below) / curvature
-        variance = 2.0 / curvature * at / (3 * len(times)) * frame**2
-        share = _DELAY**2 / (_DELAY**2 + variance)
-        delay, delay_sigma = share * frames * frame, float(np.sqrt(share * variance))
+    around = costs[best - 1 : best + 2] if best else costs[:0]
+    if len(around) and np.isfinite(around).all():
+        below, at, above = around
+        curvature = below - 2.0 * at + above
+        if curvature > 0.0 and np.median(costs[np.isfinite(costs)]) - at > _RELATED:
+            frames = best - most - 0.5 * (above - below) / curvature
+            variance = 2.0 / curvature * at / (3 * len(times)) * frame**2
+            share = _DELAY**2 / (_DELAY**2 + variance)
+            delay, delay_sigma = share * frames * frame, float(np.sqrt(share * variance))
     left = _at(times, rates, times + delay) - turned
     left = left[np.isfinite(left).all(axis=1)]
     left = left[(np.abs(left - np.median(left, axis=0)) < 2.0 * _OUTLIER * sigma).all(axis=1)]
@@ -295,8 +297,11 @@ def _misfit(rates: FloatArray, turned: FloatArray, sigma: FloatArray, frames: in
     else:
         later[-frames:] = rates[:frames]
     difference = later - turned
-    distances = np.minimum(((difference - np.nanmedian(difference, axis=0)) / sigma) ** 2, _OUTLIER**2)
-    return float(np.nanmean(distances.sum(axis=1)) * len(rates))
+    difference = difference[np.isfinite(difference).all(axis=1)]
+    if len(difference) < _FEWEST:
+        return np.inf
+    distances = np.minimum(((difference - np.median(difference, axis=0)) / sigma) ** 2, _OUTLIER**2)
+    return float(distances.sum(axis=1).mean() * len(rates))
 
 
 def _at(times: FloatArray, velocities: FloatArray, when: FloatArray) -> FloatArray:

@@ -196,6 +196,19 @@ def test_a_recording_is_set_up_with_its_odometry_in_time_and_without_the_bias():
     assert all(np.all(np.diag(a.covariance) > np.diag(b.covariance)) for a, b in pairs)
 
 
+def test_odometry_of_a_part_of_the_drive_is_measured_there():
+    whole = swaying(0.1)
+    part = replace(
+        whole, frames=tuple(replace(f, odometry=f.odometry if k % 3 else None) for k, f in enumerate(whole.frames))
+    )
+    few = replace(
+        whole, frames=tuple(replace(f, odometry=f.odometry if k < 33 else None) for k, f in enumerate(whole.frames))
+    )
+    assert odometry_errors(part).delay == pytest.approx(0.1, abs=0.02)
+    assert abs(odometry_errors(few).delay) < 0.2
+    assert [f.odometry is None for f in set_up_for_tracks(few).frames] == [f.odometry is None for f in few.frames]
+
+
 def test_odometry_of_few_frames_and_of_simulations_is_left_alone():
     assert odometry_errors(swaying(0.2)[:20]) is None
     simulated = replace(swaying(0.2), truth_from=Reference("simulation", "exact"))
