@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import scipy  # its `optimize`, slow to import, is loaded where it is used
+from numpy.typing import ArrayLike
 
 from filters.geometry.arrays import FloatArray
 
@@ -45,6 +46,11 @@ class Axis:
         low, high, at = np.log(np.maximum(ends, 1e-300)) if self.log else ends
         share = float((at - low) / (high - low)) if high > low else 0.5
         return 1.0 - share if self.reverse else share
+
+    def within(self, values: ArrayLike) -> FloatArray:
+        """Values, those far beyond the ends taken to where renderers still have coordinates."""
+        reach = np.inf if self.log else 1e4 * (self.high - self.low)
+        return np.clip(np.asarray(values, dtype=np.float64), self.low - reach, self.high + reach)
 
     def channel(self, name: str, cells: int) -> dict[str, Any]:
         """The encoding of a field on this axis, with about so many ticks."""

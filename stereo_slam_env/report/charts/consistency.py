@@ -47,9 +47,10 @@ _QUANTITIES = {
 def error_limits(runs: Sequence[FilterRun]) -> FloatArray:
     """Half heights (6,) that let the error charts of several filters be compared; m and rad.
 
-    A diverged filter does not count: the others stay readable.
+    A diverged filter does not count: the others stay readable; nor does one that ended at its start.
     """
-    return shared_error_limits({run.filter_name: series.belief_error(run) for run in runs})
+    ran = [run for run in runs if len(run.timestamps) > 1]
+    return shared_error_limits({run.filter_name: series.belief_error(run) for run in ran})
 
 
 def shared_error_limits(errors: Mapping[str, tuple[FloatArray, FloatArray]]) -> FloatArray:

@@ -110,7 +110,7 @@ class Panel:
             self._lines(group, dashes)
 
     def _lines(self, curves: Sequence[Curve], dash: Sequence[float]) -> None:
-        rows = [_row(number, curve, self._kept(curve)) for number, curve in enumerate(curves)]
+        rows = [self._row(number, curve, self._kept(curve)) for number, curve in enumerate(curves)]
         mark = {
             "type": "line",
             "strokeDash": list(dash),
@@ -127,25 +127,25 @@ class Panel:
     def dots(self, curves: Iterable[Curve], size: float = 30.0, *, hollow: bool = False) -> None:
         """Draw a dot, an area of `size` px², at each point."""
         for shape, group in _by(curves, lambda curve: shape_of(curve.colour)):
-            rows = [_row(number, curve, _known(curve)) for number, curve in enumerate(group)]
+            rows = [self._row(number, curve, _known(curve)) for number, curve in enumerate(group)]
             mark = {"type": "point", "shape": shape, "size": size, "filled": not hollow}
             mark |= {"strokeWidth": 2.0} | ({"fill": PAPER} if hollow else {})
             self._layer(rows, mark, **COLOURED, tooltip=self._tooltip())
 
     def intervals(self, curves: Iterable[Curve], *, across: bool = False) -> None:
         """Draw a stroke from `low` to `high` of each point: upright, or `across` (then they are values of x)."""
-        rows = [_row(number, curve, _known(curve), "low", "high") for number, curve in enumerate(curves)]
+        rows = [self._row(number, curve, _known(curve), "low", "high") for number, curve in enumerate(curves)]
         fields = {"x": "low", "x2": "high"} if across else {"y": "low", "y2": "high"}
         self._layer(rows, {"type": "rule", "strokeWidth": 1.8}, fields, **COLOURED)
 
     def bands(self, curves: Iterable[Curve]) -> None:
         """Fill between `low` and `high` of each curve."""
-        rows = [_row(number, curve, self._kept(curve), "low", "high") for number, curve in enumerate(curves)]
+        rows = [self._row(number, curve, self._kept(curve), "low", "high") for number, curve in enumerate(curves)]
         self._layer(rows, {"type": "area"}, {"y": "low", "y2": "high"}, **COLOURED, detail=ID)
 
     def outlines(self, curves: Iterable[Curve]) -> None:
         """Fill what each curve goes round; a path that crosses itself is filled on both sides."""
-        rows = [_row(number, curve, _known(curve)) for number, curve in enumerate(curves)]
+        rows = [self._row(number, curve, _known(curve)) for number, curve in enumerate(curves)]
         order = {"field": "at", "type": "quantitative"}
         rows = [row | {"at": [*range(len(row["x"]))]} for row in rows]
         fill = {"fill": COLOURED["color"], "fillOpacity": COLOURED["opacity"]}
@@ -262,6 +262,12 @@ class Panel:
             "y": self.y.channel(at["y"], max(2, round(self.height / 38))),
         } | {end: {"field": at[end]} for end in ("x2", "y2") if end in at}
         return drawn(rows, {**mark, "clip": True}, {**sides, **encoding}, where)
+
+    def _row(self, number: int, curve: Curve, kept: IntArray, *ends: str) -> Spec:
+        said = None if curve.said is None else curve.said or curve.key
+        head = {"id": number, "key": curve.key, "said": said, "colour": curve.colour}
+        values = {name: _numbers(self.y.within(getattr(curve, name)), kept) for name in ("y", *ends)}
+        return head | {"width": curve.width, "opacity": curve.opacity, "x": _numbers(curve.x, kept)} | values
 
     def _kept(self, curve: Curve) -> IntArray:
         most = max(60, round(POINTS_A_PIXEL * self.width / (1 if curve.said is not None else 2)))
@@ -383,13 +389,6 @@ def _by(curves: Iterable[Curve], kind: Callable[[Curve], _Kind]) -> list[tuple[_
 def _known(curve: Curve) -> IntArray:
     finite = np.isfinite(np.asarray(curve.x, dtype=np.float64)) & np.isfinite(np.asarray(curve.y, dtype=np.float64))
     return np.asarray(np.flatnonzero(finite), dtype=np.int64)
-
-
-def _row(number: int, curve: Curve, kept: IntArray, *ends: str) -> Spec:
-    said = None if curve.said is None else curve.said or curve.key
-    head = {"id": number, "key": curve.key, "said": said, "colour": curve.colour}
-    values = {name: _numbers(getattr(curve, name), kept) for name in ("x", "y", *ends)}
-    return head | {"width": curve.width, "opacity": curve.opacity} | values
 
 
 def _numbers(values: ArrayLike, kept: IntArray) -> list[float | None]:

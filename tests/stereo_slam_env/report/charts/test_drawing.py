@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from stereo_slam_env.report.charts.axes import Axis, log_ticks, spread_out
+from stereo_slam_env.report.charts.consistency import pose_error_chart
 from stereo_slam_env.report.charts.drawing import Chart, Curve, Panel, figure
 from stereo_slam_env.report.charts.style import CSS_VARIABLES, PALETTE, filter_colours, shared_limit, short_number
 from stereo_slam_env.report.page import inline_svg
@@ -146,3 +147,12 @@ def test_a_chart_from_elsewhere_is_drawn_too(tmp_path):
     Chart(spec).save(tmp_path / "own.png", tmp_path / "own.svg")
     assert (tmp_path / "own.png").read_bytes().startswith(b"\x89PNG")
     assert 'fill="#ffffff"' in (tmp_path / "own.svg").read_text()
+
+
+def test_a_curve_that_goes_far_beyond_its_panel_stays_where_a_renderer_has_coordinates(tmp_path):
+    """A filter that was lost by 10^6 panels ended the process that drew its report."""
+    assert np.abs(values(drawn(Curve("a", [0.0, 0.5, 1.0], [0.5, 1e9, -1e9], PALETTE[0])))).max() < 2e4
+    time, sigma = np.linspace(0.0, 20.0, 200), np.tile(np.linspace(1e-6, 6.0, 200)[:, None], (1, 6))
+    error = np.tile(3.1 * np.sin(time)[:, None], (1, 6))
+    pose_error_chart("lost", time, error, sigma, np.full(6, 2e-6)).save(tmp_path / "lost.png")
+    assert (tmp_path / "lost.png").read_bytes().startswith(b"\x89PNG")
