@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from filters import BodyVelocity, ConstantVelocity, StereoCamera, StereoNoise
+from filters import BodyVelocity, ConstantVelocity, StereoCamera, StereoNoise, StereoObservation
 from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray
 from stereo_slam_env.frontend.ego_motion import Pairs, Step, robust_step
@@ -51,15 +51,20 @@ class CameraStep:
     """Tracks of both frames."""
 
 
-@lru_cache(maxsize=2)
 def camera_steps(camera: StereoCamera, frames: tuple[Frame, ...]) -> tuple[CameraStep | None, ...]:
-    """Robust motion to each frame but the first from the one before; None where too few tracks agree.
+    """Robust motion to each frame but the first from the one before; None where too few tracks agree."""
+    return _steps_between(camera, tuple(frame.observation for frame in frames))
 
-    Kept for the recording looked at last, since noise, accelerations and the audit of the reference all need it.
+
+@lru_cache(maxsize=2)
+def _steps_between(camera: StereoCamera, observations: tuple[StereoObservation, ...]) -> tuple[CameraStep | None, ...]:
+    """Steps kept for the tracks looked at last: noise, accelerations, odometry and the audit of a reference need them.
+
+    Their key is the tracks alone, so that another odometry or truth beside them costs no second look.
     """
     steps: list[CameraStep | None] = []
-    for before, now in pairwise(frames):
-        pairs = Pairs.between(before.observation, now.observation, FIRST_GUESS)
+    for before, now in pairwise(observations):
+        pairs = Pairs.between(before, now, FIRST_GUESS)
         last = steps[-1] if steps else None
         found = robust_step(camera, pairs, None if last is None else last.step)
         if found is None:
