@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 def paper(
-    quick: Annotated[bool, typer.Option("--quick", help="A minute's worth: most intervals are then too wide.")] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="Three minutes: most intervals are then too wide.")] = False,
     seeds: Annotated[
         int | None, typer.Option("--seeds", help="Long drives for each noise.", min=1, show_default="20")
     ] = None,
@@ -36,15 +36,22 @@ def paper(
     ] = None,
     jobs: JobsOption = 2,
     out: OutOption = None,
+    real: Annotated[
+        list[Path] | None,
+        typer.Option("--real", help="A real drive, as `replay` takes it; may be given several times."),
+    ] = None,
     karlsruhe: Annotated[
         Path | None,
         typer.Option("--karlsruhe", help="Folder of 2009_09_08_drive_0010 and 2009_09_08_drive_0015, to judge too."),
     ] = None,
+    figure: Annotated[
+        str | None,
+        typer.Option("--figure", help="Only one figure and its sentences: 1 to 6, nees or speed.", show_default="all"),
+    ] = None,
 ) -> None:
-    """Run the paper's experiments again and judge its claims: figures, a table, one report (four minutes)."""
+    """Run the paper's experiments again and judge its claims: figures, a table, one report (half an hour)."""
     from stereo_slam_env.report.console import progress_bar
     from stereo_slam_env.studies.paper import FULL, QUICK, run_paper
-    from stereo_slam_env.studies.paper.karlsruhe import HOW_TO_GET_IT
 
     settings = QUICK if quick else FULL
     if seeds is not None:
@@ -54,24 +61,30 @@ def paper(
     directory = out or new_directory("paper")
     try:
         with progress_bar(console(stderr=True), "parts") as progress:
-            result = run_paper(directory, settings, jobs=jobs, karlsruhe_path=karlsruhe, progress=progress)
+            result = run_paper(
+                directory,
+                settings,
+                jobs=jobs,
+                real=real or (),
+                karlsruhe=karlsruhe,
+                figure=figure,
+                progress=progress,
+            )
     except KeyboardInterrupt:
         raise Interrupted(directory) from None
     _show_claims(result.claims)
-    if settings.remark:
-        typer.echo(settings.remark)
-    if karlsruhe is None:
-        typer.echo(HOW_TO_GET_IT)
+    for note in (settings.remark, *result.notes):
+        if note:
+            typer.echo(note)
     show_place(result.report)
 
 
 def _show_claims(claims: Sequence[Claim]) -> None:
-    """The table: claim, measured, verdict."""
+    """The table: claim, and the verdict in each place."""
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
-    from stereo_slam_env.studies.paper.claims import ClaimVerdict
-    from stereo_slam_env.studies.paper.report import measured_range
+    from stereo_slam_env.studies.paper.claims import PLACES, ClaimVerdict
 
     colours = {
         ClaimVerdict.HOLDS: "green",
@@ -80,11 +93,12 @@ def _show_claims(claims: Sequence[Claim]) -> None:
         ClaimVerdict.NOT_SHOWN: "dim",
     }
     table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    for heading, ratio in (("section", 1), ("claim", 5), ("measured", 2), ("verdict", 4)):
+    for heading, ratio in (("section", 1), ("claim", 4), *((name.lower(), 2) for name in PLACES.values())):
         table.add_column(heading, ratio=ratio)
     for claim in claims:
-        verdict = f"[{colours[claim.verdict]}]{claim.says}[/]"
-        table.add_row(claim.sentence.section, claim.sentence.claim, measured_range(claim.findings), verdict)
+        places = [claim.at(place) for place in PLACES]
+        verdicts = [f"[{colours[at.verdict]}]{at.verdict.value if at.findings else '–'}[/]" for at in places]
+        table.add_row(claim.sentence.section, claim.sentence.claim, *(v.replace(" if", " if ...") for v in verdicts))
     console().print(table, highlight=False)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import hashlib
 import io
 import json
 import math
@@ -15,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from stereo_slam_env import run_benchmark
 from stereo_slam_env.benchmark import Backend, versions
 from stereo_slam_env.files import (
     claimed_folder,
@@ -27,10 +25,22 @@ from stereo_slam_env.files import (
     write_json,
     write_text,
 )
-from stereo_slam_env.studies.paper import convergence, karlsruhe, landmark_uncertainty, long_drive, speed
-from stereo_slam_env.studies.paper.claims import Arrays, Claim, ClaimFinding, ClaimVerdict, Interval, Range
+from stereo_slam_env.studies.paper import convergence, drives, features, landmark_uncertainty, long_drive, speed
+from stereo_slam_env.studies.paper.claims import (
+    NOISES,
+    PLACES,
+    RENDERED,
+    SENTENCES,
+    Arrays,
+    Claim,
+    ClaimFinding,
+    ClaimVerdict,
+    Interval,
+    Range,
+)
 
 __all__ = [
+    "FIGURES",
     "FULL",
     "QUICK",
     "Claim",
@@ -44,10 +54,21 @@ __all__ = [
     "run_paper",
 ]
 
-VERSION = 1
+VERSION = 2
 SETTINGS, RESULT, ROWS = "paper_settings.json", "paper.json", "claims.csv"
-EXPERIMENTS, DRIVES = Path("trials") / "experiments", Path("trials") / "drives"
-"""Folders: of one npz file an experiment, and of the benchmark's runs for section 4.4, by number of frames."""
+EXPERIMENTS = Path("trials") / "experiments"
+"""Folder of one npz file an experiment."""
+FIGURES: Mapping[str, str] = {
+    "1": "4.1",
+    "2": "4.1",
+    "3": "3",
+    "4": "4.3",
+    "5": "4.3",
+    "6": "4.4",
+    "nees": "4.4",
+    "speed": "5",
+}
+"""What each figure needs: the clouds of 4.1, a rendered turn, the turns of 4.3, the drives of 4.4, the times of 5."""
 Progress = Callable[[float, int], None]
 
 
@@ -59,8 +80,10 @@ class PaperSettings:
     turn_seeds: int = 200  # recordings of 4.3, for each noise
     drive_seeds: int = 20  # recordings of 4.4, for each noise
     drive_frames: int = 800  # and their length
-    sizes: tuple[int, ...] = (25, 50, 100, 200)  # numbers of landmarks that the speed is measured at
-    repeats: int = 30  # rounds of that measurement
+    rendered_turns: int = 20  # turns in rendered images
+    rendered_drives: int = 6  # drives in rendered images, of as many frames
+    sizes: tuple[int, ...] = (25, 50, 100, 200, 500, 1000, 2000)  # landmarks that the speed is measured at
+    repeats: int = 30  # rounds of that measurement, fewer on large maps
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -90,8 +113,10 @@ def _size(number: Any) -> int:
 
 
 FULL = PaperSettings()
-QUICK = PaperSettings(turn_seeds=20, drive_seeds=6, drive_frames=150, sizes=(25, 50, 100), repeats=8)
-"""To see that everything works, within a minute; most intervals are then too wide to show anything."""
+QUICK = PaperSettings(
+    turn_seeds=20, drive_seeds=6, drive_frames=150, rendered_turns=6, rendered_drives=1, sizes=(25, 100, 500), repeats=8
+)
+"""To see that everything works, within three minutes; most intervals are then too wide to show anything."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,6 +126,8 @@ class PaperResult:
     out: Path
     claims: tuple[Claim, ...]
     report: Path
+    notes: tuple[str, ...] = ()
+    """What was not judged, and what it would need."""
 
 
 def run_paper(
@@ -108,74 +135,110 @@ def run_paper(
     settings: PaperSettings = FULL,
     *,
     jobs: int = 1,
-    karlsruhe_path: Path | None = None,
+    real: Sequence[Path] = (),
+    karlsruhe: Path | None = None,
+    figure: str | None = None,
     progress: Progress | None = None,
 ) -> PaperResult:
-    """Run the paper's experiments again and judge its claims.
+    """Run the paper's experiments again and judge its claims, in simulation, in rendered images and on real drives.
 
-    Finished experiments are kept in `out`: the same call goes on where an interrupted one stopped.
+    Finished experiments are kept in `out`: the same call goes on where an interrupted one stopped. The page is written
+    after each section, in the order of the paper.
 
     Parameters
     ----------
     out : str or Path
-        Directory for `paper.json` (claims with their numbers, settings, versions), `claims.csv`, `figures` (PNG and
-        SVG), `report.html`, and the experiments.
+        Directory for `paper.json` (claims with their numbers, settings, versions), `claims.csv`, `claims.md`,
+        `figures` (PNG and SVG), `report.html`, and the experiments.
     settings : PaperSettings
         How much is measured.
     jobs : int
         Processes, one BLAS thread each. Time is measured in one process after everything else.
-    karlsruhe_path : Path, optional
-        Folder of the Karlsruhe sequences.
+    real : sequence of Path
+        Real recordings, each whatever `stereo_slam_env.load` takes. KITTI 00 is judged wherever gtsam is installed.
+    karlsruhe : Path, optional
+        Folder of the paper's own recordings.
+    figure : str, optional
+        One of `FIGURES`: run only what it needs.
     progress : callable, optional
-        Called with (experiments done, experiments), where a drive of section 4.4 with one filter is one of them.
+        Called with (experiments done, experiments).
 
     Raises
     ------
     ValueError
-        `out` holds something else or is in use by another process, jobs < 1, or there are no such sequences.
+        `out` holds something else or is in use by another process, jobs < 1, no such figure, or a recording that is
+        not there.
     """
     out, tell = Path(out), progress or (lambda done, total: None)
-    together = Backend(jobs=jobs)
-    sequences = {} if karlsruhe_path is None else karlsruhe.sequences(karlsruhe_path)
+    together, alone = Backend(jobs=jobs), Backend(jobs=1)
+    if figure is not None and figure not in FIGURES:
+        raise ValueError(f"figure must be one of {', '.join(FIGURES)}, got {figure!r}")
+    recordings = drives.real_drives(real, karlsruhe)
     if out.exists() and not out.is_dir():
         raise ValueError(f"output {out} is a file: give a directory")
     if out.is_dir() and is_occupied(out) and not holds_paper(out):
         raise ValueError(f"output {out} is not empty and holds no run of the paper: choose another directory")
     with claimed_folder(out):
+        from stereo_slam_env.studies.paper.report import Page  # draws, which only this needs
+
         about = {"version": VERSION, "settings": asdict(settings), "versions": versions()}
         if settings.remark:
             about["remark"] = settings.remark
-        own_files(out, (RESULT, ROWS, "report.html"), is_run=True)
+        own_files(out, (RESULT, ROWS, "claims.md", "report.html"), is_run=True)
         write_json(out / SETTINGS, about)
-
-        drives = long_drive.study(settings.drive_seeds, settings.drive_frames)
-        untimed = {**convergence.experiments(settings.turn_seeds), **karlsruhe.experiments(sequences)}
-        timed = speed.experiments(settings.sizes, settings.repeats)
-        trials = sum(len(cell.scenario.filters) * len(cell.scenario.seeds) for cell in drives.cells)
-        total = trials + len(untimed) + len(timed)
-
-        def after(before: int) -> Progress:
-            return lambda done, of: tell(before + done, total)
-
-        def of_drives(done: float, of: int) -> None:
-            tell(trials * done / of, total)
-
-        benchmark = run_benchmark(drives, out / f"{DRIVES}-{settings.drive_frames}", jobs=jobs, progress=of_drives)
-        runs = long_drive.runs_of(benchmark)
-        results = run_experiments(untimed, out / EXPERIMENTS, together, after(trials))
-        results |= run_experiments(timed, out / EXPERIMENTS, Backend(jobs=1), after(trials + len(untimed)))
-        claims = (
-            *landmark_uncertainty.judge(settings.samples),
-            *convergence.judge(results),
-            *long_drive.judge(runs),
-            *speed.judge(results),
-            *karlsruhe.judge(results),
-        )
+        without = "" if drives.can_render() else drives.HOW_TO_RENDER
+        page = Page(out, settings, tuple(recordings), without, figure)
+        sections = _sections(settings, recordings, renders=not without)
+        if figure is not None:
+            sections = {FIGURES[figure]: sections[FIGURES[figure]]}
+        results: dict[str, Arrays] = {}
+        claims: tuple[Claim, ...] = ()
+        total = sum(len(section.work) for section in sections.values())
+        for name, section in sections.items():
+            before = len(results)
+            results |= run_experiments(
+                section.work,
+                out / EXPERIMENTS,
+                alone if name == "5" else together,
+                partial(_told, tell, before, total),
+            )
+            claims = (*claims, *section.judge(results))
+            page.write(_in_order(claims), results, (len(results), total))
+        claims = _in_order(claims)
         write_json(out / RESULT, {**about, "claims": [_as_dict(claim) for claim in claims]})
         _write_rows(out / ROWS, claims)
-        from stereo_slam_env.studies.paper.report import write_report  # draws, which only this needs
+        return PaperResult(out, claims, page.path, tuple(page.notes))
 
-        return PaperResult(out, claims, write_report(out, claims, results, runs, settings, bool(sequences)))
+
+def _told(tell: Progress, before: int, total: int, done: float, of: int) -> None:
+    tell(before + done, total)
+
+
+@dataclass(frozen=True, eq=False)
+class _Section:
+    work: Mapping[str, partial[Arrays]]  # experiments by name
+    judge: Callable[[Mapping[str, Arrays]], tuple[Claim, ...]]
+
+
+def _sections(settings: PaperSettings, real: Mapping[str, drives.RealDrive], *, renders: bool) -> dict[str, _Section]:
+    """Sections of the paper with the experiments that each needs."""
+    turn_seeds, drive_seeds = dict.fromkeys(NOISES, settings.turn_seeds), dict.fromkeys(NOISES, settings.drive_seeds)
+    if renders:
+        turn_seeds |= {RENDERED: settings.rendered_turns}
+        drive_seeds |= {RENDERED: settings.rendered_drives}
+    return {
+        "4.1": _Section({}, lambda results: landmark_uncertainty.judge(settings.samples)),
+        "3": _Section(features.experiments() if renders else {}, lambda results: ()),
+        "4.3": _Section(convergence.experiments(turn_seeds, real), convergence.judge),
+        "4.4": _Section(long_drive.experiments(drive_seeds, settings.drive_frames, real), long_drive.judge),
+        "5": _Section(speed.experiments(settings.sizes, settings.repeats), speed.judge),
+    }
+
+
+def _in_order(claims: Sequence[Claim]) -> tuple[Claim, ...]:
+    """Claims in the order of the paper."""
+    place = {key: number for number, key in enumerate(SENTENCES)}
+    return tuple(sorted(claims, key=lambda claim: place[claim.sentence.key]))
 
 
 def run_experiments(
@@ -183,9 +246,7 @@ def run_experiments(
 ) -> dict[str, Arrays]:
     """Results by name of a file; what `folder` has of the same arguments and code is not computed again."""
     folder.mkdir(parents=True, exist_ok=True)
-    own_code = b"".join(path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py")))
-    code = [versions()["code"], hashlib.sha256(own_code).hexdigest()]
-    keys = {name: json.dumps([*code, work.args, work.keywords]) for name, work in experiments.items()}
+    keys = {name: json.dumps([versions()["code"], work.args, work.keywords]) for name, work in experiments.items()}
     found = {name: _kept(folder / f"{name}.npz", key) for name, key in keys.items()}
     results = {name: arrays for name, arrays in found.items() if arrays is not None}
     progress(len(results), len(experiments))
@@ -217,8 +278,9 @@ def _kept(path: Path, key: str) -> Arrays | None:
 def _as_dict(claim: Claim) -> dict[str, Any]:
     sentence = asdict(claim.sentence)
     del sentence["asked"]  # of each finding
+    places = {place: claim.at(place).says for place in PLACES}
     findings = [_finding(finding) for finding in claim.findings]
-    return {**sentence, "verdict": claim.verdict.value, "says": claim.says, "findings": findings}
+    return {**sentence, "verdict": claim.verdict.value, "places": places, "findings": findings}
 
 
 def holds_paper(out: Path) -> bool:
@@ -231,6 +293,7 @@ def _finding(finding: ClaimFinding) -> dict[str, Any]:
     ends = (*vars(finding.measured).values(), *vars(finding.asked).values())
     value, *limits = (number if math.isfinite(number) else None for number in ends)
     return {
+        "place": finding.place,
         "condition": dict(finding.condition),
         "measured": value,
         "interval": limits[:2],
@@ -241,15 +304,15 @@ def _finding(finding: ClaimFinding) -> dict[str, Any]:
 
 def _write_rows(path: Path, claims: Sequence[Claim]) -> None:
     """One row a finding."""
-    heads = ("key", "section", "claim", "statement", "condition", "measured", "low", "high", "asked", "verdict", "says")
+    heads = ("key", "section", "claim", "statement", "place", "condition", "measured", "low", "high")
     file = io.StringIO(newline="")
     rows = csv.writer(file, lineterminator="\n")
-    rows.writerow((*heads, "evidence"))
+    rows.writerow((*heads, "asked", "verdict", "evidence"))
     for claim in claims:
         said = claim.sentence
         for found in claim.findings:
             condition = ", ".join(f"{factor}: {level}" for factor, level in found.condition.items())
-            about = said.key, said.section, said.claim, said.statement, condition
-            verdict = found.asked, found.verdict.value, claim.says, said.evidence
+            about = said.key, said.section, said.claim, said.statement, found.place, condition
+            verdict = found.asked, found.verdict.value, said.evidence
             rows.writerow((*about, *vars(found.measured).values(), *verdict))
     write_text(path, file.getvalue())

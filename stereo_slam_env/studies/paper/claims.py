@@ -1,13 +1,14 @@
 """The claims of the paper: conditions that they are judged under, intervals, and the rule that decides.
 
 Every claim is made measurable: a quantity, and the range in which it must lie if the claim is true. A quantity is
-measured under several conditions, each time with a 95 % confidence interval.
+measured under several conditions, each time with a 95 % confidence interval, in up to three places: with simulated
+measurements, in rendered images, on real drives.
 
 - One condition (`Finding`): the claim *holds* if the whole interval lies in the range, *does not hold* if the whole
   interval lies outside, and is *not shown* where the interval crosses a limit of the range, or there is no interval.
-- The claim (`Claim`): *holds* if it holds under every condition; *does not hold* if it is refuted under every one;
-  *holds only if ...* if it is shown under some of them, which are then named, and refuted under others; else *not
-  shown*: what is undecided is neither held nor refuted.
+- The claim (`Claim`), in one place and in all: *holds* if it holds under every condition; *does not hold* if it is
+  refuted under every one; *holds only if ...* if it is shown under some of them, which are then named, and refuted
+  under others; else *not shown*: what is undecided is neither held nor refuted.
 
 Nothing else decides. `claims.json` has every checkable sentence and the limits, each with its reason; they were chosen
 before these runs.
@@ -18,14 +19,14 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import binomtest
+from scipy.stats import binomtest, chi2
 
 from filters import StereoNoise
 from stereo_slam_env import benchmark
@@ -37,6 +38,10 @@ Arrays = dict[str, NDArray[Any]]
 """Result of an experiment."""
 
 # Conditions.
+
+SIMULATION, RENDERED, REAL = "simulation", "rendered", "real"
+PLACES: Mapping[str, str] = {SIMULATION: "Simulation", RENDERED: "Rendered images", REAL: "Real drives"}
+"""Where a claim is judged: on simulated measurements, on tracks through rendered images, on real recordings."""
 
 UVD, PIXELS = "uvd", "pixels"
 """Noise of the measurements: u, v, d independent (the paper's assumption); u_l, v_l, u_r, v_r independent."""
@@ -50,12 +55,44 @@ ASSUMED: Mapping[str, StereoNoise] = {
 """R that a filter assumes, px^2: the paper's ("in our experiments 1 pixel" each), and that of independent pixels."""
 RIGHT = {UVD: DIAGONAL, PIXELS: COUPLED}
 """The R that describes a noise."""
-ASSUMED_NAMES: Mapping[str, str] = {DIAGONAL: "the paper's", COUPLED: "of independent pixels"}
+OWN = "measured"
+"""The R that a front end measured for each track, or that `replay` assumes of stored tracks."""
+ASSUMED_NAMES: Mapping[str, str] = {
+    DIAGONAL: "the paper's",
+    COUPLED: "of independent pixels",
+    OWN: "of the measurements",
+}
 
-JOINT, DUAL, EUCLIDEAN = "inverse-depth", "dual-bearing", "euclidean"
-"""The paper's filter, its competitor with one bearing update an image, and the classic with points XYZ."""
-COMMON_OPTIONS: Mapping[str, Any] = {"gate": None}
-"""Of every filter here: nothing is gated, so nothing is hidden."""
+JOINT, DUAL, PAZ, EUCLIDEAN = "inverse-depth", "dual-bearing", "paz", "euclidean"
+XYZ_POINTS, POINTS, MONOCULAR, ODOMETRY = "euclidean-unscented", "unscented", "monocular", "frame-to-frame"
+FILTERS: Mapping[str, tuple[str, Mapping[str, Any]]] = {
+    JOINT: ("inverse-depth", {}),
+    DUAL: ("dual-bearing", {}),
+    PAZ: ("hybrid", {"measurement": "sequential"}),
+    EUCLIDEAN: ("euclidean", {"min_disparity": 3.0}),
+    XYZ_POINTS: ("euclidean", {"update": "unscented", "min_disparity": 0.5}),
+    POINTS: ("unscented", {}),
+    MONOCULAR: ("monocular", {}),
+    ODOMETRY: ("frame-to-frame", {}),
+}
+"""Filters of the study, each a name and options of `make_filter`: the paper's; the same with one bearing update an
+image; the competitor that the paper names (Paz et al.: inverse depth far, XYZ near, two bearing updates); XYZ by an EKF
+and by sigma points; inverse depth by sigma points; the left camera alone; visual odometry from frame to frame. Smallest
+disparities of XYZ landmarks were chosen on other drives (`benchmarks/euclidean_guard.py`)."""
+FILTER_NAMES: Mapping[str, str] = {
+    JOINT: "inverse depth, (u, v, d)",
+    DUAL: "inverse depth, two bearings",
+    PAZ: "Paz et al.",
+    EUCLIDEAN: "XYZ",
+    XYZ_POINTS: "XYZ, sigma points",
+    POINTS: "inverse depth, sigma points",
+    MONOCULAR: "left camera alone",
+    ODOMETRY: "visual odometry",
+}
+UNGATED: Mapping[str, Any] = {"gate": None}
+"""Options of every filter on simulated measurements: nothing is gated, so nothing is hidden."""
+GATED: Mapping[str, Any] = {"gate": 0.99, "consensus": True}
+"""Options of every filter on tracks through images: a front end makes mistakes, so they are looked for."""
 
 
 # The rule.
@@ -116,10 +153,11 @@ def decide(measured: Interval, asked: Range) -> ClaimVerdict:
 class ClaimFinding:
     """A claim under one condition."""
 
-    # factor -> level, e.g. {"noise": "pixels independent", "R": "full"}; the same factors in all of a claim
+    # factor -> level, e.g. {"noise": "pixels independent", "R": "full"}; the same factors in all of a claim in a place
     condition: Mapping[str, str]
     measured: Interval  # the quantity
     asked: Range  # where it must lie if the claim is true
+    place: str = SIMULATION  # a key of `PLACES`
 
     @property
     def verdict(self) -> ClaimVerdict:
@@ -146,6 +184,10 @@ class Claim:
     sentence: Sentence
     findings: tuple[ClaimFinding, ...]
 
+    def at(self, place: str) -> Claim:
+        """The claim in one place alone; without any finding where it was not judged there."""
+        return replace(self, findings=tuple(finding for finding in self.findings if finding.place == place))
+
     @property
     def verdict(self) -> ClaimVerdict:
         """By the rule of this module."""
@@ -156,7 +198,9 @@ class Claim:
 
     @property
     def says(self) -> str:
-        """The verdict in words: under which conditions it holds or is refuted, and how many of them show nothing."""
+        """The verdict in one place in words: where it holds or is refuted, and how many conditions show nothing."""
+        if not self.findings:
+            return "–"
         every = [finding.condition for finding in self.findings]
         of = {kind: [f.condition for f in self.findings if f.verdict is kind] for kind in ClaimVerdict}
         undecided = len(of[ClaimVerdict.NOT_SHOWN])
@@ -216,6 +260,15 @@ def mean_interval(values: FloatArray) -> Interval:
     return Interval(float(finite.mean()), float(low[0]), float(high[0]))
 
 
+def single_interval(nees: float, dof: int = 6) -> Interval:
+    """The variance ratio that the mean NEES of one drive shows, over its degrees of freedom.
+
+    The error of a drive changes slowly, so it is taken for one draw: the interval of a chi-square variable.
+    """
+    low, high = chi2.ppf([0.5 - CONFIDENCE / 2.0, 0.5 + CONFIDENCE / 2.0], dof) / dof
+    return Interval(nees, nees / float(high), nees / float(low))
+
+
 def rms_interval(values: FloatArray) -> Interval:
     """The root mean square."""
     square = mean_interval(np.square(values))
@@ -255,7 +308,14 @@ Measured = Iterable[tuple[Mapping[str, str], Interval]]
 """Conditions, and what was measured under each."""
 
 
-def claim(sentence: str | Sentence, measured: Measured) -> Claim:
-    """A sentence, or that of a key of `SENTENCES`, judged."""
-    said = SENTENCES[sentence] if isinstance(sentence, str) else sentence
-    return Claim(said, tuple(ClaimFinding(condition, interval, said.asked) for condition, interval in measured))
+def claim(key: str, simulation: Measured = (), rendered: Measured = (), real: Measured = ()) -> Claim:
+    """The sentence of that key, judged by what was measured in each place."""
+    sentence = SENTENCES[key]
+    return Claim(
+        sentence,
+        tuple(
+            ClaimFinding(condition, interval, sentence.asked, place)
+            for place, measured in zip(PLACES, (simulation, rendered, real), strict=True)
+            for condition, interval in measured
+        ),
+    )

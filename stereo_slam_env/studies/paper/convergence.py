@@ -7,32 +7,32 @@ throughout are followed, on many drives; every quantity is one number a drive, a
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial, reduce
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
-from filters import Pose, StereoNoise
+from filters import Pose, Start, StereoNoise
 from stereo_slam_env import Recording, run
-from stereo_slam_env.benchmark import short_turn
-from stereo_slam_env.sensing import RIGS
+from stereo_slam_env.frontend import with_moving_start
+from stereo_slam_env.studies.paper import drives
 from stereo_slam_env.studies.paper.claims import (
-    ASSUMED,
     ASSUMED_NAMES,
-    COMMON_OPTIONS,
-    COUPLED,
-    DIAGONAL,
     DUAL,
+    FILTER_NAMES,
+    FILTERS,
     JOINT,
-    NOISES,
+    PAZ,
+    REAL,
+    SIMULATION,
     Arrays,
     Claim,
     FloatArray,
     Interval,
     Measured,
-    claim,
     mean_interval,
     ratio_interval,
 )
@@ -41,16 +41,14 @@ IntArray = NDArray[np.int64]
 UPDATES = 10
 """The paper's number; there is one frame more, because the first only initialises."""
 RANGES: Mapping[str, tuple[float, float]] = {"near": (15.0, 25.0), "far": (60.0, 90.0)}
-"""True depth at first sight, m."""
-CASES = tuple((name, R) for name in (JOINT, DUAL) for R in ASSUMED)
-"""Filter and the R that it assumes."""
-PAIRS: Mapping[str, tuple[str, str]] = {
-    ASSUMED_NAMES[DIAGONAL]: (DIAGONAL, DIAGONAL),
-    "the paper's, competitor, 1 px an image": (DIAGONAL, COUPLED),
-    ASSUMED_NAMES[COUPLED]: (COUPLED, COUPLED),
-}
-"""Comparisons: the R of the paper's filter, and that of its competitor. Two images of 1 px each are what the full R
-says."""
+"""Depth at first sight of simulated landmarks, m: narrow, so that they have a depth in common."""
+WIDE_RANGES: Mapping[str, tuple[float, float]] = {"near": (5.0, 30.0), "far": (45.0, 300.0)}
+"""The same of tracks in images, m, of which there are few."""
+LINEAR = 0.1
+"""Largest index of linearity with which a landmark is converted to XYZ (Civera et al., reference 12 of the paper)."""
+MEDIAN_NEES = float(chi2.ppf(0.5, 1))
+"""Median of the NEES of a consistent inverse depth, whose mean is 1."""
+FILTERS_HERE = (JOINT, DUAL, PAZ)
 DRIVES_AT_ONCE = 20
 
 
@@ -66,14 +64,15 @@ class DepthHistory:
 
 @dataclass(frozen=True, eq=False)
 class Depths:
-    """L landmarks of some drives through K frames."""
+    """L landmarks of some drives of one setting through K frames."""
 
-    drive: IntArray  # (L,): what intervals are made over: the number of the drive
-    label: NDArray[np.str_]  # (L,): "near" or "far"
+    setting: drives.Setting
+    drive: IntArray  # (L,): number of the drive, over which intervals are made
+    label: NDArray[np.str_]  # (L,): "near", "far" or ""
     true: FloatArray  # (L, K): true depth, m; NaN where unknown
-    raw: FloatArray  # (L, K): the one that the frame's own disparity says, m; NaN where d <= 0
+    raw: FloatArray  # (L, K): depth by the disparity of the frame alone, m; NaN where d <= 0
     filters: Mapping[tuple[str, str], DepthHistory]  # (filter, assumed R) -> what it believed
-    disparity_constant: float = RIGS["reference"].disparity_constant  # fx b, px m
+    disparity_constant: float  # fx b, px m
 
     def depth(self, history: DepthHistory) -> tuple[FloatArray, FloatArray]:
         """Estimated depths and their standard deviations to first order, (L, K) m; NaN where d <= 0."""
@@ -81,30 +80,57 @@ class Depths:
         return z, z / history.d * history.sigma_d
 
 
-def experiments(drives: int) -> dict[str, partial[Arrays]]:
-    """The short turns, for each noise."""
-    return {
-        f"turn-{noise}-{first:04d}": partial(turns, noise, first, min(first + DRIVES_AT_ONCE, drives))
-        for noise in NOISES
-        for first in range(0, drives, DRIVES_AT_ONCE)
-    }
+def experiments(seeds: Mapping[str, int], real: Mapping[str, drives.RealDrive]) -> dict[str, partial[Arrays]]:
+    """The short turns, and what real drives have of so many frames."""
+    return dict(drives.experiments(drives.TURN, turns, seeds, UPDATES + 1, real, DRIVES_AT_ONCE))
 
 
-def turns(noise: str, first: int, end: int) -> Arrays:
-    """All filters on the drives of the seeds from `first` to before `end`."""
-    by_drive = [_turn(noise, seed) for seed in range(first, end)]
-    return {name: np.concatenate([one[name] for one in by_drive]) for name in by_drive[0]}
+def turns(key: str, *about: Any) -> Arrays:
+    """All filters on some turns, or the windows of a real drive that is long enough; see `drives.recordings_of`."""
+    setting = drives.setting(key)
+    found = []
+    for number, recording in drives.recordings_of(drives.TURN, key, *about):
+        if setting.place == REAL:
+            found += [_turn(setting, window, k) for k, window in enumerate(_windows(recording))]
+        else:
+            found.append(_turn(setting, recording, number))
+    return {name: np.concatenate([one[name] for one in found]) for name in found[0]} if found else {}
 
 
-def _turn(noise: str, seed: int) -> Arrays:
-    recording = short_turn(seed, noise, frames=UPDATES + 1)
+def _windows(recording: Recording) -> list[Recording]:
+    """Pieces of `UPDATES` + 1 frames, in which a filter starts anew with the velocity that the tracks show."""
+    length = UPDATES + 1
+    pieces = [recording[first : first + length] for first in range(0, len(recording) - length + 1, length)]
+    return [with_moving_start(replace(piece, start=Start())) for piece in pieces]
+
+
+def _turn(setting: drives.Setting, recording: Recording, number: int) -> Arrays:
     ids = seen_throughout(recording)
-    true = true_depths(recording, ids)
-    wanted = np.any([within(true[:, 0], label) for label in RANGES], axis=0)
-    ids, true = ids[wanted], true[wanted]
-    raw = raw_depths(measured_disparities(recording, ids), recording.camera.disparity_constant)
-    followed = follow_all(recording, ASSUMED, ids, COMMON_OPTIONS)
-    return {"drive": np.full(len(ids), seed), "true": true, "raw": raw, **followed}
+    constant = recording.camera.disparity_constant
+    raw = raw_depths(measured_disparities(recording, ids), constant)
+    true = np.full_like(raw, np.nan) if recording.landmarks is None else true_depths(recording, ids)
+    label = labels(true[:, 0] if recording.landmarks else np.nanmedian(raw, axis=1), setting.place)
+    used = label != ""
+    ids, raw, true = ids[used], raw[used], true[used]
+    arrays: Arrays = {
+        "drive": np.full(len(ids), number),
+        "label": label[used],
+        "true": true,
+        "raw": raw,
+        "disparity_constant": np.full(len(ids), constant),
+    }
+    for name in FILTERS_HERE:
+        for R in setting.levels:
+            seen, noise = setting.seen(recording, R)
+            history = follow_depths(seen, name, noise or recording.noise, ids, setting.options)
+            arrays |= {f"{name}.{R}.{field}": values for field, values in vars(history).items()}
+    return arrays
+
+
+def labels(depth: FloatArray, place: str) -> NDArray[np.str_]:
+    """Range of each depth at first sight (L,), m: "near", "far" or ""."""
+    ranges = RANGES if place == SIMULATION else WIDE_RANGES
+    return np.select([(low <= depth) & (depth <= high) for low, high in ranges.values()], list(ranges), "")
 
 
 def seen_throughout(recording: Recording) -> IntArray:
@@ -130,25 +156,14 @@ def true_depths(recording: Recording, ids: IntArray) -> FloatArray:
     return np.stack([pose.to_camera(points_w)[:, 2] for pose in poses if pose is not None], axis=1)
 
 
-def follow_all(
-    recording: Recording, assumed: Mapping[str, StereoNoise], ids: IntArray, options: Mapping[str, Any]
-) -> Arrays:
-    """Histories of both filters with each R, by "filter.R.field"."""
-    return {
-        f"{name}.{R}.{field}": values
-        for name in (JOINT, DUAL)
-        for R, noise in assumed.items()
-        for field, values in vars(follow_depths(recording, name, noise, ids, options)).items()
-    }
-
-
 def follow_depths(
-    recording: Recording, filter_name: str, noise: StereoNoise, ids: IntArray, options: Mapping[str, Any]
+    recording: Recording, name: str, noise: StereoNoise, ids: IntArray, options: Mapping[str, Any]
 ) -> DepthHistory:
-    """Run a filter and note the depths of the landmarks `ids` (L,), ascending; NaN where it does not have one."""
+    """Run a filter of `FILTERS` and note the depths of landmarks `ids` (L,), ascending; NaN where it has none."""
     history = DepthHistory(*(np.full((len(ids), len(recording)), np.nan) for _ in range(3)))
     poses = []
-    for moment in run(filter_name, recording, noise=noise, use_odometry=False, **options):
+    filter_name, own = FILTERS[name]
+    for moment in run(filter_name, recording, noise=noise, use_odometry=False, **options, **own):
         forecast = moment.slam.forecast()
         _, mine, theirs = np.intersect1d(ids, forecast.ids, return_indices=True)
         variance = (forecast.S - noise.R)[theirs, 2, 2]
@@ -162,30 +177,28 @@ def follow_depths(
     return history
 
 
-def histories(arrays: Arrays, cases: Sequence[tuple[str, str]]) -> dict[tuple[str, str], DepthHistory]:
-    """Results of `follow_all` by filter and R."""
+def gathered(setting: drives.Setting, results: Sequence[Arrays]) -> Depths:
+    """The turns of one setting."""
+    joined = {name: np.concatenate([arrays[name] for arrays in results]) for name in results[0]}
+    constant = float(joined["disparity_constant"][0]) if len(joined["drive"]) else np.nan
     fields = ("d", "sigma_d", "hindsight")
-    return {(name, R): DepthHistory(*(arrays[f"{name}.{R}.{field}"] for field in fields)) for name, R in cases}
+    filters = {
+        (name, R): DepthHistory(*(joined[f"{name}.{R}.{field}"] for field in fields))
+        for name in FILTERS_HERE
+        for R in setting.levels
+    }
+    return Depths(setting, joined["drive"], joined["label"], joined["true"], joined["raw"], filters, constant)
 
 
-def gathered(results: Mapping[str, Arrays], noise: str) -> Depths:
-    """The turns of one noise."""
-    mine = [arrays for name, arrays in results.items() if name.startswith(f"turn-{noise}-")]
-    joined = {name: np.concatenate([arrays[name] for arrays in mine]) for name in mine[0]}
-    near = within(joined["true"][:, 0], "near")
-    label = np.where(near, "near", "far")
-    return Depths(joined["drive"], label, joined["true"], joined["raw"], histories(joined, CASES))
+def settings(results: Mapping[str, Arrays]) -> list[Depths]:
+    """The turns that there are results of, simulated ones first."""
+    found = drives.settings_of(results, drives.TURN)
+    return [gathered(drives.setting(key), arrays) for key, arrays in found.items()]
 
 
 def raw_depths(d: FloatArray, disparity_constant: float) -> FloatArray:
     """Depth by the disparity alone, m; NaN where d <= 0."""
     return disparity_constant / np.where(d > 0, d, np.nan)
-
-
-def within(true_depth: FloatArray, label: str) -> NDArray[np.bool_]:
-    """Which true depths at first sight (L,) are of that range."""
-    low, high = RANGES[label]
-    return (low <= true_depth) & (true_depth <= high)
 
 
 Quantity = Callable[[Depths, DepthHistory], FloatArray]
@@ -221,14 +234,33 @@ def distance_to_raw_mean(depths: Depths, history: DepthHistory) -> FloatArray:
     return np.asarray(np.abs(np.nanmean(depths.raw - history.hindsight, axis=1)))
 
 
+def updates_until_linear(depths: Depths, history: DepthHistory) -> FloatArray:
+    """Updates until 4 sigma_d / d, Civera's index at small parallax, is below `LINEAR`; `UPDATES` + 1: not yet."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        linear = (4.0 * history.sigma_d / history.d < LINEAR) & (history.d > 0.0)
+    count = linear.shape[1]
+    updates: FloatArray = np.where(linear.any(axis=1), linear.argmax(axis=1), count).astype(np.float64)
+    return updates
+
+
 def of_drives(depths: Depths, label: str, quantity: Quantity, case: tuple[str, str]) -> FloatArray:
-    """The mean of a quantity over the landmarks of that range, for each drive (S,); NaN where it has none."""
+    """The mean of a quantity over the landmarks of that range, for each drive (S,); NaN where it has none.
+
+    In images it is the median: a corner at an edge has no one depth. Where all landmarks are of one drive, they stand
+    for themselves.
+    """
     values = quantity(depths, depths.filters[case])
     used = (depths.label == label) & np.isfinite(values)
-    drives, place = np.unique(depths.drive, return_inverse=True)
+    drive = depths.drive
+    if len(np.unique(drive)) == 1 and len(drive) > 1:
+        drive = np.arange(len(drive))
+    numbers, place = np.unique(drive, return_inverse=True)
+    if depths.setting.place != SIMULATION:
+        by_drive = [values[used & (place == number)] for number in range(len(numbers))]
+        return np.array([np.median(few) if len(few) else np.nan for few in by_drive])
     with np.errstate(invalid="ignore"):
-        total = np.bincount(place[used], values[used], len(drives))
-        mean: FloatArray = total / np.bincount(place[used], minlength=len(drives))
+        total = np.bincount(place[used], values[used], len(numbers))
+        mean: FloatArray = total / np.bincount(place[used], minlength=len(numbers))
     return mean
 
 
@@ -236,38 +268,46 @@ def example(depths: Depths, label: str) -> int:
     """The landmark to show: on the first drive that has one of that range, the one nearest to its middle."""
     there = np.flatnonzero(depths.label == label)
     there = there[depths.drive[there] == depths.drive[there].min()]
-    return int(there[np.argmin(np.abs(depths.true[there, 0] - np.mean(RANGES[label])))])
+    return int(there[np.argmin(np.abs(np.nanmedian(depths.raw[there], axis=1) - np.mean(RANGES[label])))])
 
 
 def judge(results: Mapping[str, Arrays]) -> tuple[Claim, ...]:
     """The claims of section 4.3."""
-    every = {noise: gathered(results, noise) for noise in NOISES}
+    every = settings(results)
 
-    def against_competitor(quantity: Quantity, root: bool = False) -> Measured:
-        for noise, depths in every.items():
-            for R, (ours, theirs) in PAIRS.items():
-                for label in RANGES:
-                    ratio = ratio_interval(
-                        of_drives(depths, label, quantity, (JOINT, ours)),
-                        of_drives(depths, label, quantity, (DUAL, theirs)),
-                    )
-                    if root:
-                        ratio = Interval(*np.sqrt([ratio.value, ratio.low, ratio.high]).tolist())
-                    yield {"noise": NOISES[noise], "R": R, "landmark": label}, ratio
+    def by_place(key: str, measured: Callable[[Depths], Measured]) -> Claim:
+        return drives.judged(key, every, measured)
 
-    consistent = [
-        (
-            {"noise": NOISES[noise], "R": ASSUMED_NAMES[R], "landmark": label},
-            mean_interval(of_drives(depths, label, nees, (JOINT, R))),
-        )
-        for noise, depths in every.items()
-        for R in ASSUMED
-        for label in RANGES
-    ]
+    def ratios(
+        quantity: Quantity, root: bool = False, labels: Sequence[str] = tuple(RANGES)
+    ) -> Callable[[Depths], Measured]:
+        def measured(depths: Depths) -> Measured:
+            for words, (ours, theirs) in depths.setting.pairs.items():
+                for rival in (DUAL, PAZ):
+                    for label in labels:
+                        both = ((JOINT, ours), (rival, theirs))
+                        ratio = ratio_interval(*(of_drives(depths, label, quantity, case) for case in both))
+                        if root:
+                            ratio = Interval(*np.sqrt([ratio.value, ratio.low, ratio.high]).tolist())
+                        about = {"R": words, "competitor": FILTER_NAMES[rival], "landmark": label}
+                        yield about, ratio
+
+        return measured
+
+    def consistent(depths: Depths) -> Measured:
+        for R in depths.setting.levels:
+            for label in RANGES:
+                about = {"R": ASSUMED_NAMES[R], "landmark": label}
+                values = of_drives(depths, label, nees, (JOINT, R))
+                simulated = depths.setting.place == SIMULATION
+                yield about, mean_interval(values if simulated else values / MEDIAN_NEES)
+
     return (
-        claim("uncertainty-converges", against_competitor(sigma)),
-        claim("depth-converges", against_competitor(squared_error, root=True)),
-        claim("depth-uncertainty", consistent),
-        claim("smoother", against_competitor(roughness, root=True)),
-        claim("raw-mean", against_competitor(distance_to_raw_mean)),
+        by_place("uncertainty-converges", ratios(sigma)),
+        by_place("depth-converges", ratios(squared_error, root=True)),
+        by_place("depth-uncertainty", consistent),
+        by_place("sooner-linear", ratios(updates_until_linear, labels=("near",))),
+        by_place("smoother", ratios(roughness, root=True)),
+        by_place("raw-mean", ratios(distance_to_raw_mean)),
+        by_place("far-not-closer", ratios(distance_to_raw_mean, labels=("far",))),
     )

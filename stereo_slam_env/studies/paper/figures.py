@@ -28,18 +28,23 @@ from stereo_slam_env.report import (
 )
 from stereo_slam_env.studies.paper import convergence, long_drive, speed
 from stereo_slam_env.studies.paper.claims import (
-    COUPLED,
     DIAGONAL,
     DUAL,
     EUCLIDEAN,
+    FILTER_NAMES,
     JOINT,
     NOISES,
+    OWN,
+    PAZ,
+    REAL,
+    RENDERED,
     RIGHT,
     UVD,
     Arrays,
     FloatArray,
     ratio_interval,
 )
+from stereo_slam_env.studies.paper.drives import Setting
 from stereo_slam_env.studies.paper.landmark_uncertainty import (
     ASSUMED,
     CAMERA,
@@ -51,8 +56,9 @@ from stereo_slam_env.studies.paper.landmark_uncertainty import (
     points,
 )
 
-COLOURS = filter_colours((JOINT, DUAL, EUCLIDEAN))
-NAMES = {JOINT: "inverse depth, (u, v, d)", DUAL: "two bearing updates", EUCLIDEAN: "XYZ"}
+COLOURS = filter_colours((JOINT, DUAL, EUCLIDEAN, PAZ))
+NAMES = FILTER_NAMES
+_SHORT = {JOINT: "ours", DUAL: "two bearings", PAZ: "Paz", EUCLIDEAN: "XYZ"}
 SHOWN = 1000
 """Points of a cloud that are drawn: all of them would make the picture heavy, not clearer."""
 Dash = tuple[float, ...]
@@ -91,10 +97,13 @@ def figure_4(results: Mapping[str, Arrays]) -> Chart:
         for (name, R), history in depths.filters.items():
             z, sigma = (values[used] for values in depths.depth(history))
             claimed = np.sqrt(np.nanmean(sigma**2, axis=0))[1:]
-            error = np.sqrt(np.nanmean((z - depths.true[used]) ** 2, axis=0))[1:]
             called = _called(name, R)
             claims.append((Curve(called, updates, claimed, COLOURS[name], said=f"{called}: claimed σ"), _dash(R)))
-            errors.append((Curve(called, updates, error, COLOURS[name], said=f"{called}: true error"), R != DIAGONAL))
+            if np.isfinite(depths.true[used]).all():
+                error = np.sqrt(np.nanmean((z - depths.true[used]) ** 2, axis=0))[1:]
+                errors.append(
+                    (Curve(called, updates, error, COLOURS[name], said=f"{called}: true error"), R != DIAGONAL)
+                )
         y = log_axis(np.asarray(curve.y) for curve, _ in (*claims, *errors))
         panel = Panel(Axis(0, float(updates[-1]), "update"), y, width, 190.0, title)
         _draw_lines(panel, claims)
@@ -110,34 +119,13 @@ def figure_5(results: Mapping[str, Arrays]) -> Chart:
 
     def draw(depths: convergence.Depths, label: str, title: str, width: float) -> Panel:
         at = convergence.example(depths, label)
-        return _landmark_panel(depths, at, depths.true[at], "truth", title, width)
+        if np.isfinite(depths.true[at]).all():
+            return _landmark_panel(depths, at, depths.true[at], "truth", title, width)
+        seen = depths.filters[JOINT, depths.setting.right].hindsight[at]
+        return _landmark_panel(depths, at, seen, "in the end", title, width)
 
-    return _near_and_far(results, draw, "Estimated minus true depth of one landmark (m)")
-
-
-def figure_karlsruhe(depths: convergence.Depths) -> Chart:
-    """As figures 4 and 5, on real images: claimed sigma, and the depth of one landmark; left near, right far."""
-    keys = _keys(depths)
-    room = label_room([*keys, "mean of raw"])
-    width = panel_width(2, room, 62 + room)
-    upper, lower = [], []
-    ours = next(history for (name, R), history in depths.filters.items() if name == JOINT and R != DIAGONAL)
-    for label in convergence.RANGES:
-        used = np.flatnonzero(depths.label == label)
-        if not len(used):
-            continue
-        claims = []
-        for (name, R), history in depths.filters.items():
-            sigma = np.nanmedian(depths.depth(history)[1][used], axis=0)
-            claims.append((Curve(_called(name, R), np.arange(len(sigma)), sigma, COLOURS[name]), _dash(R)))
-        title = f"{label.capitalize()}: claimed σ of the depth (m), median of {len(used)}"
-        y = log_axis(np.asarray(curve.y) for curve, _ in claims)
-        panel = Panel(Axis(0, depths.raw.shape[1] - 1.0), y, width, 200.0, title)
-        _draw_lines(panel, claims)
-        upper.append(panel)
-        title = "Depth of one, less where ours sees it in the end (m)"
-        lower.append(_landmark_panel(depths, used[0], ours.hindsight[used[0]], "in the end", title, width))
-    return figure([*upper, *lower], keys, columns=len(upper), column=62 + room)
+    what = "Estimated less true depth of one landmark (m); real: less where ours sees it in the end"
+    return _near_and_far(results, draw, what)
 
 
 def figure_6(said: Mapping[str, FloatArray], true: Mapping[str, FloatArray]) -> Chart:
@@ -177,22 +165,27 @@ def figure_6(said: Mapping[str, FloatArray], true: Mapping[str, FloatArray]) -> 
     return figure(panels, keys, columns=1)
 
 
-def figure_nees(runs: long_drive.Runs) -> Chart:
-    """Pose NEES of all filters, mean over the drives, with the band of a consistent one."""
-    keys, panels = {}, []
-    for R in ASSUMED:
-        keys[f"ours, R = {R}"] = COLOURS[JOINT]
-    keys |= {"competitor, 1 px an image": COLOURS[DUAL], "XYZ": COLOURS[EUCLIDEAN]}
-    for noise, name in NOISES.items():
-        lines = []
-        for text, case in zip(keys, long_drive.cases(long_drive.DRIVE, noise), strict=True):
-            nees = np.array([run.pose_nees for run in runs[case]])
-            mean = _smoothed(nees.mean(axis=0)[1:]) / 6
+def figure_nees(results: Mapping[str, Arrays]) -> Chart:
+    """Pose NEES of the filters in each setting, mean over its drives, with the band of a consistent filter."""
+    settings = long_drive.settings(results)
+    cases = [(JOINT, False), (JOINT, True), (DUAL, True), (PAZ, True), (EUCLIDEAN, True)]
+    keys = {
+        f"{_SHORT[name]}, {'right R' if right else 'other R'}" if name == JOINT else _SHORT[name]: COLOURS[name]
+        for name, right in cases
+    }
+    panels = []
+    for one in settings:
+        setting, lines = one.setting, []
+        (other,) = set(setting.levels) - {setting.right}
+        for text, (name, right) in zip(keys, cases, strict=True):
+            nees = np.array([arrays[f"{name}.{setting.right if right else other}.nees"] for arrays in one.by_drive])
+            mean = _smoothed(np.nanmean(nees, axis=0)[1:]) / 6
             curve = Curve(text, np.arange(1, len(mean) + 1), mean, keys[text])
-            lines.append((curve, DASHED if case[2:] == (JOINT, COUPLED) else ()))
+            lines.append((curve, () if right else DASHED))
         low, high = (end / 6 for end in mean_band(6, len(nees)))
-        y = log_axis([*(np.asarray(curve.y) for curve, _ in lines), np.array([low, high])])
-        title = f"Pose NEES / 6, mean of {len(nees)} drives, noise: {name}"
+        values = [np.where(np.asarray(curve.y) > 0.0, curve.y, np.nan) for curve, _ in lines]
+        y = log_axis([*values, np.array([low, high])])
+        title = f"Pose NEES / 6, {_where(setting, len(nees))}"
         width = panel_width(1, label_room([*keys, "95 % band"]))
         panel = Panel(Axis(0, nees.shape[1] - 1.0, "frame"), y, width, 200.0, title)
         panel.boxes([BoxMark(0, nees.shape[1] - 1.0, low, high, BAND)])
@@ -201,29 +194,40 @@ def figure_nees(runs: long_drive.Runs) -> Chart:
     return figure(panels, keys, columns=1)
 
 
+def _where(setting: Setting, drives: int) -> str:
+    if setting.place == REAL:
+        return f"real drive: {setting.condition['drive']}"
+    of = "rendered images" if setting.place == RENDERED else f"noise: {setting.condition['noise']}"
+    return f"mean of {drives} drives, {of}"
+
+
 def figure_speed(results: Mapping[str, Arrays]) -> Chart:
     """Time of a frame by size of the map, and the ratio of one update with (u, v, d) to two with bearings."""
     measured = speed.milliseconds(results)
     sizes = np.array(list(measured), dtype=np.float64)
     times, ratios = [], []
     for number, (form, dash) in enumerate(zip(speed.FORMS, _FORM_DASHES, strict=False)):
-        for name in (JOINT, DUAL):
-            medians = [float(np.median(measured[n][f"{form}.{name}"])) for n in measured]
+        for name in (JOINT, *speed.RIVALS[form]):
+            medians = [float(np.median(measured[n][f"{form}.{name}.both"])) for n in measured]
             said = f"{form}, {NAMES[name]}"
             times.append((Curve(form, sizes, medians, COLOURS[name], said=said), dash))
-        found = [ratio_interval(measured[n][f"{form}.{JOINT}"], measured[n][f"{form}.{DUAL}"]) for n in measured]
-        ends = np.array([(one.value, one.low, one.high) for one in found]).T
-        low, high = (np.where(np.isfinite(end), end, ends[0]) for end in ends[1:])
-        ratios.append((Curve(form, sizes * 1.015 ** (number - 1.5), ends[0], COLOURS[JOINT], low, high), dash))
+        for rival, shift in zip(speed.RIVALS[form], (0.985, 1.015), strict=False):
+            found = [
+                ratio_interval(one[f"{form}.{JOINT}.both"], one[f"{form}.{rival}.both"]) for one in measured.values()
+            ]
+            ends = np.array([(one.value, one.low, one.high) for one in found]).T
+            low, high = (np.where(np.isfinite(end), end, ends[0]) for end in ends[1:])
+            places = sizes * shift * 1.03 ** (number - 0.5)
+            ratios.append((Curve(form, places, ends[0], COLOURS[rival], low, high), dash))
     width = panel_width(2, label_room(speed.FORMS))
     margin = (sizes.max() / sizes.min()) ** 0.05 if len(sizes) > 1 else 1.1
     x = Axis(sizes.min() / margin, sizes.max() * margin, "landmarks", log=True, ticks=sizes.tolist())
-    title = "Predict + update (ms), ours in blue, competitor in red"
+    title = "Predict + update, ms"
     left = Panel(x, log_axis(np.asarray(curve.y) for curve, _ in times), width, 240.0, title)
     everything = np.concatenate([np.ravel([curve.low, curve.high]) for curve, _ in ratios] + [np.ones(1)])
     top = 0.08 * float(np.ptp(everything)) + 0.02
     y = Axis(max(float(everything.min()) - top, 0.0), float(everything.max()) + top)
-    right = Panel(x, y, width, 240.0, "Ours over competitor, with 95 % interval: below 1 is faster")
+    right = Panel(x, y, width, 240.0, "Ours over the competitor, with 95 % interval")
     right.rule(y=1.0)
     for curve, dash in times:
         left.lines([curve], dash)
@@ -231,7 +235,7 @@ def figure_speed(results: Mapping[str, Arrays]) -> Chart:
     _draw_lines(right, ratios)
     right.intervals([curve for curve, _ in ratios])
     right.dots([curve for curve, _ in ratios], 22)
-    return figure([left, right])
+    return figure([left, right], {_SHORT[name]: COLOURS[name] for name in (JOINT, DUAL, PAZ)}, columns=2)
 
 
 def _cloud_panel(
@@ -328,14 +332,15 @@ def _near_and_far(
     """Rows are noises, columns near and far."""
     keys: dict[str, str] = {}
     panels = []
-    gathered = {name: convergence.gathered(results, noise) for noise, name in NOISES.items()}
-    for depths in gathered.values():
+    every = [depths for depths in convergence.settings(results) if set(convergence.RANGES) <= set(depths.label)]
+    for depths in every:
         keys |= _keys(depths)
     room = label_room([*keys, "mean of raw"])
-    for name, depths in gathered.items():
-        for label, (low, high) in convergence.RANGES.items():
-            title = f"{label.capitalize()}, {low:g}–{high:g} m, noise: {name}"
-            panels.append(draw(depths, label, title, panel_width(2, room, 62 + room)))
+    for depths in every:
+        setting = depths.setting
+        where = setting.condition.get("noise", setting.condition.get("drive", "rendered images"))
+        for label in convergence.RANGES:
+            panels.append(draw(depths, label, f"{label.capitalize()}, {where}", panel_width(2, room, 62 + room)))
     panels[0].text(what, 0, -34)
     return figure(panels, keys, columns=len(convergence.RANGES), column=62 + room)
 
@@ -353,11 +358,11 @@ def _around(values: FloatArray, title: str) -> Axis:
 
 
 def _dash(R: str) -> Dash:
-    return () if R == DIAGONAL else DASHED
+    return () if R == DIAGONAL else (2, 3) if R == OWN else DASHED
 
 
 def _called(filter_name: str, R: str) -> str:
-    return f"{'ours' if filter_name == JOINT else 'competitor'}, {R}"
+    return f"{_SHORT[filter_name]}, {R}"
 
 
 def _smoothed(values: FloatArray, frames: int = 10) -> FloatArray:

@@ -6,7 +6,7 @@ the covariance that first-order propagation gives (J_R R J_R^T of Eq. 25) descri
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,8 +23,11 @@ from stereo_slam_env.studies.paper.claims import (
     JOINT,
     NOISES,
     PIXELS,
+    RIGHT,
+    SENTENCES,
     UVD,
     Claim,
+    ClaimFinding,
     FloatArray,
     Interval,
     Measured,
@@ -39,7 +42,9 @@ FIGURE_1, FIGURE_2 = 70.0, (15.0, 30.0, 45.0)
 """Depths of the paper's figures, m."""
 BEYOND = 150.0
 """A depth that the paper does not show, m: it says "for any distance"."""
-DEPTHS = (*FIGURE_2, FIGURE_1, BEYOND)
+NEAREST = 5.0
+"""A depth at which XYZ should be Gaussian, m."""
+DEPTHS = (NEAREST, *FIGURE_2, FIGURE_1, BEYOND)
 
 DIAGONAL_OF_4_1 = StereoNoise.diagonal(1.0, 1.0, 2.0)
 ASSUMED: Mapping[str, StereoNoise] = {DIAGONAL: DIAGONAL_OF_4_1, COUPLED: StereoNoise.independent_pixels(1.0)}
@@ -144,7 +149,16 @@ def judge(samples: int) -> tuple[Claim, ...]:
         claim("region-70m-xyz", coverage(EUCLIDEAN, (FIGURE_1,))),
         claim("region-any-distance", coverage(JOINT, DEPTHS)),
         claim("histogram", closer),
+        Claim(SENTENCES["xyz-near"], tuple(_only_near(found))),
     )
+
+
+def _only_near(found: Mapping[tuple[str, str, float, str], Fit]) -> Iterator[ClaimFinding]:
+    """XYZ describes the nearest cloud, and no far one: with the R that is right."""
+    for (noise, assumed, depth, name), one in found.items():
+        if name == EUCLIDEAN and assumed == RIGHT[noise] and depth in (NEAREST, FIGURE_1, BEYOND):
+            asked = SENTENCES["region-70m"].asked if depth == NEAREST else SENTENCES["region-70m-xyz"].asked
+            yield ClaimFinding({"noise": NOISES[noise], "depth": f"{depth:g} m"}, one.coverage, asked)
 
 
 def _condition(noise: str, assumed: str, depth: float) -> dict[str, str]:

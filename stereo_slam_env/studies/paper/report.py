@@ -2,31 +2,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import base64
+from collections.abc import Callable, Mapping, Sequence
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import cv2
 import numpy as np
 
 from stereo_slam_env.evaluation import mean_band, readable, share_inside
-from stereo_slam_env.files import write_text
+from stereo_slam_env.files import own_files, write_atomically, write_text
 from stereo_slam_env.report import Chart, Column, TableCell, Tone, figure_block, html_page, number, table
-from stereo_slam_env.studies.paper import convergence, figures, karlsruhe, landmark_uncertainty, long_drive, speed
+from stereo_slam_env.studies.paper import convergence, features, figures, landmark_uncertainty, long_drive, speed
 from stereo_slam_env.studies.paper.claims import (
     ASSUMED_NAMES,
-    DUAL,
     EUCLIDEAN,
+    FILTER_NAMES,
     JOINT,
     NOISES,
-    PIXELS,
-    RIGHT,
+    PLACES,
     TABLE,
     Arrays,
     Claim,
     ClaimFinding,
     ClaimVerdict,
     FloatArray,
+)
+from stereo_slam_env.studies.paper.drives import (
+    DRIVE,
+    FRAMES_OF_THE_PAPER,
+    HOW_TO_GET_KARLSRUHE,
+    TURN,
+    Setting,
 )
 
 if TYPE_CHECKING:
@@ -41,63 +49,139 @@ TONES: Mapping[ClaimVerdict, Tone] = {
     ClaimVerdict.DOES_NOT_HOLD: "bad",
     ClaimVerdict.NOT_SHOWN: "none",
 }
-NAMES: Mapping[str, str] = {JOINT: "inverse depth (the paper's)", DUAL: "two bearing updates", EUCLIDEAN: "XYZ"}
 
 
-def write_report(
-    out: Path,
-    claims: Sequence[Claim],
-    results: Mapping[str, Arrays],
-    runs: long_drive.Runs,
-    settings: PaperSettings,
-    with_karlsruhe: bool,
-) -> Path:
-    """Write `report.html` and `figures` into a directory."""
-    place, samples = out / "figures", settings.samples
-    ours = runs[long_drive.DRIVE, PIXELS, JOINT, RIGHT[PIXELS]][0]
-    rule, conditions = (f"<p>{escape(TABLE[name])}</p>" for name in ("rule", "conditions"))
-    points = {"figure-1": figures.figure_1(samples), "figure-2": figures.figure_2(samples)}
-    depths = {"figure-4": figures.figure_4(results), "figure-5": figures.figure_5(results)}
-    courses = figures.figure_6(long_drive.course(ours), long_drive.course(ours, true=True))
-    drives = {"figure-6": courses, "figure-nees": figures.figure_nees(runs)}
-    times = {"figure-speed": figures.figure_speed(results)}
+class Page:
+    """`report.html` and `figures`, written again after each section of the study."""
 
-    def section(title: str, charts: Mapping[str, Chart], heading: str, numbers: Numbers) -> str:
-        found = [one for one in claims if one.sentence.evidence in charts]
-        shown = _section(title, charts, found, place, shown=figures.SHOWN, samples=samples)
-        return f"{shown}<h3>{heading}</h3>{_numbers(*numbers)}"
+    def __init__(
+        self, out: Path, settings: PaperSettings, real: Sequence[str], without: str, figure: str | None = None
+    ) -> None:
+        self.path, self._out, self._settings, self._figure = out / "report.html", out, settings, figure
+        self._real, self._notes = real, [without]
+        if not real:
+            self._notes.append("Not judged on real drives: install the extra gtsam (KITTI 00), or give --real FOLDER.")
+        if not any(name in FRAMES_OF_THE_PAPER for name in real):
+            self._notes.append(HOW_TO_GET_KARLSRUHE)
+        self._blocks: dict[str, str] = {}
 
-    sections = [
-        f'<p class="banner">{escape(settings.remark)}</p>' if settings.remark else "",
-        f"<h2>Verdicts</h2>{_verdicts(claims)}{rule}{conditions}",
-        "" if with_karlsruhe else f'<p class="quiet">{escape(karlsruhe.HOW_TO_GET_IT)}</p>',
-        section("4.1 Landmark uncertainty", points, "All shares", uncertainty_table(samples)),
-        section("4.3 Depth of near and far landmarks", depths, "After the last update", convergence_table(results)),
-        section("4.4 A long drive", drives, "Means over the drives", drive_table(runs)),
-        section("Speed", times, "Milliseconds", speed_table(results)),
-        karlsruhe_section(place, claims, results) if with_karlsruhe else "",
-    ]
-    subtitle = (
-        f"Chen, Lin and Shih, “Using Range and Bearing Observation in Stereo-Based EKF SLAM”: "
-        f"{samples:,} points a cloud, {settings.turn_seeds} turns, {settings.drive_seeds} drives of "
-        f"{settings.drive_frames} frames for each noise."
-    )
-    path = out / "report.html"
-    write_text(path, html_page(title="The paper, judged", subtitle=subtitle, body="\n".join(sections)))
-    return path
+    @property
+    def notes(self) -> list[str]:
+        """What was not judged, and what would be needed for it."""
+        return [note for note in self._notes if note]
+
+    def write(self, claims: Sequence[Claim], results: Mapping[str, Arrays], done: tuple[int, int]) -> None:
+        """Write the page of what there is; `done` are parts finished and all parts."""
+        body = []
+        if self._settings.remark:
+            body.append(f'<p class="banner">{escape(self._settings.remark)}</p>')
+        if done[0] < done[1]:
+            body.append(f'<p class="banner">Still running: {done[0]} of {done[1]} parts are finished.</p>')
+        body.append(f"<h2>Verdicts</h2>{_verdicts(claims)}")
+        body += [f"<p>{escape(TABLE[name])}</p>" for name in ("rule", "conditions")]
+        body += [f'<p class="quiet">{escape(note)}</p>' for note in self.notes]
+        body += self._sections(claims, results)
+        settings = self._settings
+        drawn = f"{settings.rendered_turns} and {settings.rendered_drives} in rendered images, "
+        subtitle = (
+            f"Chen, Lin and Shih, “Using Range and Bearing Observation in Stereo-Based EKF SLAM”: "
+            f"{settings.samples:,} points a cloud; {settings.turn_seeds} turns and {settings.drive_seeds} drives of "
+            f"{settings.drive_frames} frames for each noise, {'' if any(self._notes[:1]) else drawn}"
+            f"real drives: {', '.join(self._real) or 'none'}."
+        )
+        page = html_page(title="The paper, judged", subtitle=subtitle, body="\n".join(body))
+        write_text(self.path, page)
+        write_text(self._out / "claims.md", markdown(claims))
+
+    def _sections(self, claims: Sequence[Claim], results: Mapping[str, Arrays]) -> list[str]:
+        """A section a figure, in the order of the paper, of those that there are results for."""
+        samples, kinds = self._settings.samples, {name.partition(".")[0] for name in results}
+        timed = any(name.startswith("speed-") for name in results)
+        drawers: dict[str, tuple[str, bool, Callable[[], Chart], Callable[[], Numbers] | None]] = {
+            "1": ("Figure 1: a landmark at 70 m (4.1)", True, lambda: figures.figure_1(samples), None),
+            "2": (
+                "Figure 2: landmarks at 15, 30 and 45 m (4.1)",
+                True,
+                lambda: figures.figure_2(samples),
+                lambda: uncertainty_table(samples),
+            ),
+            "4": (
+                "Figure 4: uncertainty of the depth over the updates (4.3)",
+                TURN in kinds,
+                lambda: figures.figure_4(results),
+                lambda: convergence_table(results),
+            ),
+            "5": (
+                "Figure 5: depth of one landmark over the updates (4.3)",
+                TURN in kinds,
+                lambda: figures.figure_5(results),
+                None,
+            ),
+            "6": (
+                "Figure 6: trajectory, yaw and velocity (4.4)",
+                DRIVE in kinds,
+                lambda: figures.figure_6(*long_drive.example_course(results)),
+                lambda: drive_table(results),
+            ),
+            "nees": ("Consistency (4.1, 5)", DRIVE in kinds, lambda: figures.figure_nees(results), None),
+            "speed": ("Speed (3.1, 5)", timed, lambda: figures.figure_speed(results), lambda: speed_table(results)),
+        }
+        found = []
+        for name, (title, there, draw, numbers) in drawers.items():
+            if name == "4" and features.NAME in results and self._figure in (None, "3"):
+                found.append(self._picture(results[features.NAME]))
+            if there and self._figure in (None, name):
+                found.append(self._section(name, title, claims, draw, numbers))
+        return found
+
+    def _section(
+        self,
+        name: str,
+        title: str,
+        claims: Sequence[Claim],
+        draw: Callable[[], Chart],
+        numbers: Callable[[], Numbers] | None,
+    ) -> str:
+        key = f"figure-{name}"
+        if key not in self._blocks:  # its results do not change any more
+            caption = TABLE["figures"][key].format(shown=figures.SHOWN, samples=self._settings.samples)
+            block = figure_block(draw(), key, caption, self._out / "figures")
+            about = f"<h3>Every number</h3>{_numbers(*numbers())}" if numbers else ""
+            own = "".join(_findings(one) for one in claims if one.sentence.evidence == key)
+            said = f"<h3>Condition by condition</h3>{own}" if own else ""
+            self._blocks[key] = f"<h2>{escape(title)}</h2>{block}{said}{about}"
+        return self._blocks[key]
+
+    def _picture(self, arrays: Arrays) -> str:
+        """Figure 3, which is no chart."""
+        folder, name = self._out / "figures", "figure-3.png"
+        folder.mkdir(parents=True, exist_ok=True)
+        own_files(self._out, [f"figures/{name}"])
+        done, encoded = cv2.imencode(".png", features.picture(arrays))
+        if not done:
+            raise RuntimeError("OpenCV cannot write PNG files")
+        write_atomically(folder / name, lambda stream: stream.write(encoded.tobytes()))
+        data, caption = base64.b64encode(encoded.tobytes()).decode(), escape(TABLE["figures"]["figure-3"])
+        image = f'<img alt="{caption}" style="width: 100%" src="data:image/png;base64,{data}">'
+        return (
+            f"<h2>Figure 3: features of a turn (4.3)</h2>"
+            f'<figure id="figure-figure-3">{image}<figcaption>{caption}</figcaption></figure>'
+        )
 
 
-def karlsruhe_section(folder: Path, claims: Sequence[Claim], results: Mapping[str, Arrays]) -> str:
-    """Markup of what the paper's own recordings show; the figures go to `folder`."""
-    charts = {}
-    depths = karlsruhe.depths(results)
-    if depths is not None and len(depths.label):
-        charts["karlsruhe-4"] = figures.figure_karlsruhe(depths)
-    said, true = (karlsruhe.course(results, who) for who in ("said", "true"))
-    if said is not None and true is not None:
-        charts["karlsruhe-6"] = figures.figure_6(said, true)
-    own = [one for one in claims if one.sentence.key.startswith(karlsruhe.PREFIX)]
-    return _section("On the Karlsruhe sequences", charts, own, folder)
+def markdown(claims: Sequence[Claim]) -> str:
+    """The verdicts as a table for a page in Markdown: a row a sentence, a column a place."""
+    heads = ("§", "sentence", *(name.lower() for name in PLACES.values()))
+    rows = [heads, ("---",) * len(heads)]
+    for one in claims:
+        places = (_in_place(one.at(place)) for place in PLACES)
+        rows.append((one.sentence.section, f"{one.sentence.claim}<br>{one.sentence.statement}", *places))
+    return "".join(f"| {' | '.join(row)} |\n" for row in rows)
+
+
+def _in_place(claim: Claim) -> str:
+    """Verdict in a place, and what was measured there."""
+    return f"{claim.says}<br>{measured_range(claim.findings)}" if claim.findings else "–"
 
 
 def measured_range(findings: Sequence[ClaimFinding]) -> str:
@@ -109,46 +193,39 @@ def measured_range(findings: Sequence[ClaimFinding]) -> str:
     return low if low == high else f"{low} to {high}"
 
 
-def _section(title: str, charts: Mapping[str, Chart], claims: Sequence[Claim], folder: Path, **numbers: object) -> str:
-    """Figures, with these numbers in their captions, and findings of the claims that they are the evidence of."""
-    captions = {name: TABLE["figures"][name].format(**numbers) for name in charts}
-    blocks = "".join(figure_block(chart, name, captions[name], folder) for name, chart in charts.items())
-    found = "".join(_findings(one) for one in claims)
-    return f"<h2>{escape(title)}</h2>{blocks}<h3>Condition by condition</h3>{found}"
-
-
 def _verdicts(claims: Sequence[Claim]) -> str:
     columns = [
         Column("Section", kind="text"),
         Column("Claim", kind="words"),
-        Column("Verdict", kind="words"),
-        Column("Measured", "over conditions", kind="text"),
+        Column("Verdict", "over all", kind="words"),
+        *(Column(name, "and what was measured", kind="words") for name in PLACES.values()),
         Column("What is measured", "and when it counts as true", kind="words"),
     ]
-    rows: list[list[TableCell | str]] = [
-        [
-            one.sentence.section,
-            one.sentence.claim,
-            TableCell(one.says, tone=TONES[one.verdict]),
-            measured_range(one.findings),
-            one.sentence.statement,
+    rows: list[list[TableCell | str]] = []
+    for one in claims:
+        places = [one.at(place) for place in PLACES]
+        cells = [
+            TableCell(f"{at.says} [{measured_range(at.findings)}]", tone=TONES[at.verdict]) if at.findings else "–"
+            for at in places
         ]
-        for one in claims
-    ]
+        verdict = TableCell(one.verdict.value.removesuffix(" if"), tone=TONES[one.verdict])
+        rows.append([one.sentence.section, one.sentence.claim, verdict, *cells, one.sentence.statement])
     return table(columns, rows, wide=True)
 
 
 def _findings(claim: Claim) -> str:
     """A claim, condition by condition."""
-    factors = list(claim.findings[0].condition) if claim.findings else []
+    factors = list(dict.fromkeys(factor for finding in claim.findings for factor in finding.condition))
     columns = [
+        Column("place", kind="text"),
         *(Column(factor, kind="text") for factor in factors),
         Column("measured"),
         *(Column(head, kind="text") for head in ("95 % interval", "asked", "verdict")),
     ]
     rows: list[list[TableCell | str]] = [
         [
-            *finding.condition.values(),
+            PLACES[finding.place].lower(),
+            *(finding.condition.get(factor, "–") for factor in factors),
             number(finding.measured.value, ".4g"),
             " – ".join(readable(end, ".4g") for end in (finding.measured.low, finding.measured.high))
             if finding.measured.known
@@ -158,7 +235,7 @@ def _findings(claim: Claim) -> str:
         ]
         for finding in claim.findings
     ]
-    verdict = f"<b class='{TONES[claim.verdict]}'>{escape(claim.says)}</b>"
+    verdict = f"<b class='{TONES[claim.verdict]}'>{escape(claim.verdict.value.removesuffix(' if'))}</b>"
     head = f"<summary>{escape(claim.sentence.claim)}: {verdict}</summary>"
     return f"<details>{head}<p>{escape(claim.sentence.statement)}</p>{table(columns, rows)}</details>"
 
@@ -190,65 +267,66 @@ def uncertainty_table(samples: int) -> Numbers:
 def convergence_table(results: Mapping[str, Arrays]) -> Numbers:
     """Section 4.3: after the last update."""
     heads = (
-        *("noise", "filter", "R", "landmark", "number"),
-        *("claimed σ, m", "RMS error, m", "NEES of depth", "of 1/depth"),
+        *("place", "drives", "filter", "R", "landmark", "number"),
+        *("claimed σ, m", "RMS error, m", "NEES of depth", "of 1/depth", "updates to index 0.1"),
     )
     rows: list[Row] = []
-    for noise in NOISES:
-        depths = convergence.gathered(results, noise)
+    for depths in convergence.settings(results):
         for (name, R), history in depths.filters.items():
             z, sigma = (values[:, -1] for values in depths.depth(history))
             error = z - depths.true[:, -1]
-            nees = convergence.nees(depths, history)
+            nees, linear = convergence.nees(depths, history), convergence.updates_until_linear(depths, history)
             for label in convergence.RANGES:
                 at = depths.label == label
-                of_depth, of_inverse = float(np.nanmean((error[at] / sigma[at]) ** 2)), float(np.nanmean(nees[at]))
-                case = (NOISES[noise], NAMES[name], ASSUMED_NAMES[R], label)
-                rows.append((*case, float(at.sum()), _rms(sigma[at]), _rms(error[at]), of_depth, of_inverse))
+                case = (*_place(depths.setting), FILTER_NAMES[name], ASSUMED_NAMES[R], label, float(at.sum()))
+                of_depth, of_inverse = _mean((error[at] / sigma[at]) ** 2), _mean(nees[at])
+                rows.append((*case, _rms(sigma[at]), _rms(error[at]), of_depth, of_inverse, _mean(linear[at])))
     return heads, rows
 
 
-def drive_table(runs: long_drive.Runs) -> Numbers:
-    """Section 4.4: means over the drives, and the one drive in the simulated street."""
+def drive_table(results: Mapping[str, Arrays]) -> Numbers:
+    """Section 4.4: means over the drives."""
+    quantities = ("position", "aligned", "drift", "yaw", "velocity", "scale", "pose_nees", "landmark_nees", "nis")
     heads = (
-        *("drives", "noise", "filter", "R", "position, m", "drift, %", "yaw, °", "velocity, m/s", "length, %"),
-        *("NEES / 6", "band", "in band, %", "landmark NEES / 3", "NIS / dof"),
+        *("place", "drives", "filter", "R", "position, m", "aligned, m", "drift, %", "yaw, °", "velocity, m/s"),
+        *("length, %", "NEES / 6", "landmark NEES / 3", "NIS / dof", "in band, %"),
     )
-    before = (
-        *(long_drive.position_rmse, long_drive.drift_percent, long_drive.yaw_rmse, long_drive.velocity_rmse),
-        *(long_drive.scale_error_percent, long_drive.pose_nees),
-    )
-    after = (long_drive.landmark_nees, long_drive.nis)
     rows: list[Row] = []
-    for place, where in ((long_drive.DRIVE, "past points"), (long_drive.STREET, "in the street")):
-        for noise in NOISES:
-            for case in long_drive.cases(place, noise):
-                drives = runs[case]
-                band = mean_band(6, len(drives))
-                nees = np.mean([run.pose_nees for run in drives], axis=0)
-                means = [float(np.nanmean(long_drive.of_runs(drives, quantity))) for quantity in (*before, *after)]
-                rows.append(
-                    (
-                        *(f"{len(drives)} {where}", NOISES[noise], NAMES[case[2]], ASSUMED_NAMES[case[3]]),
-                        *means[: len(before)],
-                        f"{band[0] / 6:.2f}–{band[1] / 6:.2f}",
-                        100.0 * share_inside(nees[1:], band),
-                        *means[len(before) :],
-                    )
-                )
+    for one in long_drive.settings(results):
+        where, how_many = _place(one.setting), len(one.by_drive)
+        band = mean_band(6, how_many)
+        for name, R in long_drive.cases(one.setting):
+            means = [_mean(one.of(name, R, quantity)) for quantity in quantities]
+            nees = np.array([arrays[f"{name}.{R}.nees"] for arrays in one.by_drive])[:, 1:]
+            inside = 100.0 * share_inside(nees.mean(axis=0), band)
+            drives = where[1] if one.is_one else f"{how_many} {where[1]}"
+            rows.append((where[0], drives, FILTER_NAMES[name], ASSUMED_NAMES[R], *means, inside))
     return heads, rows
 
 
 def speed_table(results: Mapping[str, Arrays]) -> Numbers:
     """Milliseconds of predict + update, medians."""
     measured = speed.milliseconds(results)
-    heads = ("state", *(f"{who}, {n}" for n in measured for who in ("ours", "competitor")))
+    heads = ("state", "filter", *(f"{n} landmarks" for n in measured))
+    names = [(form, name, f"{form}.{name}") for form in speed.FORMS for name in (JOINT, *speed.RIVALS[form])]
+    names.append(("points", EUCLIDEAN, speed.XYZ))
     rows: list[Row] = [
-        (form, *(float(np.median(times[f"{form}.{name}"])) for times in measured.values() for name in (JOINT, DUAL)))
-        for form in speed.FORMS
+        (form, FILTER_NAMES[name], *(float(np.median(times[f"{key}.both"])) for times in measured.values()))
+        for form, name, key in names
     ]
     return heads, rows
 
 
+def _place(setting: Setting) -> tuple[str, str]:
+    """Place of a setting, and what its drives are called."""
+    words = setting.condition.get("noise", setting.condition.get("drive", "drawn by gl"))
+    return PLACES[setting.place].lower(), words
+
+
+def _mean(values: FloatArray) -> float:
+    finite = values[np.isfinite(values)]
+    return float(finite.mean()) if len(finite) else float("nan")
+
+
 def _rms(values: FloatArray) -> float:
-    return float(np.sqrt(np.nanmean(np.square(values))))
+    return float(np.sqrt(_mean(np.square(values))))

@@ -2,9 +2,17 @@
 
 from itertools import product
 
+import numpy as np
 import pytest
 
+from filters.catalogue.common_options import usual_options
 from stereo_slam_env.studies.paper.claims import (
+    EUCLIDEAN,
+    FILTERS,
+    REAL,
+    RENDERED,
+    SIMULATION,
+    TABLE,
     Claim,
     ClaimFinding,
     ClaimVerdict,
@@ -13,6 +21,7 @@ from stereo_slam_env.studies.paper.claims import (
     Sentence,
     decide,
     describe,
+    single_interval,
 )
 
 NAN, INFINITY = float("nan"), float("inf")
@@ -75,7 +84,42 @@ def test_all_conditions_of_a_claim(measured, verdict, says):
 
 def test_a_claim_that_nothing_was_found_about_is_not_shown():
     assert Claim(SENTENCE, ()).verdict is ClaimVerdict.NOT_SHOWN
-    assert Claim(SENTENCE, ()).says == "not shown"
+    assert Claim(SENTENCE, ()).says == "–"
+
+
+def test_a_claim_is_judged_in_each_place_and_over_all():
+    """Held in simulation and refuted on real drives: it holds under conditions; undecided drives do not refute it."""
+    simulated = ClaimFinding({"noise": "a"}, HOLDS, BELOW_ONE)
+    refuted, open_ = (ClaimFinding({"drive": name}, x, BELOW_ONE, REAL) for name, x in (("1", FAILS), ("2", OPEN)))
+    judged = Claim(SENTENCE, (simulated, refuted, open_))
+    assert judged.verdict is ClaimVerdict.HOLDS_ONLY_IF
+    assert judged.at(SIMULATION).says == "holds"
+    assert judged.at(RENDERED).findings == ()
+    assert judged.at(REAL).says == "not shown (does not hold if drive: 1; undecided under 1 of 2)"
+    assert Claim(SENTENCE, (simulated, open_)).verdict is ClaimVerdict.NOT_SHOWN
+    assert Claim(SENTENCE, (refuted, refuted)).verdict is ClaimVerdict.DOES_NOT_HOLD
+
+
+def test_one_drive_is_one_draw_of_six_numbers():
+    """The interval covers the true ratio of variances in 95 % of the draws."""
+    draws = np.random.default_rng(0).chisquare(6, 20_000) / 6.0 * 3.0  # claimed variance a third of the true one
+    intervals = [single_interval(nees) for nees in draws[:4000]]
+    covered = np.mean([one.low <= 3.0 <= one.high for one in intervals])
+    assert covered == pytest.approx(0.95, abs=0.012)
+    assert decide(single_interval(15.0), Range(0.83, 1.21)) is ClaimVerdict.DOES_NOT_HOLD
+    assert decide(single_interval(1.0), Range(0.83, 1.21)) is ClaimVerdict.NOT_SHOWN
+
+
+def test_sentences_have_a_figure_a_limit_that_is_explained_and_the_order_of_the_paper():
+    assert all(entry["figure"] in TABLE["figures"] for entry in TABLE["sentences"])
+    assert all(about["because"] for about in TABLE["limits"].values())
+    assert {entry["limit"] for entry in TABLE["sentences"] if "limit" in entry} == set(TABLE["limits"])
+    sections = [entry["section"].split(",")[0] for entry in TABLE["sentences"] if entry["key"] != "consistent"]
+    assert sections == sorted(sections, key=lambda section: (section != "abstract", section))
+
+
+def test_xyz_has_the_guard_that_comparisons_give_it():
+    assert FILTERS[EUCLIDEAN][1] == usual_options("euclidean")
 
 
 def test_conditions_are_named_by_what_they_share():
