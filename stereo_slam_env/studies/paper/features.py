@@ -49,8 +49,8 @@ def picture(arrays: Arrays) -> Image:
             colour = _colour(depth)
             cv2.polylines(view, [np.rint(way[: number + 1]).astype(np.int32)], False, colour, 1, cv2.LINE_AA)
             cv2.circle(view, tuple(np.rint(way[number]).astype(int).tolist()), 6, colour, 2, cv2.LINE_AA)
-        cv2.putText(view, words, (12, 28), cv2.FONT_HERSHEY_SIMPLEX, 0.8, (0, 0, 0), 4, cv2.LINE_AA)
-        cv2.putText(view, words, (12, 28), cv2.FONT_HERSHEY_SIMPLEX, 0.8, (255, 255, 255), 1, cv2.LINE_AA)
+        cv2.rectangle(view, (0, 0), (440, 40), (0, 0, 0), cv2.FILLED)
+        cv2.putText(view, words, (12, 28), cv2.FONT_HERSHEY_SIMPLEX, 0.7, (255, 255, 255), 1, cv2.LINE_AA)
         shown.append(view)
     return np.concatenate(shown)
 
