@@ -69,10 +69,13 @@ FILTERS: Mapping[str, tuple[str, Mapping[str, Any]]] = {
     JOINT: ("inverse-depth", {}),
     DUAL: ("dual-bearing", {}),
     PAZ: ("hybrid", {"measurement": "sequential"}),
-    EUCLIDEAN: ("euclidean", {"min_disparity": 3.0}),
-    XYZ_POINTS: ("euclidean", {"update": "unscented", "min_disparity": 0.5}),
+    EUCLIDEAN: ("euclidean", {"min_disparity": 4.0}),
+    XYZ_POINTS: ("euclidean", {"update": "unscented", "min_disparity": 1.0}),
     POINTS: ("unscented", {}),
-    MONOCULAR: ("monocular", {}),
+    MONOCULAR: (
+        "monocular",
+        {"measurement": {"name": "left", "inverse_depth": 0.1, "sigma_inverse_depth": 0.1}},
+    ),
     ODOMETRY: ("frame-to-frame", {}),
 }
 """Filters of the study, each a name and options of `make_filter`: the paper's; the same with one bearing update an

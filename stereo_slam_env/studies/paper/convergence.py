@@ -300,7 +300,9 @@ def judge(results: Mapping[str, Arrays]) -> tuple[Claim, ...]:
                 about = {"R": ASSUMED_NAMES[R], "landmark": label}
                 values = of_drives(depths, label, nees, (JOINT, R))
                 simulated = depths.setting.place == SIMULATION
-                yield about, mean_interval(values if simulated else values / MEDIAN_NEES)
+                # In images: the ratio of variances that is typical of landmarks, and of turns.
+                typical = ratio_interval(values, np.full_like(values, MEDIAN_NEES))
+                yield about, mean_interval(values) if simulated else typical
 
     return (
         by_place("uncertainty-converges", ratios(sigma)),

@@ -192,13 +192,14 @@ def setting(key: str) -> Setting:
 
 
 def settings_of(results: Mapping[str, Arrays], what: str) -> dict[str, list[Arrays]]:
-    """The results of 4.3 or 4.4, by key of the setting."""
+    """The results of 4.3 or 4.4, by key of the setting: simulated ones first, real ones last."""
     by_key: dict[str, list[Arrays]] = {}
-    for name, arrays in results.items():
+    for name, arrays in sorted(results.items()):
         kind, _, rest = name.partition(".")
         if kind == what and arrays:  # a recording may be too short
             by_key.setdefault(rest.rpartition(".")[0], []).append(arrays)
-    return by_key
+    order = [*NOISES, RENDERED]
+    return dict(sorted(by_key.items(), key=lambda item: (order.index(item[0]) if item[0] in order else 9, item[0])))
 
 
 class Results(Protocol):

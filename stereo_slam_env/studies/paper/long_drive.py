@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from filters import StereoNoise, StereoObservation
 from stereo_slam_env import Recording
 from stereo_slam_env.evaluation import (
     FilterRun,
@@ -99,6 +100,8 @@ def filtered(
 ) -> FilterRun:
     """A filter of `FILTERS` on a recording; true velocities are those of the true positions where none are known."""
     seen, noise = setting.seen(recording, R)
+    if name == MONOCULAR:
+        seen = left_alone(seen, noise or recording.noise)
     filter_name, options = FILTERS[name]
     run = run_filter(
         seen,
@@ -114,6 +117,14 @@ def filtered(
         steps = np.diff(run.true_positions, axis=0) / np.diff(run.timestamps)[:, None]
         run = replace(run, true_linear_velocities=np.vstack([steps[:1], steps]))
     return run
+
+
+def left_alone(recording: Recording, noise: StereoNoise) -> Recording:
+    """The pixels of the left image, without any disparity."""
+    seen = (frame.observation for frame in recording.frames)
+    return recording.with_observations(
+        StereoObservation.of_left(one.ids, one.uvd[:, :2], one.covariances(noise)[:, :2, :2]) for one in seen
+    )
 
 
 # Quantities of one run.

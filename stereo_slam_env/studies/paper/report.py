@@ -196,10 +196,9 @@ def measured_range(findings: Sequence[ClaimFinding]) -> str:
 def _verdicts(claims: Sequence[Claim]) -> str:
     columns = [
         Column("Section", kind="text"),
-        Column("Claim", kind="words"),
+        Column("Claim", "what is measured, and when it counts as true", kind="words"),
         Column("Verdict", "over all", kind="words"),
         *(Column(name, "and what was measured", kind="words") for name in PLACES.values()),
-        Column("What is measured", "and when it counts as true", kind="words"),
     ]
     rows: list[list[TableCell | str]] = []
     for one in claims:
@@ -208,8 +207,8 @@ def _verdicts(claims: Sequence[Claim]) -> str:
             TableCell(f"{at.says} [{measured_range(at.findings)}]", tone=TONES[at.verdict]) if at.findings else "–"
             for at in places
         ]
-        verdict = TableCell(one.verdict.value.removesuffix(" if"), tone=TONES[one.verdict])
-        rows.append([one.sentence.section, one.sentence.claim, verdict, *cells, one.sentence.statement])
+        verdict = TableCell(one.verdict.value.replace(" if", " if …"), tone=TONES[one.verdict])
+        rows.append([one.sentence.section, f"{one.sentence.claim} – {one.sentence.statement}", verdict, *cells])
     return table(columns, rows, wide=True)
 
 
@@ -235,7 +234,7 @@ def _findings(claim: Claim) -> str:
         ]
         for finding in claim.findings
     ]
-    verdict = f"<b class='{TONES[claim.verdict]}'>{escape(claim.verdict.value.removesuffix(' if'))}</b>"
+    verdict = f"<b class='{TONES[claim.verdict]}'>{escape(claim.verdict.value.replace(' if', ' if …'))}</b>"
     head = f"<summary>{escape(claim.sentence.claim)}: {verdict}</summary>"
     return f"<details>{head}<p>{escape(claim.sentence.statement)}</p>{table(columns, rows)}</details>"
 
