@@ -42,6 +42,8 @@ from stereo_slam_env.studies.paper.claims import (
 
 KITTI_00 = "gtsam"
 """The example data of the gtsam wheel: 135 frames of KITTI 00."""
+KITTI_00_FOLDER = "kitti00_stereo_tracks"
+"""Layout of the same tracks with their true poses."""
 KARLSRUHE_TURN, KARLSRUHE_DRIVE = "2009_09_08_drive_0010", "2009_09_08_drive_0015"
 FRAMES_OF_THE_PAPER: Mapping[str, tuple[int, int]] = {KARLSRUHE_TURN: (61, 72), KARLSRUHE_DRIVE: (0, 799)}
 """First and last, both included, of the recordings that the paper uses."""
@@ -82,17 +84,20 @@ class RealDrive:
 def real_drives(paths: Iterable[Path], karlsruhe: Path | None = None) -> dict[str, RealDrive]:
     """The recordings by name: KITTI 00 where gtsam is installed, those given, those of the paper in a folder.
 
+    The poses in the wheel of gtsam are of visual odometry; given with true poses, KITTI 00 is not taken from there.
+
     Raises
     ------
     ValueError
         A path that is not there, two of one name, or a folder for `karlsruhe` that has none of the paper's.
     """
-    drives = {"KITTI 00": RealDrive(KITTI_00)} if _has_gtsam() else {}
-    own = [] if karlsruhe is None else _of_the_paper(karlsruhe)
-    for path in (*paths, *own):
-        path = path.resolve()
+    given = [path.resolve() for path in (*paths, *([] if karlsruhe is None else _of_the_paper(karlsruhe)))]
+    for path in given:
         if not path.exists():
             raise ValueError(f"real drive {path} does not exist: give what `stereo-slam replay` takes")
+    with_truth = any(path.is_dir() and layout_of(path) == KITTI_00_FOLDER for path in given)
+    drives = {"KITTI 00": RealDrive(KITTI_00)} if _has_gtsam() and not with_truth else {}
+    for path in given:
         name = re.sub(r"[^\w-]+", "_", path.stem if path.is_file() else path.name)
         if name in drives:
             raise ValueError(f"two real drives have the name {name!r}: rename one of their folders")

@@ -230,7 +230,7 @@ def figure_speed(results: Mapping[str, Arrays]) -> Chart:
     width = panel_width(2, label_room(speed.FORMS))
     margin = (sizes.max() / sizes.min()) ** 0.05 if len(sizes) > 1 else 1.1
     x = Axis(sizes.min() / margin, sizes.max() * margin, "landmarks", log=True, ticks=sizes.tolist())
-    title = "Predict + update, ms"
+    title = "Predict + update, ms (dashed: shared anchors)"
     left = Panel(x, log_axis(np.asarray(curve.y) for curve, _ in times), width, 240.0, title)
     everything = np.concatenate([np.ravel([curve.low, curve.high]) for curve, _ in ratios] + [np.ones(1)])
     top = 0.08 * float(np.ptp(everything)) + 0.02
