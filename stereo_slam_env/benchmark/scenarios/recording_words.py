@@ -28,16 +28,18 @@ def recording_words(recording: Recording) -> dict[str, str]:
     observed = sum(len(frame.observation) for frame in frames)
     referenced = sum(frame.truth is not None for frame in frames)
     noise = f"R = {json.dumps(recording.noise.R.round(6).tolist())} px² of (u, v, d)"
+    pair = all(frame.observation.has_disparity for frame in frames)
     if any(frame.observation.R is not None for frame in frames):
         R = np.concatenate([frame.observation.covariances(recording.noise) for frame in frames])
-        median = " / ".join(f"{sigma:.2f}" for sigma in np.median(np.sqrt(np.einsum("nii->ni", R)), axis=0))
-        noise = f"an R for each measurement, its median sigma {median} px of u / v / d"
+        sigmas = np.median(np.sqrt(np.einsum("nii->ni", R)), axis=0)[: 3 if pair else 2]
+        of = "u / v / d" if pair else "u / v; no disparity is measured"
+        noise = f"an R for each measurement, its median sigma {' / '.join(f'{x:.2f}' for x in sigmas)} px of {of}"
     source = dict(recording.source)
     front_end = source.pop("front_end", None)
     lines = {
         "recording": f"{recording.name}: {len(frames)} frames, {frames[-1].timestamp - frames[0].timestamp:.1f} s, "
         f"{observed / len(frames):.0f} landmarks a frame, {referenced} with a reference pose",
-        "rig": _rig(recording.camera),
+        "rig": _rig(recording.camera, pair=pair),
         "reference": str(recording.reference),
         **_audit(recording),
         "its noise": noise,
@@ -52,11 +54,11 @@ def recording_words(recording: Recording) -> dict[str, str]:
     return lines
 
 
-def _rig(camera: StereoCamera) -> str:
+def _rig(camera: StereoCamera, *, pair: bool) -> str:
     focal = f"{camera.fx:.6g}" if camera.fx == camera.fy else f"{camera.fx:.6g} and {camera.fy:.6g}"
     return (
         f"{camera.width}x{camera.height} px, focal length {focal} px, principal point ({camera.cx:.6g}, "
-        f"{camera.cy:.6g}) px, baseline {camera.baseline:.4g} m"
+        f"{camera.cy:.6g}) px, {f'baseline {camera.baseline:.4g} m' if pair else 'one camera'}"
     )
 
 

@@ -12,6 +12,7 @@ import stereo_slam_env as sse
 from filters import FilterBatch, StereoEKF, StereoObservation, make_filter
 from fuzz.seeds_of_others import mono_tracks
 from stereo_slam_env.benchmark.recordings.inertial_problem import inertial_flight
+from stereo_slam_env.benchmark.scenarios.recording_words import recording_words
 from stereo_slam_env.recording.trajectory import Trajectory
 from stereo_slam_env.recording.trajectory_files import save_trajectory
 
@@ -58,6 +59,12 @@ def test_a_flight_with_a_rest_is_read_stored_and_followed(tmp_path: Path) -> Non
             error = sse.evaluate(name, one, measurement="left", **options).figures.position_rmse_m
             assert error is not None
             assert error < 0.15
+
+
+def test_its_words_name_no_disparity_and_no_baseline(tmp_path: Path) -> None:
+    words = recording_words(sse.load(written(inertial_flight(0, frames=8), tmp_path)))
+    assert words["rig"].endswith("px, one camera")
+    assert words["its noise"].endswith("median sigma 1.00 / 1.00 px of u / v; no disparity is measured")
 
 
 def test_filters_of_a_pair_refuse_one_camera() -> None:
