@@ -251,7 +251,7 @@ def error_bounds_overconfident() -> Chart:
     return plot_error_bounds(next(run for run in runs() if run.filter_name == XYZ))
 
 
-RIGHT, XYZ = "right R", "XYZ, d ≥ 4 px"
+RIGHT, XYZ = "right R", "XYZ, d ≥ 5 px"
 
 
 @cache
@@ -264,7 +264,7 @@ def runs(seeds: int = 12, frames: int = 240, landmarks: int = 30) -> tuple[Filte
             (RIGHT, "inverse-depth", FULL_R, {}),
             ("half the sigma", "inverse-depth", StereoNoise.independent_pixels(0.5), {}),
             ("twice the sigma", "inverse-depth", StereoNoise.independent_pixels(2.0), {}),
-            (XYZ, "euclidean", FULL_R, {"min_disparity": 4.0}),
+            (XYZ, "euclidean", FULL_R, {"min_disparity": 5.0}),
         ):
             made.append(
                 run_filter(
