@@ -24,6 +24,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from filters import ConstantVelocity
+from filters.catalogue.common_options import usual_options
 from harness import arguments, by_seed, show
 from stereo_slam_env.benchmark.recordings.reference_problem import long_drive
 from stereo_slam_env.evaluation.cramer_rao import Bound, cramer_rao_bound
@@ -40,7 +41,7 @@ FILTERS: dict[str, tuple[str, dict[str, Any]]] = {
     "shared-anchor": ("shared-anchor", {}),
     "stacked": ("shared-anchor", {"measurement": "stacked"}),
     "dual-bearing": ("dual-bearing", {"landmark": "shared-anchor"}),
-    "euclidean": ("euclidean", {"min_disparity": 5.0}),
+    "euclidean": ("euclidean", usual_options("euclidean")),
     "right-invariant": ("right-invariant", {}),
     "unscented": ("unscented", {}),
     "frame-to-frame": ("frame-to-frame", {}),

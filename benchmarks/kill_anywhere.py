@@ -40,7 +40,7 @@ kind = "reference"
 seeds = 4
 frames = 5
 gate = false
-filters = ["inverse-depth", "dual-bearing", { name = "euclidean", options = { min_disparity = 5.0 } }]
+filters = ["inverse-depth", "dual-bearing", "euclidean"]
 options = { name = "short_turn" }
 """
 

@@ -20,6 +20,7 @@ import numpy as np
 from joblib import Parallel, delayed
 
 from filters import StereoNoise
+from filters.catalogue.common_options import usual_options
 from harness import arguments, show
 from stereo_slam_env.datasets import layout_of, load, track_layouts
 from stereo_slam_env.evaluation.filter_run import run_filter
@@ -39,7 +40,7 @@ FILTERS: dict[str, tuple[str, dict[str, Any]]] = {
     "first-estimates": ("shared-anchor", {"error": "first-estimates"}),
     "iterated": ("shared-anchor", {"iterations": 2}),
     "stacked": ("shared-anchor", {"measurement": "stacked"}),
-    "euclidean-5px": ("euclidean", {"min_disparity": 5.0}),
+    "euclidean": ("euclidean", usual_options("euclidean")),
     "monocular": ("monocular", {}),
     "dead-reckoning": ("dead-reckoning", {}),
     "frame-to-frame": ("frame-to-frame", {}),

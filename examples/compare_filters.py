@@ -27,7 +27,6 @@ comparison = sse.compare(
     "reference-drive",
     seeds=given.seeds,
     frames=given.frames,
-    options={"euclidean": {"min_disparity": 5.0}},
 )
 print(comparison)
 for label in ("euclidean", "Stacked"):

@@ -19,8 +19,9 @@ USUAL: Mapping[str, Any] = {"gate": 0.99, "motion": dataclasses.asdict(ConstantV
 """Common options where nobody says otherwise, as scenario files have them."""
 
 _USUAL_OPTIONS: Mapping[str, Mapping[str, Any]] = {
-    # Without a guard XYZ diverges on far points (d <= 0 has no point at all), so it is given the usual one.
-    "euclidean": {"min_disparity": 5.0},
+    # Without a guard XYZ diverges on far points (d <= 0 has no point at all). That of the smallest position error on
+    # drives of 350 m that no table is of: `python benchmarks/euclidean_guard.py --seeds 64`.
+    "euclidean": {"min_disparity": 4.0},
 }
 
 NOT_OPEN = "it does not leave it open"

@@ -82,7 +82,7 @@ def given_statistics():
         {"name": "crossed", "kind": "reference", "options": {"name": "short_turn"}, "factorial": crossed}
     )
     choices = {choice.label: (choice.name, choice.options) for choice in study.cells[0].scenario.filters}
-    choices |= {"inverse-depth": ("inverse-depth", {}), "euclidean": ("euclidean", {"min_disparity": 5.0})}
+    choices |= {"inverse-depth": ("inverse-depth", {}), "euclidean": ("euclidean", {"min_disparity": 4.0})}
     runs = [
         run_filter(long_drive(seed, frames=50, landmarks=20), name, options, label=label, seed=seed)
         for seed in range(10)

@@ -77,7 +77,7 @@ def assert_same(batch, single):
     [
         ("inverse-depth", {}),
         ("dual-bearing", {}),
-        ("euclidean", {"min_disparity": 5.0}),
+        ("euclidean", {"min_disparity": 4.0}),
         ("shared-anchor", {"gate": 0.99, "consensus": True}),
         ("inverse-depth", {"error": "right-invariant", "iterations": 2}),
     ],

@@ -23,7 +23,7 @@ def test_the_search_in_images_survives_json_and_older_files_have_none():
 
 
 def test_the_euclidean_filter_has_its_guard_as_a_visible_option():
-    assert filter_choice("euclidean").options == {"min_disparity": 5.0}
+    assert filter_choice("euclidean").options == {"min_disparity": 4.0}
     assert filter_choice("somebody-elses") == FilterChoice("somebody-elses", "somebody-elses")
 
 

@@ -95,7 +95,7 @@ def test_the_table_is_written_as_csv_too(finished):
     assert float(row["pose_anees_per_dof"]) == pytest.approx(summary["pose_anees"] / 6)
     low, high = (float(row[f"pose_anees_per_dof_{end}"]) for end in ("low", "high"))
     assert (low, high) == pytest.approx(tuple(end / 6 for end in summary["pose_anees_band"]))
-    assert (row["runs"], row["failed"], row["option.min_disparity"]) == ("2", "0", "5.0")
+    assert (row["runs"], row["failed"], row["option.min_disparity"]) == ("2", "0", "4.0")
 
 
 def test_no_cell_of_the_csv_is_a_table_of_its_own(finished):
@@ -109,7 +109,7 @@ def test_the_settings_are_the_exact_inputs(finished):
     assert Scenario.from_dict(settings["scenario"]) == SCENARIO
     assert settings["versions"]["numpy"] == np.__version__
     assert settings["scenario"]["gate"] == 0.99
-    assert settings["scenario"]["filters"][0]["options"] == {"min_disparity": 5.0}
+    assert settings["scenario"]["filters"][0]["options"] == {"min_disparity": 4.0}
 
 
 def test_trajectories_are_in_tum_format(finished):
@@ -155,7 +155,7 @@ def test_other_settings_are_refused_and_nothing_is_lost(finished):
     before = (finished.out / "settings.json").read_text()
     with pytest.raises(ValueError, match=r"holds a run with gate = 0.99, now it is 0.9: choose another"):
         opened(finished.out, replace(SCENARIO, gate=0.9))
-    changed = replace(SCENARIO.filters[0], options={"min_disparity": 3.0})
+    changed = replace(SCENARIO.filters[0], options={"min_disparity": 5.0})
     with pytest.raises(ValueError, match=r"euclidean\.npz was made with other options"):
         opened(finished.out, replace(SCENARIO, filters=(changed,)))
     assert (finished.out / "settings.json").read_text() == before
