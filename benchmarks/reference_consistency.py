@@ -43,7 +43,7 @@ CASES = (
     Case("joint, full R", "inverse-depth", FULL_R, {}),
     Case("dual, full R", "dual-bearing", FULL_R, {}),
     Case("XYZ, full R, d >= 4 px", "euclidean", FULL_R, {"min_disparity": 4.0}),
-    Case("XYZ, sigma points, full R, d >= 0.5 px", "euclidean", FULL_R, {"min_disparity": 0.5, "update": "unscented"}),
+    Case("XYZ, sigma points, full R, d >= 1 px", "euclidean", FULL_R, {"min_disparity": 1.0, "update": "unscented"}),
 )
 PROBLEMS = {"turn": short_turn, "long": long_drive}
 

@@ -8,7 +8,6 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
 
 from stereo_slam_env.evaluation import mean_band, readable, share_inside
@@ -157,11 +156,9 @@ class Page:
         folder, name = self._out / "figures", "figure-3.png"
         folder.mkdir(parents=True, exist_ok=True)
         own_files(self._out, [f"figures/{name}"])
-        done, encoded = cv2.imencode(".png", features.picture(arrays))
-        if not done:
-            raise RuntimeError("OpenCV cannot write PNG files")
-        write_atomically(folder / name, lambda stream: stream.write(encoded.tobytes()))
-        data, caption = base64.b64encode(encoded.tobytes()).decode(), escape(TABLE["figures"]["figure-3"])
+        encoded = features.picture(arrays)
+        write_atomically(folder / name, lambda stream: stream.write(encoded))
+        data, caption = base64.b64encode(encoded).decode(), escape(TABLE["figures"]["figure-3"])
         image = f'<img alt="{caption}" style="width: 100%" src="data:image/png;base64,{data}">'
         return (
             f"<h2>Figure 3: features of a turn (4.3)</h2>"
