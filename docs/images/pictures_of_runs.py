@@ -25,6 +25,7 @@ from PIL.PngImagePlugin import PngInfo
 import stereo_slam_env as sse
 from stereo_slam_env.benchmark import preset_study, run_benchmark
 from stereo_slam_env.studies.paper import convergence, figures
+from stereo_slam_env.studies.paper.claims import NOISES
 from stereo_slam_env.viewer import Drive, RerunView
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
@@ -84,7 +85,8 @@ def rerun(path: Path, work: Path, *, small: bool) -> None:
 def paper_depth(path: Path, work: Path, *, small: bool) -> None:
     """Figure 4 of the paper."""
     drives = 4 if small else 200
-    figures.figure_4({name: make() for name, make in convergence.experiments(drives).items()}).save(path)
+    turns = convergence.experiments(dict.fromkeys(NOISES, drives), {})
+    figures.figure_4({name: make() for name, make in turns.items()}).save(path)
 
 
 def paper_cloud(path: Path, work: Path, *, small: bool) -> None:

@@ -66,7 +66,9 @@ class Page:
 
     @property
     def notes(self) -> list[str]:
-        """What was not judged, and what would be needed for it."""
+        """What was not judged, and what would be needed for it; nothing of figures without any drive."""
+        if self._figure in ("1", "2", "speed"):
+            return []
         return [note for note in self._notes if note]
 
     def write(self, claims: Sequence[Claim], results: Mapping[str, Arrays], done: tuple[int, int]) -> None:
