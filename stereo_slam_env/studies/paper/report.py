@@ -21,6 +21,7 @@ from stereo_slam_env.studies.paper.claims import (
     JOINT,
     NOISES,
     PLACES,
+    SIMULATION,
     TABLE,
     Arrays,
     Claim,
@@ -78,7 +79,7 @@ class Page:
             body.append(f'<p class="banner">{escape(self._settings.remark)}</p>')
         if done[0] < done[1]:
             body.append(f'<p class="banner">Still running: {done[0]} of {done[1]} parts are finished.</p>')
-        body.append(f"<h2>Verdicts</h2>{_verdicts(claims)}")
+        body.append(f"<h2>Verdicts</h2>{contradictions(claims)}{_verdicts(claims)}")
         body += [f"<p>{escape(TABLE[name])}</p>" for name in ("rule", "conditions")]
         body += [f'<p class="quiet">{escape(note)}</p>' for note in self.notes]
         body += self._sections(claims, results)
@@ -190,6 +191,25 @@ def measured_range(findings: Sequence[ClaimFinding]) -> str:
         return "–"
     low, high = (readable(value) for value in (min(values), max(values)))
     return low if low == high else f"{low} to {high}"
+
+
+def contradictions(claims: Sequence[Claim]) -> str:
+    """Markup of the sentences that are shown in simulation and refuted elsewhere, with what was measured there."""
+    items = []
+    for one in claims:
+        shown = any(finding.verdict is ClaimVerdict.HOLDS for finding in one.at(SIMULATION).findings)
+        refuted = [
+            finding
+            for finding in one.findings
+            if finding.place != SIMULATION and finding.verdict is ClaimVerdict.DOES_NOT_HOLD
+        ]
+        if shown and refuted:
+            where = ", ".join(dict.fromkeys(f.condition.get("drive", PLACES[f.place].lower()) for f in refuted))
+            said = f"{one.sentence.claim}: {where} ({measured_range(refuted)}, asked: {refuted[0].asked})"
+            items.append(f"<li>{escape(said)}</li>")
+    if not items:
+        return ""
+    return f"<p><b>Shown in simulation under some conditions, refuted elsewhere:</b></p><ul>{''.join(items)}</ul>"
 
 
 def _verdicts(claims: Sequence[Claim]) -> str:

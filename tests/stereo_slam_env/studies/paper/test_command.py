@@ -9,7 +9,17 @@ import pytest
 from stereo_slam_env.cli import app as cli
 from stereo_slam_env.files import claimed_folder
 from stereo_slam_env.studies.paper import EXPERIMENTS, FIGURES, FULL, QUICK, PaperSettings, drives, run_paper
-from stereo_slam_env.studies.paper.claims import PLACES, RENDERED, SENTENCES
+from stereo_slam_env.studies.paper.claims import (
+    PLACES,
+    REAL,
+    RENDERED,
+    SENTENCES,
+    SIMULATION,
+    Claim,
+    ClaimFinding,
+    Interval,
+)
+from stereo_slam_env.studies.paper.report import contradictions
 
 TINY = PaperSettings(
     **{"samples": 300, "turn_seeds": 1, "drive_seeds": 1, "drive_frames": 30, "rendered_turns": 1},
@@ -92,6 +102,22 @@ def test_the_page_has_every_claim_and_figure_and_says_how_to_get_the_recordings(
     assert ">nan" not in page
     assert escape(TINY.remark) in page
     assert json.loads((result.out / "paper.json").read_text())["remark"] == TINY.remark
+
+
+def test_the_page_names_what_is_refuted_outside_the_simulation():
+    """Only with a finding on each side; what is undecided there is not called refuted."""
+    sentence = SENTENCES["consistent"]
+
+    def finding(place, value, spread, **condition):
+        return ClaimFinding(condition, Interval(value, value - spread, value + spread), sentence.asked, place)
+
+    held = finding(SIMULATION, 1.0, 0.05, noise="a")
+    refuted, undecided = finding(REAL, 50.0, 20.0, drive="KITTI 00"), finding(REAL, 1.6, 1.0, drive="KITTI 07")
+    said = contradictions([Claim(sentence, (held, refuted, undecided))])
+    assert "KITTI 00 (50, asked: 0.8264 to 1.21)" in said
+    assert "KITTI 07" not in said
+    for findings in ((held, undecided), (refuted, undecided)):
+        assert contradictions([Claim(sentence, findings)]) == ""
 
 
 def test_a_run_that_is_smaller_than_the_full_one_says_so():
