@@ -63,7 +63,7 @@ def test_everything_is_there(result):
         assert wanted <= figures or (name == "3" and not RENDERS)
 
 
-def test_the_page_shows_what_is_finished_while_the_rest_runs(pages):
+def test_the_page_shows_what_is_finished_while_the_rest_runs(result, pages):
     assert "Still running" in pages[0]
     assert '<figure id="figure-figure-1"' in pages[0]
     assert '<figure id="figure-figure-speed"' not in pages[0]
