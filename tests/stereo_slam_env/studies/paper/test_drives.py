@@ -1,5 +1,6 @@
 """The drives of the study, and the same judgements on recordings that are not ours to simulate (20 s)."""
 
+import os
 from dataclasses import replace
 
 import numpy as np
@@ -54,13 +55,17 @@ def test_a_folder_without_them_is_refused(tmp_path):
         drives.real_drives([], tmp_path)
 
 
-def test_a_drive_that_is_not_there_and_two_of_one_name_are_refused(tmp_path, without_gtsam):
+def test_what_is_no_drive_and_two_of_one_name_are_refused_before_anything_runs(tmp_path, folder, without_gtsam):
     with pytest.raises(ValueError, match="does not exist: give what"):
         drives.real_drives([tmp_path / "nowhere"])
-    for parent in ("a", "b"):
-        (tmp_path / parent / "06").mkdir(parents=True)
-    with pytest.raises(ValueError, match="two real drives have the name '06'"):
-        drives.real_drives([tmp_path / "a" / "06", tmp_path / "b" / "06"])
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(ValueError, match="has no known layout: give what"):
+        drives.real_drives([tmp_path])
+    (tmp_path / "cut.npz").write_text("no archive")
+    with pytest.raises(ValueError, match=r"cut\.npz is damaged"):
+        drives.real_drives([tmp_path / "cut.npz"])
+    with pytest.raises(ValueError, match=f"two real drives have the name '{folder.name}'"):
+        drives.real_drives([folder, folder])
 
 
 def test_the_name_of_a_drive_can_name_a_file(recording_file, without_gtsam):
