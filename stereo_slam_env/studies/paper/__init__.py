@@ -186,7 +186,7 @@ def run_paper(
             about["remark"] = settings.remark
         own_files(out, (RESULT, ROWS, "claims.md", "report.html"), is_run=True)
         write_json(out / SETTINGS, about)
-        without = "" if drives.can_render() else drives.HOW_TO_RENDER
+        without = drives.refusal_to_render()
         page = Page(out, settings, tuple(recordings), without, figure)
         sections = _sections(settings, recordings, renders=not without)
         if figure is not None:

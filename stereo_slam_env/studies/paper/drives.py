@@ -129,16 +129,13 @@ def _of_the_paper(folder: Path) -> list[Path]:
     return places
 
 
-HOW_TO_RENDER = 'Not judged in rendered images: install the extra gl, pip install "stereo-slam-env[gl]".'
-
-
-def can_render() -> bool:
-    """Whether the renderer `gl` runs here."""
+def refusal_to_render() -> str:
+    """Why nothing is judged in rendered images; empty where the renderer `gl` runs here."""
     try:
         StreetSource().with_images("gl").check()
-    except ValueError:
-        return False
-    return True
+    except ValueError as error:
+        return f"Not judged in rendered images: {error}"
+    return ""
 
 
 def simulated(what: str, noise: str, seed: int, frames: int) -> Recording:

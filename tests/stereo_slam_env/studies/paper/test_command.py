@@ -25,7 +25,7 @@ TINY = PaperSettings(
     **{"samples": 300, "turn_seeds": 1, "drive_seeds": 1, "drive_frames": 30, "rendered_turns": 1},
     **{"rendered_drives": 1, "sizes": (8, 12), "repeats": 2},
 )
-RENDERS = drives.can_render()
+RENDERS = not drives.refusal_to_render()
 
 
 @pytest.fixture(scope="module", autouse=True)
