@@ -1,6 +1,6 @@
 # Set-up is done once, and again only when pyproject.toml changes. Nothing but Python and pip is needed.
 .DEFAULT_GOAL := help
-.PHONY: help bench test test-slow test-all lint format docs lock clean
+.PHONY: help bench test test-slow test-all lint same format docs lock clean
 
 PYTHON ?= python3
 VENV := .venv
@@ -40,6 +40,9 @@ lint: $(VENV)/.installed-dev ## ruff, the order of the rooms (import-linter), my
 	@$(BIN)/lint-imports --no-cache --no-logo >/dev/null || $(BIN)/lint-imports --no-cache --no-logo
 	@if $(BIN)/python -c 'import sys; sys.exit(sys.version_info < (3, 11))'; then $(BIN)/mypy; \
 	else echo "mypy is left out: the newest NumPy of Python 3.10 has other types than those checked for"; fi
+
+same: $(VENV)/.installed-dev ## Figures that must not change while the code is rearranged (three minutes)
+	@$(BIN)/python benchmarks/same.py
 
 format: $(VENV)/.installed-dev ## Let ruff put the code in order
 	@$(BIN)/ruff check --fix
