@@ -36,6 +36,7 @@ from stereo_slam_env.benchmark import preset_study, run_benchmark
 from stereo_slam_env.benchmark.recordings.inertial_problem import inertial_drive, inertial_flight
 from stereo_slam_env.benchmark.recordings.reference_problem import long_drive
 from stereo_slam_env.evaluation.filter_run import run_filter
+from stereo_slam_env.evaluation.trajectory_score import TrajectoryScore
 from stereo_slam_env.report.trajectory_report import write_trajectory_report
 from stereo_slam_env.studies.paper import PaperSettings, run_paper
 from stereo_slam_env.training import GazeTask
@@ -167,15 +168,17 @@ def _numbers(name: str, value: Any) -> Iterator[Figure]:
 
 def trajectories(data: Path) -> Iterator[Figure]:
     """Scores of trajectories that other people estimated, where they are at hand, and of a made-up one."""
-    recording = long_drive(0, frames=60)
-    run = run_filter(recording, "inverse-depth", score_map=False, seed=0)
-    estimate = sse.Trajectory(run.positions, run.orientations, run.timestamps, run.pose_covariances)
-    truth = sse.Trajectory(run.true_positions, run.true_orientations, run.timestamps)
-    yield from _numbers("made up", asdict(sse.evaluate_trajectory(estimate, truth)))
+    yield from _numbers("made up", asdict(_made_up_score()))
     for name, files in PAIRS.items():
         both = [data / "field" / "trajectories" / name / file for file in files]
         if all(path.exists() for path in both):
             yield from _numbers(name, asdict(sse.evaluate_trajectory(*both)))
+
+
+def _made_up_score() -> TrajectoryScore:
+    run = run_filter(long_drive(0, frames=60), "inverse-depth", score_map=False, seed=0)
+    estimate = sse.Trajectory(run.positions, run.orientations, run.timestamps, run.pose_covariances)
+    return sse.evaluate_trajectory(estimate, sse.Trajectory(run.true_positions, run.true_orientations, run.timestamps))
 
 
 def parts(data: Path) -> Iterator[Figure]:
@@ -188,12 +191,8 @@ def parts(data: Path) -> Iterator[Figure]:
 
 def pages(data: Path) -> Iterator[Figure]:
     """Numbers that two pages show: the score of a trajectory, and the paper's section 4.1."""
-    recording = long_drive(0, frames=60)
-    run = run_filter(recording, "inverse-depth", score_map=False, seed=0)
-    estimate = sse.Trajectory(run.positions, run.orientations, run.timestamps, run.pose_covariances)
-    truth = sse.Trajectory(run.true_positions, run.true_orientations, run.timestamps)
     with tempfile.TemporaryDirectory() as folder:
-        score = write_trajectory_report(Path(folder) / "score", [sse.evaluate_trajectory(estimate, truth)])
+        score = write_trajectory_report(Path(folder) / "score", [_made_up_score()])
         paper = run_paper(Path(folder) / "paper", PaperSettings(samples=500), figure="2").report
         for name, path in (("score", score), ("paper", paper)):
             page = re.sub(r"(?s)<(script|style|svg)\b.*?</\1>|<[^>]*>", " ", Path(path).read_text(encoding="utf-8"))

@@ -17,9 +17,9 @@ PAGES = sorted((DOCS / "filters").glob("*.md"))
 ROW = re.compile(r"^\| (?P<what>.+?) \| (?P<figures>.+?) \| \[.+?\]\((?P<page>.+?)#(?P<anchor>.+?)\) \|$", re.MULTILINE)
 LINK = re.compile(r"\]\((?P<page>[^)#\s:]+\.md)#(?P<anchor>[\w-]+)\)")
 """To a section: in a whole page any number stands somewhere."""
-NUMBER = re.compile(r"(?<![\w.])\d[\d,]*(?:\.\d+)?(?:e-?\d+)?")
+NUMBER = re.compile(r"\d[\d,.]*(?:e-?\d+)?")
 NO_FIGURE = re.compile(r"\]\([^)]*\)|`[^`]*`|KITTI \d\d|NEES ?/ ?[36]|§ [\d.]+|95 %|(?<=[≥≤] )[\d.]+ px")
-"""Addresses, code, and numbers that belong to a name or are a choice."""
+"""Addresses, code, and numbers that belong to a name or are a choice, in the prose of summaries."""
 SUMMARIES = {
     DOCS / "results.md": None,
     ROOT / "README.md": ("A result",),
@@ -40,19 +40,21 @@ def section(page, anchor):
 
 
 def numbers(text):
-    return {number.rstrip(",").replace(",", "") for number in NUMBER.findall(NO_FIGURE.sub("", text))}
+    return {number.rstrip(".,") for number in NUMBER.findall(text)}
 
 
 def stands(number, there):
     """Whether a number is one of those there, or one of them rounded to its decimal places."""
     places = len(number.partition("e")[0].partition(".")[2])
-    return number in there or any(f"{float(other):.{places}f}" == number for other in there)
+    plain = (other.replace(",", "") for other in there if other.count(".") < 2)
+    return number in there or any(f"{float(other):.{places}f}" == number.replace(",", "") for other in plain)
 
 
 def unfounded(text, page):
     """Figures of a text that stand in none of the sections that it links to."""
     links = list(LINK.finditer(text))
-    there = numbers(" ".join(section((page.parent / link["page"]).resolve(), link["anchor"]) for link in links))
+    sections = " ".join(section((page.parent / link["page"]).resolve(), link["anchor"]) for link in links)
+    text, there = NO_FIGURE.sub("", text), numbers(NO_FIGURE.sub("", sections))
     return sorted(number for number in numbers(text) if not stands(number, there))
 
 
@@ -91,7 +93,7 @@ def test_another_figure_would_be_found():
     """Each figure of a summary, a little larger: it stands by chance in one long section or the other."""
     found = []
     for page, part in (case.values for case in SECTIONS):
-        for number in sorted(numbers(part)):
+        for number in sorted(numbers(NO_FIGURE.sub("", part))):
             if re.fullmatch(r"\d*\.\d{2,}", number):
                 other = f"{float(number) * 1.07:.{len(number.partition('.')[2])}f}"
                 found.append(other in unfounded(part.replace(number, other), page))

@@ -42,6 +42,7 @@ from stereo_slam_env.studies.paper.claims import (
 __all__ = [
     "FIGURES",
     "FULL",
+    "NOISES",
     "QUICK",
     "Claim",
     "ClaimFinding",
@@ -170,7 +171,7 @@ def run_paper(
         not there.
     """
     out, tell = Path(out), progress or (lambda done, total: None)
-    together, alone = Backend(jobs=jobs), Backend(jobs=1)
+    Backend(jobs=jobs)  # refuses an impossible number
     if figure is not None and figure not in FIGURES:
         raise ValueError(f"figure must be one of {', '.join(FIGURES)}, got {figure!r}")
     recordings = drives.real_drives(real, karlsruhe)
@@ -194,12 +195,12 @@ def run_paper(
         results: dict[str, Arrays] = {}
         claims: tuple[Claim, ...] = ()
         total = sum(len(section.work) for section in sections.values())
-        for name, section in sections.items():
+        for section in sections.values():
             before = len(results)
             results |= run_experiments(
                 section.work,
                 out / EXPERIMENTS,
-                alone if name == "5" else together,
+                Backend(jobs=1 if section.alone else jobs),
                 partial(_told, tell, before, total),
             )
             claims = (*claims, *section.judge(results))
@@ -218,6 +219,7 @@ def _told(tell: Progress, before: int, total: int, done: float, of: int) -> None
 class _Section:
     work: Mapping[str, partial[Arrays]]  # experiments by name
     judge: Callable[[Mapping[str, Arrays]], tuple[Claim, ...]]
+    alone: bool = False  # it measures time and needs the machine for itself
 
 
 def _sections(settings: PaperSettings, real: Mapping[str, drives.RealDrive], *, renders: bool) -> dict[str, _Section]:
@@ -231,7 +233,7 @@ def _sections(settings: PaperSettings, real: Mapping[str, drives.RealDrive], *, 
         "3": _Section(features.experiments() if renders else {}, lambda results: ()),
         "4.3": _Section(convergence.experiments(turn_seeds, real), convergence.judge),
         "4.4": _Section(long_drive.experiments(drive_seeds, settings.drive_frames, real), long_drive.judge),
-        "5": _Section(speed.experiments(settings.sizes, settings.repeats), speed.judge),
+        "5": _Section(speed.experiments(settings.sizes, settings.repeats), speed.judge, alone=True),
     }
 
 
@@ -246,7 +248,8 @@ def run_experiments(
 ) -> dict[str, Arrays]:
     """Results by name of a file; what `folder` has of the same arguments and code is not computed again."""
     folder.mkdir(parents=True, exist_ok=True)
-    keys = {name: json.dumps([versions()["code"], work.args, work.keywords]) for name, work in experiments.items()}
+    code = versions()["code"]
+    keys = {name: json.dumps([code, work.args, work.keywords]) for name, work in experiments.items()}
     found = {name: _kept(folder / f"{name}.npz", key) for name, key in keys.items()}
     results = {name: arrays for name, arrays in found.items() if arrays is not None}
     progress(len(results), len(experiments))

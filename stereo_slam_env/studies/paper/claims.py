@@ -164,7 +164,7 @@ class ClaimFinding:
 
     @property
     def verdict(self) -> ClaimVerdict:
-        """By `decide`."""
+        """Verdict of `decide` on this condition."""
         return decide(self.measured, self.asked)
 
 
@@ -254,11 +254,17 @@ def share_interval(hits: int, trials: int) -> Interval:
     return Interval(hits / trials, float(bounds.low), float(bounds.high))
 
 
+def finite_mean(values: FloatArray) -> float:
+    """Mean of the finite values; NaN where there is none."""
+    finite = values[np.isfinite(values)]
+    return float(finite.mean()) if len(finite) else math.nan
+
+
 def mean_interval(values: FloatArray) -> Interval:
     """The mean; values that are not finite are left out."""
     finite = values[np.isfinite(values)]
     if len(finite) < MIN_PAIRS:
-        return Interval(float(finite.mean()) if len(finite) else math.nan, math.nan, math.nan)
+        return Interval(finite_mean(finite), math.nan, math.nan)
     low, high = studentised_interval(finite[:, None], CONFIDENCE)
     return Interval(float(finite.mean()), float(low[0]), float(high[0]))
 

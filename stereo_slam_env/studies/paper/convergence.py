@@ -88,13 +88,13 @@ def experiments(seeds: Mapping[str, int], real: Mapping[str, drives.RealDrive]) 
 def turns(key: str, *about: Any) -> Arrays:
     """All filters on some turns, or the windows of a real drive that is long enough; see `drives.recordings_of`."""
     setting = drives.setting(key)
-    found = []
+    followed: list[Arrays] = []
     for number, recording in drives.recordings_of(drives.TURN, key, *about):
         if setting.place == REAL:
-            found += [_turn(setting, window, k) for k, window in enumerate(_windows(recording))]
+            followed += [_turn(setting, window, k) for k, window in enumerate(_windows(recording))]
         else:
-            found.append(_turn(setting, recording, number))
-    return {name: np.concatenate([one[name] for one in found]) for name in found[0]} if found else {}
+            followed.append(_turn(setting, recording, number))
+    return {name: np.concatenate([one[name] for one in followed]) for name in followed[0]} if followed else {}
 
 
 def _windows(recording: Recording) -> list[Recording]:
@@ -107,7 +107,7 @@ def _windows(recording: Recording) -> list[Recording]:
 def _turn(setting: drives.Setting, recording: Recording, number: int) -> Arrays:
     ids = seen_throughout(recording)
     constant = recording.camera.disparity_constant
-    raw = raw_depths(measured_disparities(recording, ids), constant)
+    raw = raw_depths(measurements(recording, ids)[:, :, 2], constant)
     true = np.full_like(raw, np.nan) if recording.landmarks is None else true_depths(recording, ids)
     label = labels(true[:, 0] if recording.landmarks else np.nanmedian(raw, axis=1), setting.place)
     used = label != ""
@@ -138,13 +138,13 @@ def seen_throughout(recording: Recording) -> IntArray:
     return reduce(np.intersect1d, [frame.observation.ids for frame in recording.frames])
 
 
-def measured_disparities(recording: Recording, ids: IntArray) -> FloatArray:
-    """Raw disparities of those landmarks, (L, K) px."""
-    columns = []
+def measurements(recording: Recording, ids: IntArray) -> FloatArray:
+    """Measured (u, v, d) of those landmarks, which every frame has, (L, K, 3) px."""
+    by_frame = []
     for frame in recording.frames:
         order = np.argsort(frame.observation.ids)
-        columns.append(frame.observation.uvd[order[np.searchsorted(frame.observation.ids, ids, sorter=order)], 2])
-    return np.stack(columns, axis=1)
+        by_frame.append(frame.observation.uvd[order[np.searchsorted(frame.observation.ids, ids, sorter=order)]])
+    return np.stack(by_frame, axis=1)
 
 
 def true_depths(recording: Recording, ids: IntArray) -> FloatArray:
@@ -192,8 +192,8 @@ def gathered(setting: drives.Setting, results: Sequence[Arrays]) -> Depths:
 
 def settings(results: Mapping[str, Arrays]) -> list[Depths]:
     """The turns that there are results of, simulated ones first."""
-    found = drives.settings_of(results, drives.TURN)
-    return [gathered(drives.setting(key), arrays) for key, arrays in found.items()]
+    by_key = drives.settings_of(results, drives.TURN)
+    return [gathered(drives.setting(key), arrays) for key, arrays in by_key.items()]
 
 
 def raw_depths(d: FloatArray, disparity_constant: float) -> FloatArray:
@@ -211,13 +211,13 @@ def sigma(depths: Depths, history: DepthHistory) -> FloatArray:
 
 
 def squared_error(depths: Depths, history: DepthHistory) -> FloatArray:
-    """Of the depth after the last update, m^2."""
+    """Squared error of the depth after the last update, m^2."""
     squared: FloatArray = np.square(depths.depth(history)[0][:, -1] - depths.true[:, -1])
     return squared
 
 
 def nees(depths: Depths, history: DepthHistory) -> FloatArray:
-    """Of the inverse depth after the last update: the distribution of depth itself is not Gaussian (4.1)."""
+    """NEES of the inverse depth after the last update: depth itself is not Gaussian (4.1)."""
     true_d = depths.disparity_constant / depths.true[:, -1]
     squared: FloatArray = np.square((history.d[:, -1] - true_d) / history.sigma_d[:, -1])
     return squared
@@ -273,10 +273,6 @@ def example(depths: Depths, label: str) -> int:
 
 def judge(results: Mapping[str, Arrays]) -> tuple[Claim, ...]:
     """The claims of section 4.3."""
-    every = settings(results)
-
-    def by_place(key: str, measured: Callable[[Depths], Measured]) -> Claim:
-        return drives.judged(key, every, measured)
 
     def ratios(
         quantity: Quantity, root: bool = False, labels: Sequence[str] = tuple(RANGES)
@@ -304,12 +300,13 @@ def judge(results: Mapping[str, Arrays]) -> tuple[Claim, ...]:
                 typical = ratio_interval(values, np.full_like(values, MEDIAN_NEES))
                 yield about, mean_interval(values) if simulated else typical
 
-    return (
-        by_place("uncertainty-converges", ratios(sigma)),
-        by_place("depth-converges", ratios(squared_error, root=True)),
-        by_place("depth-uncertainty", consistent),
-        by_place("sooner-linear", ratios(updates_until_linear, labels=("near",))),
-        by_place("smoother", ratios(roughness, root=True)),
-        by_place("raw-mean", ratios(distance_to_raw_mean)),
-        by_place("far-not-closer", ratios(distance_to_raw_mean, labels=("far",))),
-    )
+    quantities = {
+        "uncertainty-converges": ratios(sigma),
+        "depth-converges": ratios(squared_error, root=True),
+        "depth-uncertainty": consistent,
+        "sooner-linear": ratios(updates_until_linear, labels=("near",)),
+        "smoother": ratios(roughness, root=True),
+        "raw-mean": ratios(distance_to_raw_mean),
+        "far-not-closer": ratios(distance_to_raw_mean, labels=("far",)),
+    }
+    return drives.judged(quantities, settings(results))

@@ -9,7 +9,7 @@ from __future__ import annotations
 import importlib.util
 import math
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -130,7 +130,7 @@ def _of_the_paper(folder: Path) -> list[Path]:
 
 
 def refusal_to_render() -> str:
-    """Why nothing is judged in rendered images; empty where the renderer `gl` runs here."""
+    """Reason that nothing is judged in rendered images; empty where the renderer `gl` runs here."""
     try:
         StreetSource().with_images("gl").check()
     except ValueError as error:
@@ -151,7 +151,7 @@ def rendered(what: str, seed: int, frames: int) -> Recording:
 
 @dataclass(frozen=True)
 class Setting:
-    """What filters are told on some drives, and how these are called in results."""
+    """Setup of the filters on some drives, and the names of these in results."""
 
     key: str  # a noise, "rendered", or "real-" and the name of the drive
     place: str  # of `PLACES`
@@ -214,21 +214,23 @@ class Results(Protocol):
 
     @property
     def setting(self) -> Setting:
-        """Where they are from."""
+        """Setting of the drives."""
         ...
 
 
 Some = TypeVar("Some", bound=Results)
 
 
-def judged(key: str, every: Iterable[Some], measured: Callable[[Some], Measured]) -> Claim:
-    """The sentence of that key, judged by what was `measured` in each setting; what is not known is left out."""
-    by_place: dict[str, list[tuple[Mapping[str, str], Interval]]] = {place: [] for place in PLACES}
-    for one in every:
-        about = one.setting.condition
-        known = [({**about, **more}, value) for more, value in measured(one) if not math.isnan(value.value)]
-        by_place[one.setting.place] += known
-    return claim(key, *by_place.values())
+def judged(quantities: Mapping[str, Callable[[Some], Measured]], every: Sequence[Some]) -> tuple[Claim, ...]:
+    """The sentences by their keys, judged by a quantity in each setting; values that are not known are left out."""
+    claims = []
+    for key, measured in quantities.items():
+        by_place: dict[str, list[tuple[Mapping[str, str], Interval]]] = {place: [] for place in PLACES}
+        for one in every:
+            pairs = [({**one.setting.condition, **more}, value) for more, value in measured(one)]
+            by_place[one.setting.place] += [pair for pair in pairs if not math.isnan(pair[1].value)]
+        claims.append(claim(key, *by_place.values()))
+    return tuple(claims)
 
 
 def experiments(

@@ -10,7 +10,7 @@ from stereo_slam_env import RenderedDrive
 from stereo_slam_env.frontend import record_tracks
 from stereo_slam_env.rendering import tracks_picture
 from stereo_slam_env.studies.paper.claims import Arrays
-from stereo_slam_env.studies.paper.convergence import UPDATES, WIDE_RANGES, measured_disparities, seen_throughout
+from stereo_slam_env.studies.paper.convergence import UPDATES, WIDE_RANGES, measurements, seen_throughout
 from stereo_slam_env.studies.paper.drives import ROUTES, TURN
 
 NEAR, BETWEEN, FAR = (230, 140, 0), (150, 150, 150), (30, 110, 200)  # RGB: orange, grey, blue
@@ -27,14 +27,9 @@ def tracked(seed: int) -> Arrays:
     drive = RenderedDrive({"route": ROUTES[TURN], "renderer": "gl"}, seed, UPDATES + 1)
     recording = record_tracks(drive, drive.front_end)
     images = [pair.left for number, pair in enumerate(drive.pairs()) if number in (0, UPDATES)]
-    ids = seen_throughout(recording)
-    pixels = []
-    for frame in recording.frames:
-        order = np.argsort(frame.observation.ids)
-        at = order[np.searchsorted(frame.observation.ids, ids, sorter=order)]
-        pixels.append(frame.observation.uvd[at, :2])
-    depths = recording.camera.disparity_constant / np.median(measured_disparities(recording, ids), axis=1)
-    return {"images": np.array(images), "pixels": np.array(pixels), "depths": depths}
+    uvd = measurements(recording, seen_throughout(recording))
+    depths = recording.camera.disparity_constant / np.median(uvd[:, :, 2], axis=1)
+    return {"images": np.array(images), "pixels": uvd[:, :, :2].transpose(1, 0, 2), "depths": depths}
 
 
 def picture(arrays: Arrays) -> bytes:

@@ -47,6 +47,7 @@ from stereo_slam_env.studies.paper.claims import (
     FloatArray,
     Interval,
     Measured,
+    finite_mean,
     mean_interval,
     ratio_interval,
     rms_interval,
@@ -147,7 +148,7 @@ def quantities(run: FilterRun) -> Arrays:
 
 
 def position_rmse(run: FilterRun) -> float:
-    """m, without alignment."""
+    """RMS position error without alignment, m."""
     return ate_unaligned(run.positions, run.true_positions)
 
 
@@ -172,13 +173,13 @@ def velocity_rmse(run: FilterRun) -> float:
 
 
 def scale_error_percent(run: FilterRun) -> float:
-    """By how much the estimated path is longer than the true one, %."""
+    """Excess of the length of the estimated path over that of the true one, %."""
     length = path_length(run.true_positions[::CHORD])
     return 100.0 * (path_length(run.positions[::CHORD]) / length - 1.0) if length else float("nan")
 
 
 def late_scale_error_percent(run: FilterRun) -> float:
-    """As `scale_error_percent`, of the last quarter of the drive, and a chord at least."""
+    """Excess of the length over the last quarter of the drive, and a chord at least, %."""
     start = max(min(3 * len(run.positions) // 4, len(run.positions) - CHORD - 1), 0)
     late = replace(run, positions=run.positions[start:], true_positions=run.true_positions[start:])
     return scale_error_percent(late)
@@ -198,12 +199,12 @@ ACCURACY: Mapping[str, Quantity] = {
 
 def pose_nees(run: FilterRun) -> float:
     """Mean over frames, by its 6 degrees of freedom."""
-    return _mean(run.pose_nees[1:][_judged(run)[1:]]) / 6.0
+    return finite_mean(run.pose_nees[1:][_judged(run)[1:]]) / 6.0
 
 
 def landmark_nees(run: FilterRun) -> float:
     """Mean over frames, by its 3 degrees of freedom."""
-    return _mean(run.landmark_nees) / 3.0
+    return finite_mean(run.landmark_nees) / 3.0
 
 
 def nis(run: FilterRun) -> float:
@@ -250,11 +251,6 @@ def _judged(run: FilterRun) -> BoolArray:
     return known & run.truth_from.counts_as_truth
 
 
-def _mean(values: FloatArray) -> float:
-    finite = values[np.isfinite(values)]
-    return float(finite.mean()) if len(finite) else float("nan")
-
-
 # Claims.
 
 
@@ -293,8 +289,8 @@ class DriveResults:
 
 def settings(results: Mapping[str, Arrays]) -> list[DriveResults]:
     """The drives that there are results of, simulated ones first."""
-    found = drives.settings_of(results, drives.DRIVE)
-    return [DriveResults(drives.setting(key), by_drive) for key, by_drive in found.items()]
+    by_key = drives.settings_of(results, drives.DRIVE)
+    return [DriveResults(drives.setting(key), by_drive) for key, by_drive in by_key.items()]
 
 
 def example_course(results: Mapping[str, Arrays]) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
@@ -309,10 +305,6 @@ def example_course(results: Mapping[str, Arrays]) -> tuple[dict[str, FloatArray]
 
 def judge(results: Mapping[str, Arrays]) -> tuple[Claim, ...]:
     """The claims of section 4.4, and of the sections that need its drives."""
-    every = settings(results)
-
-    def by_place(key: str, measured: Callable[[DriveResults], Measured]) -> Claim:
-        return drives.judged(key, every, measured)
 
     def of(
         name: str, quantity: str, interval: Callable[[FloatArray], Interval] = mean_interval
@@ -346,34 +338,30 @@ def judge(results: Mapping[str, Arrays]) -> tuple[Claim, ...]:
 
         return measured
 
-    def kept(one: DriveResults) -> Measured:
+    def lost(one: DriveResults) -> Measured:
         for R in one.setting.levels:
             diverged = one.of(JOINT, R, "diverged")
             diverged = diverged[np.isfinite(diverged)]
-            if not len(diverged):
-                continue
-            whole = int(diverged.sum())
-            yield (
-                {"R": ASSUMED_NAMES[R]},
-                Interval(*[float(whole)] * 3) if one.is_one else share_interval(whole, len(diverged)),
-            )
+            if len(diverged):
+                count = int(diverged.sum())
+                alone = Interval(*[float(count)] * 3)
+                yield {"R": ASSUMED_NAMES[R]}, alone if one.is_one else share_interval(count, len(diverged))
 
-    return (
-        by_place("trajectory", of(JOINT, "position")),
-        by_place("drift", of(JOINT, "drift")),
-        by_place("yaw", of(JOINT, "yaw")),
-        by_place("velocity", of(JOINT, "velocity")),
-        by_place("odometry-truth", of(ODOMETRY, "position")),
-        by_place("scale", of(JOINT, "scale", rms_interval)),
-        by_place("monocular-scale", of(MONOCULAR, "late_scale", rms_interval)),
-        by_place("consistent", consistent),
-        by_place("no-divergence", kept),
-        by_place(
-            "landmark-noise", lambda one: of(JOINT, "landmark_nees")(one) if one.setting.place == SIMULATION else ()
-        ),
-        by_place("paz-consistent", partial(consistent, name=PAZ)),
-        by_place("xyz-inconsistent", partial(consistent, name=EUCLIDEAN)),
-        by_place("linear-model", ratio_to(XYZ_POINTS)),
-        by_place("nonlinearity", ratio_to(POINTS)),
-        by_place("range-helps", against),
-    )
+    quantities: dict[str, Callable[[DriveResults], Measured]] = {
+        "trajectory": of(JOINT, "position"),
+        "drift": of(JOINT, "drift"),
+        "yaw": of(JOINT, "yaw"),
+        "velocity": of(JOINT, "velocity"),
+        "odometry-truth": of(ODOMETRY, "position"),
+        "scale": of(JOINT, "scale", rms_interval),
+        "monocular-scale": of(MONOCULAR, "late_scale", rms_interval),
+        "consistent": consistent,
+        "no-divergence": lost,
+        "landmark-noise": lambda one: of(JOINT, "landmark_nees")(one) if one.setting.place == SIMULATION else (),
+        "paz-consistent": partial(consistent, name=PAZ),
+        "xyz-inconsistent": partial(consistent, name=EUCLIDEAN),
+        "linear-model": ratio_to(XYZ_POINTS),
+        "nonlinearity": ratio_to(POINTS),
+        "range-helps": against,
+    }
+    return drives.judged(quantities, settings(results))

@@ -28,6 +28,7 @@ from stereo_slam_env.studies.paper.claims import (
     ClaimFinding,
     ClaimVerdict,
     FloatArray,
+    finite_mean,
 )
 from stereo_slam_env.studies.paper.drives import (
     DRIVE,
@@ -58,7 +59,7 @@ class Page:
         self, out: Path, settings: PaperSettings, real: Sequence[str], without: str, figure: str | None = None
     ) -> None:
         self.path, self._out, self._settings, self._figure = out / "report.html", out, settings, figure
-        self._real, self._notes = real, [without]
+        self._real, self._renders, self._notes = real, not without, [without]
         if not real:
             self._notes.append("Not judged on real drives: install the extra gtsam (KITTI 00), or give --real FOLDER.")
         if not any(name in FRAMES_OF_THE_PAPER for name in real):
@@ -67,7 +68,7 @@ class Page:
 
     @property
     def notes(self) -> list[str]:
-        """What was not judged, and what would be needed for it; nothing of figures without any drive."""
+        """Places that were not judged, and what each would need; none of figures without any drive."""
         if self._figure in ("1", "2", "speed"):
             return []
         return [note for note in self._notes if note]
@@ -88,7 +89,7 @@ class Page:
         subtitle = (
             f"Chen, Lin and Shih, “Using Range and Bearing Observation in Stereo-Based EKF SLAM”: "
             f"{settings.samples:,} points a cloud; {settings.turn_seeds} turns and {settings.drive_seeds} drives of "
-            f"{settings.drive_frames} frames for each noise, {'' if any(self._notes[:1]) else drawn}"
+            f"{settings.drive_frames} frames for each noise, {drawn if self._renders else ''}"
             f"real drives: {', '.join(self._real) or 'none'}."
         )
         page = html_page(title="The paper, judged", subtitle=subtitle, body="\n".join(body))
@@ -131,7 +132,7 @@ class Page:
         found = []
         for name, (title, there, draw, numbers) in drawers.items():
             if name == "4" and features.NAME in results and self._figure in (None, "3"):
-                found.append(self._picture(results[features.NAME]))
+                found.append(self._blocks.get("figure-3") or self._picture(results[features.NAME]))
             if there and self._figure in (None, name):
                 found.append(self._section(name, title, claims, draw, numbers))
         return found
@@ -163,10 +164,11 @@ class Page:
         write_atomically(folder / name, lambda stream: stream.write(encoded))
         data, caption = base64.b64encode(encoded).decode(), escape(TABLE["figures"]["figure-3"])
         image = f'<img alt="{caption}" style="width: 100%" src="data:image/png;base64,{data}">'
-        return (
+        self._blocks["figure-3"] = (
             f"<h2>Figure 3: features of a turn (4.3)</h2>"
             f'<figure id="figure-figure-3">{image}<figcaption>{caption}</figcaption></figure>'
         )
+        return self._blocks["figure-3"]
 
 
 def markdown(claims: Sequence[Claim]) -> str:
@@ -297,8 +299,8 @@ def convergence_table(results: Mapping[str, Arrays]) -> Numbers:
             for label in convergence.RANGES:
                 at = depths.label == label
                 case = (*_place(depths.setting), FILTER_NAMES[name], ASSUMED_NAMES[R], label, float(at.sum()))
-                of_depth, of_inverse = _mean((error[at] / sigma[at]) ** 2), _mean(nees[at])
-                rows.append((*case, _rms(sigma[at]), _rms(error[at]), of_depth, of_inverse, _mean(linear[at])))
+                of_depth, of_inverse = finite_mean((error[at] / sigma[at]) ** 2), finite_mean(nees[at])
+                rows.append((*case, _rms(sigma[at]), _rms(error[at]), of_depth, of_inverse, finite_mean(linear[at])))
     return heads, rows
 
 
@@ -314,7 +316,7 @@ def drive_table(results: Mapping[str, Arrays]) -> Numbers:
         where, how_many = _place(one.setting), len(one.by_drive)
         band = mean_band(6, how_many)
         for name, R in long_drive.cases(one.setting):
-            means = [_mean(one.of(name, R, quantity)) for quantity in quantities]
+            means = [finite_mean(one.of(name, R, quantity)) for quantity in quantities]
             nees = np.array([arrays[f"{name}.{R}.nees"] for arrays in one.by_drive])[:, 1:]
             inside = 100.0 * share_inside(nees.mean(axis=0), band)
             drives = where[1] if one.is_one else f"{how_many} {where[1]}"
@@ -341,10 +343,5 @@ def _place(setting: Setting) -> tuple[str, str]:
     return PLACES[setting.place].lower(), words
 
 
-def _mean(values: FloatArray) -> float:
-    finite = values[np.isfinite(values)]
-    return float(finite.mean()) if len(finite) else float("nan")
-
-
 def _rms(values: FloatArray) -> float:
-    return float(np.sqrt(_mean(np.square(values))))
+    return float(np.sqrt(finite_mean(np.square(values))))

@@ -165,10 +165,10 @@ def judge(results: Mapping[str, Arrays]) -> tuple[Claim, ...]:
                         about = {"state": form, "competitor": FILTER_NAMES[rival], "landmarks": str(n)}
                         yield about, ratio_interval(times[f"{form}.{JOINT}.both"], times[f"{form}.{rival}.both"])
 
+    six_numbers = next(iter(FORMS))
     intensive = [
-        ({"landmarks": str(n)}, ratio_interval(times[f"{form}.{JOINT}.both"], times[f"{XYZ}.both"]))
+        ({"landmarks": str(n)}, ratio_interval(times[f"{six_numbers}.{JOINT}.both"], times[f"{XYZ}.both"]))
         for n, times in measured.items()
-        for form in tuple(FORMS)[:1]
     ]
     return (
         claim("linear-prediction", growth_of_prediction(measured)),
@@ -195,7 +195,7 @@ def growth_of_prediction(measured: Mapping[int, Times]) -> Measured:
 
 
 def _counted() -> Claim:
-    """How many updates a frame takes, counted in the measurement models."""
+    """Number of updates a frame, counted in the measurement models."""
     observation = StereoObservation(np.arange(1), np.array([[600.0, 200.0, 10.0]]))
     counted = []
     for name, model, wanted in (("ours", RangeBearing(), 1), ("competitor", LeftThenRight(), 2)):

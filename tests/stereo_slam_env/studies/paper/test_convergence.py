@@ -25,7 +25,7 @@ from stereo_slam_env.studies.paper.convergence import (
     DepthHistory,
     Depths,
     follow_depths,
-    measured_disparities,
+    measurements,
     of_drives,
     seen_throughout,
 )
@@ -94,7 +94,7 @@ def test_histories_are_those_of_the_filter():
     recording = short_turn(1, frames=4)
     ids = seen_throughout(recording)
     history = follow_depths(recording, JOINT, recording.noise, ids, {"gate": None})
-    raw = measured_disparities(recording, ids)
+    raw = measurements(recording, ids)[:, :, 2]
     np.testing.assert_allclose(history.d[:, 0], raw[:, 0])  # the first frame only initialises
     assert (history.sigma_d[:, -1] < history.sigma_d[:, 0]).all()
     np.testing.assert_allclose(history.hindsight[:, -1], FB / history.d[:, -1], rtol=1e-9)
