@@ -82,7 +82,7 @@ ROOMS = {
     ),
     "sensing": Room(
         ("stereo_slam_env/sensing/*.py",),
-        ("tests/stereo_slam_env/sensing", "tests/stereo_slam_env/studies/faults/test_catalogue.py"),
+        ("tests/stereo_slam_env/sensing", "tests/studies/faults/test_catalogue.py"),
     ),
     "wrappers": Room(
         ("stereo_slam_env/wrappers/*.py", "stereo_slam_env/tasks/*.py"),

@@ -24,7 +24,7 @@ from PIL.PngImagePlugin import PngInfo
 
 import stereo_slam_env as sse
 from stereo_slam_env.benchmark import preset_study, run_benchmark
-from stereo_slam_env.studies.paper import NOISES, convergence, figures
+from stereo_slam_env.paper import NOISES, convergence, figures
 from stereo_slam_env.viewer import Drive, RerunView
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")

@@ -14,6 +14,7 @@ from .running.backends import Backend as Backend
 from .scenarios.scenario import FilterChoice as FilterChoice
 from .scenarios.scenario import PolicyChoice as PolicyChoice
 from .scenarios.scenario import Scenario as Scenario
+from .scenarios.scenario import filter_choice as filter_choice
 from .scenarios.study import Cell as Cell
 from .scenarios.study import Study as Study
 from .scenarios.study import load_study as load_study

@@ -20,8 +20,8 @@ from stereo_slam_env.cli import claim as cli_claim
 from stereo_slam_env.cli import convert as cli_convert
 from stereo_slam_env.cli import evaluate as cli_evaluate
 from stereo_slam_env.cli import packets as cli_packets
+from stereo_slam_env.cli import paper as cli_paper
 from stereo_slam_env.cli import scenes as cli_scenes
-from stereo_slam_env.cli import studies as cli_studies
 from stereo_slam_env.cli import train as cli_train
 from stereo_slam_env.cli import view as cli_view
 from stereo_slam_env.cli.parts import (
@@ -60,8 +60,7 @@ app.command()(cli_packets.submit)
 app.command()(cli_packets.verify)
 app.command()(cli_packets.gate)
 app.command()(cli_convert.convert)
-app.command()(cli_studies.faults)
-app.command()(cli_studies.paper)
+app.command()(cli_paper.paper)
 app.command()(cli_train.train)
 app.command()(cli_view.view)
 

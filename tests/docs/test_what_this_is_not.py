@@ -35,9 +35,9 @@ from stereo_slam_env.frontend.ego_motion import robust_step
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.frontend.tracker import StereoTracker
 from stereo_slam_env.recording.recording import Frame, Recording, StereoPair
-from stereo_slam_env.studies.faults.catalogue import FAULTS
 from stereo_slam_env.world.routes import named_route
 from stereo_slam_env.world.scene import MovingBody
+from studies.faults.catalogue import FAULTS
 
 from ..filters.drives import CAMERA, drive
 from ..stereo_slam_env.frontend.synthetic_steps import STEP, Cloud

@@ -34,7 +34,7 @@ OPENERS = {
 NOT_ON_IT = {
     "benchmark/scenarios/study.py _presets": "a file of the package",
     "cli/parts.py _table": "the command line",
-    "studies/paper/__init__.py _kept": "its own results: what is wrong with one is that it is computed again",
+    "paper/__init__.py _kept": "its own results: what is wrong with one is that it is computed again",
     "training/ppo.py _load_state": "needs a network, see tests/stereo_slam_env/training/test_ppo.py",
     "benchmark/storage/plugin_code.py _digest_of_files": "trajectories that are read before, as `layouts`",
     "benchmark/storage/store.py root_of": "a study that is read before, or no study of ours",
@@ -52,7 +52,7 @@ WRITERS = {
 """Public names whose paths are only written."""
 OF_LIBRARIES = {"load_episodes": "HDF5, by Minari: of this disk, see docs/security.md"}
 NO_FILES = {
-    *("stereo-slam faults", "stereo-slam filters list", "stereo-slam filters check", "stereo-slam policies list"),
+    *("stereo-slam filters list", "stereo-slam filters check", "stereo-slam policies list"),
     *("stereo-slam scenes list", "stereo-slam scenes render", "stereo-slam scenes record", "stereo-slam scenes noise"),
 }
 """Commands that read no file but one that `--rig` names, as `rigs` does."""
@@ -127,7 +127,7 @@ def public_readers() -> set[str]:
             root.__name__,
             *(m.name for m in pkgutil.walk_packages(root.__path__, f"{root.__name__}.") if m.ispkg),
         ]
-        for face in map(importlib.import_module, (name for name in modules if ".studies" not in name)):
+        for face in map(importlib.import_module, (name for name in modules if ".paper" not in name)):
             for name in getattr(face, "__all__", None) or ():
                 thing = getattr(face, name)
                 made = [thing] if callable(thing) else []

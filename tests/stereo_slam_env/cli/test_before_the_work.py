@@ -33,7 +33,6 @@ def nowhere(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "work"),
     [
-        (["faults", "--out"], "stereo_slam_env.studies.faults.run_matrix"),
         (["bench", "--out"], "stereo_slam_env.benchmark.preset_study"),
         (["replay", "gtsam", "--out"], "stereo_slam_env.benchmark.scenarios.streams.make_recording"),
         (["train", "--out"], "stereo_slam_env.training.ppo.train"),

@@ -600,7 +600,6 @@ def test_scenes_are_listed_and_drawn(command, tmp_path):
         (("bench", "--filters", TABLE.replace("hybrid", "hybird")), "landmark must be one of 'inverse-depth', "),
         (("bench", "--filters", TABLE.replace("_limit", "_limt")), "did you mean 'linearity_limit'?"),
         (("bench", "--filters", TABLE.replace("0.02", "-1")), "linearity_limit must be a finite number > 0, got -1"),
-        (("faults", "--filters", '{name = "hybrid"'), "--filters must be names, or tables such as"),
         (("bench", "--gate", "tight"), "--gate must be a probability"),
         (("bench", "--gate", "2"), "gate must be a probability"),
         (("bench", "--sigma", "-1"), "must be a finite number > 0"),

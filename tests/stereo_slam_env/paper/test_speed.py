@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from filters import make_filter
-from stereo_slam_env.studies.paper import speed
-from stereo_slam_env.studies.paper.claims import DUAL, JOINT, ClaimVerdict
+from stereo_slam_env.paper import speed
+from stereo_slam_env.paper.claims import DUAL, JOINT, ClaimVerdict
 
 
 def results_of(ours, theirs, rounds=12, predict=lambda n: n):

@@ -12,9 +12,8 @@ import numpy as np
 
 from stereo_slam_env.evaluation import mean_band, readable, share_inside
 from stereo_slam_env.files import own_files, write_atomically, write_text
-from stereo_slam_env.report import Chart, Column, TableCell, Tone, figure_block, html_page, number, table
-from stereo_slam_env.studies.paper import convergence, features, figures, landmark_uncertainty, long_drive, speed
-from stereo_slam_env.studies.paper.claims import (
+from stereo_slam_env.paper import convergence, features, figures, landmark_uncertainty, long_drive, speed
+from stereo_slam_env.paper.claims import (
     ASSUMED_NAMES,
     EUCLIDEAN,
     FILTER_NAMES,
@@ -30,16 +29,17 @@ from stereo_slam_env.studies.paper.claims import (
     FloatArray,
     finite_mean,
 )
-from stereo_slam_env.studies.paper.drives import (
+from stereo_slam_env.paper.drives import (
     DRIVE,
     FRAMES_OF_THE_PAPER,
     HOW_TO_GET_KARLSRUHE,
     TURN,
     Setting,
 )
+from stereo_slam_env.report import Chart, Column, TableCell, Tone, figure_block, html_page, number, table
 
 if TYPE_CHECKING:
-    from stereo_slam_env.studies.paper import PaperSettings
+    from stereo_slam_env.paper import PaperSettings
 
 Row = Sequence[str | float]
 Numbers = tuple[Sequence[str], Sequence[Row]]

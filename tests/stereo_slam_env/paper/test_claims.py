@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from filters.catalogue.common_options import usual_options
-from stereo_slam_env.studies.paper.claims import (
+from stereo_slam_env.paper.claims import (
     EUCLIDEAN,
     FILTERS,
     REAL,

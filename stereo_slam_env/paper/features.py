@@ -8,10 +8,10 @@ import numpy as np
 
 from stereo_slam_env import RenderedDrive
 from stereo_slam_env.frontend import record_tracks
+from stereo_slam_env.paper.claims import Arrays
+from stereo_slam_env.paper.convergence import UPDATES, WIDE_RANGES, measurements, seen_throughout
+from stereo_slam_env.paper.drives import ROUTES, TURN
 from stereo_slam_env.rendering import tracks_picture
-from stereo_slam_env.studies.paper.claims import Arrays
-from stereo_slam_env.studies.paper.convergence import UPDATES, WIDE_RANGES, measurements, seen_throughout
-from stereo_slam_env.studies.paper.drives import ROUTES, TURN
 
 NEAR, BETWEEN, FAR = (230, 140, 0), (150, 150, 150), (30, 110, 200)  # RGB: orange, grey, blue
 NAME = "features"

@@ -25,8 +25,8 @@ from stereo_slam_env.files import (
     write_json,
     write_text,
 )
-from stereo_slam_env.studies.paper import convergence, drives, features, landmark_uncertainty, long_drive, speed
-from stereo_slam_env.studies.paper.claims import (
+from stereo_slam_env.paper import convergence, drives, features, landmark_uncertainty, long_drive, speed
+from stereo_slam_env.paper.claims import (
     NOISES,
     PLACES,
     RENDERED,
@@ -180,7 +180,7 @@ def run_paper(
     if out.is_dir() and is_occupied(out) and not holds_paper(out):
         raise ValueError(f"output {out} is not empty and holds no run of the paper: choose another directory")
     with claimed_folder(out):
-        from stereo_slam_env.studies.paper.report import Page  # draws, which only this needs
+        from stereo_slam_env.paper.report import Page  # draws, which only this needs
 
         about = {"version": VERSION, "settings": asdict(settings), "versions": versions()}
         if settings.remark:

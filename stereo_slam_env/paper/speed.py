@@ -24,8 +24,7 @@ from filters import (
     StereoObservation,
     make_filter,
 )
-from stereo_slam_env.sensing import RIGS
-from stereo_slam_env.studies.paper.claims import (
+from stereo_slam_env.paper.claims import (
     DUAL,
     EUCLIDEAN,
     FILTER_NAMES,
@@ -43,6 +42,7 @@ from stereo_slam_env.studies.paper.claims import (
     claim,
     ratio_interval,
 )
+from stereo_slam_env.sensing import RIGS
 
 CAMERA = RIGS["reference"]
 NOISE = StereoNoise.independent_pixels(1.0)

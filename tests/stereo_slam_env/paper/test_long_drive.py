@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from stereo_slam_env.recording.recording import SIMULATION
-from stereo_slam_env.studies.paper import drives, long_drive
-from stereo_slam_env.studies.paper.claims import (
+from stereo_slam_env.paper import drives, long_drive
+from stereo_slam_env.paper.claims import (
     DUAL,
     EUCLIDEAN,
     FILTERS,
@@ -23,6 +22,7 @@ from stereo_slam_env.studies.paper.claims import (
     XYZ_POINTS,
     ClaimVerdict,
 )
+from stereo_slam_env.recording.recording import SIMULATION
 
 
 @dataclass(frozen=True, eq=False)

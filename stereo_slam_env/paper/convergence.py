@@ -18,8 +18,8 @@ from scipy.stats import chi2
 from filters import Pose, Start, StereoNoise
 from stereo_slam_env import Recording, run
 from stereo_slam_env.frontend import with_moving_start
-from stereo_slam_env.studies.paper import drives
-from stereo_slam_env.studies.paper.claims import (
+from stereo_slam_env.paper import drives
+from stereo_slam_env.paper.claims import (
     ASSUMED_NAMES,
     DUAL,
     FILTER_NAMES,

@@ -26,8 +26,8 @@ from stereo_slam_env.evaluation import (
     root_mean_square,
     run_filter,
 )
-from stereo_slam_env.studies.paper import drives
-from stereo_slam_env.studies.paper.claims import (
+from stereo_slam_env.paper import drives
+from stereo_slam_env.paper.claims import (
     ASSUMED_NAMES,
     DUAL,
     EUCLIDEAN,

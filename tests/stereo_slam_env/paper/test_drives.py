@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from stereo_slam_env.benchmark import short_turn
+from stereo_slam_env.paper import convergence, drives, long_drive
+from stereo_slam_env.paper.claims import OWN, REAL, RENDERED, ClaimVerdict
 from stereo_slam_env.recording.archive import save_recording
-from stereo_slam_env.studies.paper import convergence, drives, long_drive
-from stereo_slam_env.studies.paper.claims import OWN, REAL, RENDERED, ClaimVerdict
 
-from ...datasets.small_image_folders import karlsruhe as write_sequence
+from ..datasets.small_image_folders import karlsruhe as write_sequence
 
 
 @pytest.fixture(scope="module")

@@ -9,25 +9,8 @@ from scipy.stats import chi2, norm
 
 from stereo_slam_env.benchmark import CONFIDENCE
 from stereo_slam_env.evaluation import mean_band
-from stereo_slam_env.report import (
-    BAND,
-    DASHED,
-    INK,
-    MUTED,
-    WIDTH,
-    Axis,
-    BoxMark,
-    Chart,
-    Curve,
-    Panel,
-    figure,
-    filter_colours,
-    label_room,
-    log_axis,
-    panel_width,
-)
-from stereo_slam_env.studies.paper import convergence, long_drive, speed
-from stereo_slam_env.studies.paper.claims import (
+from stereo_slam_env.paper import convergence, long_drive, speed
+from stereo_slam_env.paper.claims import (
     DIAGONAL,
     DUAL,
     EUCLIDEAN,
@@ -45,8 +28,8 @@ from stereo_slam_env.studies.paper.claims import (
     FloatArray,
     ratio_interval,
 )
-from stereo_slam_env.studies.paper.drives import Setting
-from stereo_slam_env.studies.paper.landmark_uncertainty import (
+from stereo_slam_env.paper.drives import Setting
+from stereo_slam_env.paper.landmark_uncertainty import (
     ASSUMED,
     CAMERA,
     FIGURE_1,
@@ -55,6 +38,23 @@ from stereo_slam_env.studies.paper.landmark_uncertainty import (
     measurements,
     places,
     points,
+)
+from stereo_slam_env.report import (
+    BAND,
+    DASHED,
+    INK,
+    MUTED,
+    WIDTH,
+    Axis,
+    BoxMark,
+    Chart,
+    Curve,
+    Panel,
+    figure,
+    filter_colours,
+    label_room,
+    log_axis,
+    panel_width,
 )
 
 COLOURS = filter_colours((JOINT, DUAL, EUCLIDEAN, PAZ))

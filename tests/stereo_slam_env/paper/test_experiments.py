@@ -5,8 +5,8 @@ from functools import partial
 import numpy as np
 import pytest
 
+from stereo_slam_env import paper
 from stereo_slam_env.benchmark import Backend
-from stereo_slam_env.studies import paper
 
 ALONE = Backend(jobs=1)
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from stereo_slam_env.envs.drive import StereoDriveEnv
-from stereo_slam_env.studies.faults import FAULTS
-from stereo_slam_env.studies.faults.catalogue import rendered_drive
+from studies.faults import FAULTS
+from studies.faults.catalogue import rendered_drive
 
 FRAMES, BLANK = 9, 6
 

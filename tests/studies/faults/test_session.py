@@ -8,7 +8,7 @@ import pytest
 from filters import Cause, DivergenceMonitor, InverseDepthStereoEKF, PoseBelief
 from stereo_slam_env.benchmark import long_drive
 from stereo_slam_env.sensing import Blackouts
-from stereo_slam_env.studies.faults import catalogue, drive_through
+from studies.faults import catalogue, drive_through
 
 
 @pytest.fixture(scope="module")

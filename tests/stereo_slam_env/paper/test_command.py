@@ -8,8 +8,8 @@ import pytest
 
 from stereo_slam_env.cli import app as cli
 from stereo_slam_env.files import claimed_folder
-from stereo_slam_env.studies.paper import EXPERIMENTS, FIGURES, FULL, QUICK, PaperSettings, drives, run_paper
-from stereo_slam_env.studies.paper.claims import (
+from stereo_slam_env.paper import EXPERIMENTS, FIGURES, FULL, QUICK, PaperSettings, drives, run_paper
+from stereo_slam_env.paper.claims import (
     PLACES,
     REAL,
     RENDERED,
@@ -19,7 +19,7 @@ from stereo_slam_env.studies.paper.claims import (
     ClaimFinding,
     Interval,
 )
-from stereo_slam_env.studies.paper.report import contradictions
+from stereo_slam_env.paper.report import contradictions
 
 TINY = PaperSettings(
     **{"samples": 300, "turn_seeds": 1, "drive_seeds": 1, "drive_frames": 30, "rendered_turns": 1},
@@ -142,7 +142,7 @@ def test_one_figure_runs_what_it_needs_and_has_its_sentences_alone(tmp_path):
 @pytest.fixture
 def quick_report(monkeypatch):
     """A page that costs no time; the whole one was written above."""
-    monkeypatch.setattr("stereo_slam_env.studies.paper.report.Page.write", lambda *_: None)
+    monkeypatch.setattr("stereo_slam_env.paper.report.Page.write", lambda *_: None)
 
 
 def test_the_same_call_computes_nothing_again(result, quick_report):
@@ -162,7 +162,7 @@ def test_a_folder_of_something_else_is_refused(tmp_path):
 
 
 def test_the_command_shows_verdicts_and_where_everything_is(result, quick_report, monkeypatch, capsys):
-    monkeypatch.setattr("stereo_slam_env.studies.paper.QUICK", TINY)
+    monkeypatch.setattr("stereo_slam_env.paper.QUICK", TINY)
     monkeypatch.setenv("COLUMNS", "160")
     assert cli.main(["paper", "--quick", "--jobs", "1", "--out", str(result.out)]) == 0
     out = capsys.readouterr().out

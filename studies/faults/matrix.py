@@ -27,7 +27,7 @@ from filters import (
 )
 from stereo_slam_env import FilterChoice, FilterLoop, Recording
 from stereo_slam_env.benchmark import Backend
-from stereo_slam_env.studies.faults.catalogue import FAULTS, NOMINAL, find_fault
+from studies.faults.catalogue import FAULTS, NOMINAL, find_fault
 
 FloatArray = NDArray[np.float64]
 OUTCOMES = ("ok", "degraded", "diverged")
@@ -303,6 +303,8 @@ def run_matrix(
     process), `progress` is called with (drives done, drives). A `ValueError` where there is no such fault or filter, or
     an option is refused.
     """
+    if seeds < 1:
+        raise ValueError(f"seeds must be at least 1, got {seeds}")
     wanted = {name: find_fault(name) for name in faults}
     for choice in filters:  # before any work is done
         _made(choice, FAULTS[NOMINAL].driven(0, 2))

@@ -7,9 +7,8 @@ import pytest
 
 from stereo_slam_env.benchmark import short_turn
 from stereo_slam_env.evaluation import run_filter
-from stereo_slam_env.sensing import RIGS
-from stereo_slam_env.studies.paper import convergence, drives
-from stereo_slam_env.studies.paper.claims import (
+from stereo_slam_env.paper import convergence, drives
+from stereo_slam_env.paper.claims import (
     ASSUMED,
     COUPLED,
     DIAGONAL,
@@ -21,7 +20,7 @@ from stereo_slam_env.studies.paper.claims import (
     RENDERED,
     ClaimVerdict,
 )
-from stereo_slam_env.studies.paper.convergence import (
+from stereo_slam_env.paper.convergence import (
     DepthHistory,
     Depths,
     follow_depths,
@@ -29,6 +28,7 @@ from stereo_slam_env.studies.paper.convergence import (
     of_drives,
     seen_throughout,
 )
+from stereo_slam_env.sensing import RIGS
 
 FB = RIGS["reference"].disparity_constant
 FRAMES = convergence.UPDATES + 1

@@ -1,9 +1,8 @@
-"""The commands of the studies: `stereo-slam paper` and `stereo-slam faults`."""
+"""The command `stereo-slam paper`."""
 
 from __future__ import annotations
 
 import dataclasses
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -15,15 +14,12 @@ from stereo_slam_env.cli.parts import (
     JobsOption,
     OutOption,
     console,
-    listed,
     new_directory,
-    show_lines,
     show_place,
 )
 
 if TYPE_CHECKING:
-    from stereo_slam_env.studies.faults import FaultMatrix
-    from stereo_slam_env.studies.paper import Claim
+    from stereo_slam_env.paper import Claim
 
 
 def paper(
@@ -50,8 +46,8 @@ def paper(
     ] = None,
 ) -> None:
     """Run the paper's experiments again and judge its claims: figures, a table, one report (half an hour)."""
+    from stereo_slam_env.paper import FULL, QUICK, run_paper
     from stereo_slam_env.report.console import progress_bar
-    from stereo_slam_env.studies.paper import FULL, QUICK, run_paper
 
     settings = QUICK if quick else FULL
     if seeds is not None:
@@ -84,7 +80,7 @@ def _show_claims(claims: Sequence[Claim]) -> None:
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
-    from stereo_slam_env.studies.paper.claims import PLACES, ClaimVerdict
+    from stereo_slam_env.paper.claims import PLACES, ClaimVerdict
 
     colours = {
         ClaimVerdict.HOLDS: "green",
@@ -100,62 +96,3 @@ def _show_claims(claims: Sequence[Claim]) -> None:
         verdicts = [f"[{colours[at.verdict]}]{at.verdict.value if at.findings else '–'}[/]" for at in places]
         table.add_row(claim.sentence.section, claim.sentence.claim, *(v.replace(" if", " if ...") for v in verdicts))
     console().print(table, highlight=False)
-
-
-def faults(
-    names: Annotated[list[str] | None, typer.Argument(metavar="[FAULT]...", help="Which; none: all.")] = None,
-    filters: Annotated[
-        str, typer.Option("--filters", help="Names, separated by commas.", metavar="A,B")
-    ] = "inverse-depth,dual-bearing,euclidean",
-    seeds: Annotated[int, typer.Option("--seeds", help="Drives of each fault and filter.", min=1)] = 3,
-    jobs: JobsOption = 2,
-    out: Annotated[
-        Path | None, typer.Option("--out", help="Directory for faults.json and faults.md.", show_default="none")
-    ] = None,
-    show: Annotated[bool, typer.Option("--list", help="Only say which faults there are.")] = False,
-) -> None:
-    """Run filters on faulty data: which diverge, which raise an alarm; exit code 1 if one breaks."""
-    from stereo_slam_env.benchmark.running.backends import Backend
-    from stereo_slam_env.benchmark.scenarios.scenario import filter_choice
-    from stereo_slam_env.files.folders import require_writable
-    from stereo_slam_env.report.console import progress_bar
-    from stereo_slam_env.studies.faults import FAULTS, run_matrix
-
-    if show:
-        show_lines({name: fault.line for name, fault in FAULTS.items()})
-        return
-    if out is not None:
-        require_writable(out)
-    choices = [filter_choice(entry) for entry in listed("--filters", filters)]
-    with progress_bar(console(stderr=True), "drives") as progress:
-        matrix = run_matrix(choices, tuple(names or FAULTS), seeds, Backend(jobs=jobs), progress)
-    if out is not None:
-        _write_matrix(out, matrix)
-    _show_matrix(matrix)
-    if out is not None:
-        typer.echo(f"results: {out.resolve()}")
-    if matrix.broken:
-        raise typer.Exit(1)
-
-
-def _write_matrix(out: Path, matrix: FaultMatrix) -> None:
-    from stereo_slam_env.files.folders import own_files, write_text
-
-    own_files(out, ("faults.json", "faults.md"))
-    write_text(out / "faults.json", json.dumps(matrix.as_dict(), indent=1) + "\n")
-    write_text(out / "faults.md", matrix.as_markdown())
-
-
-def _show_matrix(matrix: FaultMatrix) -> None:
-    from rich.box import SIMPLE_HEAD
-    from rich.markup import escape
-    from rich.table import Table
-
-    table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    for heading in ("fault", *matrix.filters, "first alarm"):
-        table.add_column(heading)
-    for row in matrix.rows():
-        table.add_row(*map(escape, row))
-    console().print(table, highlight=False)
-    for line in matrix.sentences():
-        typer.echo(line)

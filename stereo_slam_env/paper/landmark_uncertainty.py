@@ -14,8 +14,7 @@ from scipy.stats import chi2, norm
 
 from filters import Euclidean, InverseDepth, LandmarkModel, RangeBearing, StartedLandmarks, StereoNoise
 from stereo_slam_env.benchmark import CONFIDENCE
-from stereo_slam_env.sensing import RIGS
-from stereo_slam_env.studies.paper.claims import (
+from stereo_slam_env.paper.claims import (
     ASSUMED_NAMES,
     COUPLED,
     DIAGONAL,
@@ -34,6 +33,7 @@ from stereo_slam_env.studies.paper.claims import (
     claim,
     share_interval,
 )
+from stereo_slam_env.sensing import RIGS
 
 CAMERA = RIGS["reference"]
 LANDMARKS: Mapping[str, LandmarkModel] = {JOINT: InverseDepth(), EUCLIDEAN: Euclidean()}

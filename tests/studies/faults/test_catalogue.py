@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from stereo_slam_env.benchmark import long_drive
-from stereo_slam_env.studies.faults import FAULTS, catalogue
-from stereo_slam_env.studies.faults.catalogue import Fault, find_fault
+from studies.faults import FAULTS, catalogue
+from studies.faults.catalogue import Fault, find_fault
 
 
 @pytest.fixture(scope="module")

@@ -1,1 +1,0 @@
-"""Studies written with the benchmark: the paper's experiments and the fault matrix."""
