@@ -200,7 +200,7 @@ class FilterBatch(Sequence[StereoEKF]):
     def world_landmarks(self) -> WorldLandmarks:
         """The maps of all filters in W: what `StereoEKF.landmarks` has of each."""
         plan = self._engine.recipe.plan
-        if self._engine.recipe.landmark is None or plan.carries or plan.anchors > 1:  # or in the axes of a camera
+        if self._engine.recipe.landmark is None or plan.anchors > 1:  # or in the axes of an anchor
             return world_landmarks(self._filters)
         return WorldLandmarks(*self._read_maps(in_world=True)[:4])
 

@@ -91,7 +91,6 @@ class Doors:
             self._change,
             self._walk,
             self._drift,
-            self._carry,
         )
         self.failure: BaseException | None = None
         self._entry = None if PLAIN else _DOOR(self._answer)
@@ -320,19 +319,6 @@ class Doors:
             if isinstance(name, str):
                 B[at.block_rows(clone.blocks)] = 0.0
         room.HP[:6, : len(B)] = B.T
-
-    def _carry(self, b: int, room: Scratch, back: int, count: int) -> None:
-        """Landmarks from the camera frame before the step to W, or from there to that after it."""
-        state = self.view(b)
-        model, camera = state.model, state.camera
-        carry = model.into_camera if back else model.into_world
-        carried = carry(camera.position, camera.R_wc, state.parameters())
-        state.blocks[state.parameter_block] = carried.parameters
-        rows = state.own_rows().ravel()
-        room.D[: len(state.blocks)] = np.eye(state.size)
-        room.D[state.parameter_block] = carried.by_own
-        room.W[:] = room.by_position[:] = 0.0
-        room.by_position[rows], room.W[rows] = np.split(carried.by_pose.reshape(len(rows), 6), 2, axis=1)
 
     def _drift(self, b: int, room: Scratch, part: int, count: int) -> None:
         """H of (u, v, d) of the selected landmarks."""

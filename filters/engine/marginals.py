@@ -25,7 +25,7 @@ def landmark_belief(state: JointState) -> LandmarkBelief:
     with np.errstate(invalid="ignore", over="ignore"):
         covariances = _mirrored(points.by_map @ P_map @ points.by_map.transpose(0, 2, 1))
     inverse = model.inverse_distances(state.viewpoint[0], state.anchors(index), state.parameters(index))
-    if model.in_camera or model.in_anchor:
+    if model.in_anchor:
         inverse.by_position[:] = 0.0
     own_rows = state.own_rows(index)
     position_rows = np.broadcast_to(np.arange(3), (len(index), 3))
@@ -37,20 +37,14 @@ def landmark_belief(state: JointState) -> LandmarkBelief:
 
 def _points(state: JointState, index: IntArray) -> tuple[Points, IntArray]:
     """Positions in W of the landmarks at `index`, and the rows (M, w) of P that their Jacobian is by."""
-    model, camera = state.model, state.camera
+    model = state.model
     if model.in_anchor:
         points, (place, R_wa, _) = model.points(None, state.parameters(index)), state.anchor_poses(index)
         by_rotation = -R_wa @ rotations.skew(points.positions)
         by_position = np.broadcast_to(np.eye(3), by_rotation.shape)
         by_map = np.concatenate([by_position, by_rotation, R_wa @ points.by_map], axis=2)
         return Points(place + rotations.turned(R_wa, points.positions), by_map), state.map_rows(index)
-    if not model.in_camera:
-        return model.points(state.anchors(index), state.parameters(index)), state.map_rows(index)
-    there = model.into_world(camera.position, camera.R_wc, state.parameters(index))
-    points = model.points(None, there.parameters)
-    by_map = points.by_map @ np.concatenate([there.by_pose, there.by_own], axis=2)
-    pose = np.broadcast_to(np.arange(POSE_SIZE), (len(index), POSE_SIZE))
-    return Points(points.positions, by_map), np.concatenate([pose, state.own_rows(index)], axis=1)
+    return model.points(state.anchors(index), state.parameters(index)), state.map_rows(index)
 
 
 def forecast(

@@ -66,7 +66,7 @@ def start_landmarks(
         by_open = np.eye(model.size)[:, 3:] - by_measurement @ z_by_open
         noise += by_open @ model.prior @ by_open.transpose(0, 2, 1)
     by_pose = np.concatenate([started.by_position, by_rotation], axis=2)
-    if model.in_camera or model.in_anchor:
+    if model.in_anchor:
         by_pose[:] = 0.0
     by_leading = sensor.by_leading(by_pose, by_variable, state.camera)
     return NewLandmarks(observation.ids, started, by_leading, noise)

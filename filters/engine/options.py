@@ -118,12 +118,6 @@ class Options:
                 f"landmark {type(landmark).__name__} is in the frame of its anchor: error must not be first-estimates, "
                 f"got {type(self.error).__name__}"
             )
-        if self.landmark.in_camera and (self.error.constrains or self.max_landmarks is not None):
-            name = type(self.landmark).__name__
-            raise ValueError(
-                f"landmark {name} is in the frame of the camera: error must not be first-estimates, and max_landmarks "
-                f"must be None, got {type(self.error).__name__} and {self.max_landmarks}"
-            )
         if self.gauge_walk and not (self.landmark.anchored or _can_shift(self.landmark)):
             raise ValueError(
                 f"landmark must have shifted with gauge_walk, {type(self.landmark).__name__} has not: see LandmarkModel"
@@ -139,7 +133,7 @@ class Options:
 def _can_shift(landmark: LandmarkModel) -> bool:
     """Whether it says what a shift of the world does to landmarks without an anchor."""
     own = type(landmark)
-    if own.in_camera or own.in_anchor:
+    if own.in_anchor:
         return True
     return own.shifted is not LandmarkModel.shifted or own.world_translation is not LandmarkModel.world_translation
 
@@ -161,13 +155,12 @@ def _check_landmark(landmark: LandmarkModel) -> None:
             )
     if size > 3 and not landmark.steady:
         raise ValueError(f"size of landmark {name} must be 3 where landmarks may become points, got {size}")
-    for frame, flag in (("the camera", landmark.in_camera), ("its anchor", landmark.in_anchor)):
-        others = landmark.anchored or landmark.submaps or (landmark.in_camera and landmark.in_anchor)
-        if flag and (others or not landmark.steady or kernels_of(landmark) is not None):
-            raise ValueError(
-                f"landmark {name} is in the frame of {frame}: it must have no anchors, submaps or kernels, "
-                "and not become a point"
-            )
+    others = landmark.anchored or landmark.submaps or not landmark.steady
+    if landmark.in_anchor and (others or kernels_of(landmark) is not None):
+        raise ValueError(
+            f"landmark {name} is in the frame of its anchor: it must have no anchors, submaps or kernels, "
+            "and not become a point"
+        )
     if kernels_of(landmark) is not None and (landmark.seen_vectors != 1 or landmark.seen_size < 4):
         raise ValueError(
             f"kernels of landmark {name} must be None: compiled ones are of points, and of what goes along"

@@ -84,7 +84,6 @@ def recipe_of(camera: StereoCamera, options: Options) -> Recipe:
         by_numbers=by_numbers,
         moves_by_numbers=moves_by_numbers,
         changes=not model.steady,
-        carries=model.in_camera,
         most_landmarks=options.max_landmarks or 0,
         walks_by_numbers=bool(options.gauge_walk) and (own_jacobians or not has_place),
         driven_by_numbers=driven is None,

@@ -53,15 +53,6 @@ class ScaledPoints:
 
 
 @dataclass(frozen=True, eq=False)
-class CarriedLandmarks:
-    """Values of M landmarks in another frame, (M, v), and their Jacobians by pose (M, size, 6) and by themselves."""
-
-    parameters: FloatArray
-    by_pose: FloatArray
-    by_own: FloatArray
-
-
-@dataclass(frozen=True, eq=False)
 class Points:
     """M landmark positions (M, 3) in W, m, and their Jacobian (M, 3, w) by anchor (if any) and own error numbers."""
 
@@ -133,12 +124,10 @@ class LandmarkModel:
     """Numbers by which a landmark is seen: of a point, direction (3) and scale. More: others behind them."""
     seen_vectors: ClassVar[int] = 1
     """How many vectors lead them, which turn with the camera: the direction of a point; two of a line."""
-    in_camera: ClassVar[bool] = False
-    """Whether values are in the frame of the camera, so that its motion moves them (`in_frame`): then all functions
-    are in that frame, the camera position is zero, and there are no anchors, kernels or first-estimates Jacobians."""
     in_anchor: ClassVar[bool] = False
     """Whether values are in the frame of the camera from which the landmark was first seen. That pose is its anchor, a
-    clone in the state. All functions are in that frame, and there is the rest that is said of `in_camera`."""
+    clone in the state. All functions are in that frame: the camera position is zero when a landmark starts, and there
+    are no anchors, kernels or first-estimates Jacobians."""
     prior: FloatArray | None = None
     """Covariance (size - 3, size - 3) of the error numbers behind the third, which the first measurement of a landmark
     leaves open: about the values from `parameters_of`, independent of all else."""
@@ -170,7 +159,7 @@ class LandmarkModel:
 
     def rotated(self, anchors: FloatArray | None, parameters: FloatArray, R: FloatArray) -> FloatArray:
         """Values in a world rotated about its origin, without the anchors; R (3, 3) -> (M, v)."""
-        if self.in_camera or self.in_anchor:
+        if self.in_anchor:
             return parameters
         raise NotImplementedError(f"{type(self).__name__} must have rotated: see LandmarkModel")
 
@@ -226,22 +215,8 @@ class LandmarkModel:
             lambda e: self.local(parameters, self.rotated(anchors, parameters, rotations.exp(e))), 3
         )
 
-    def in_frame(self, parameters: FloatArray, R: FloatArray, shift: FloatArray) -> FloatArray:
-        """Values (M, v) in a frame where the point p is at R p + shift, (3, 3) and (3,); of landmarks `in_camera`."""
-        raise NotImplementedError(f"{type(self).__name__} must have in_frame: see LandmarkModel")
-
-    def into_world(self, position: FloatArray, R_wc: FloatArray, parameters: FloatArray) -> CarriedLandmarks:
-        """Values in W of landmarks that are in the frame of the camera."""
-        return self._in_other_frame(position, R_wc, parameters, self.in_frame)
-
-    def into_camera(self, position: FloatArray, R_wc: FloatArray, parameters: FloatArray) -> CarriedLandmarks:
-        """Values in the frame of the camera of landmarks that are in W."""
-        return self._in_other_frame(position, R_wc, parameters, lambda x, R, r: self.in_frame(x, R.T, -R.T @ r))
-
     def shifted(self, parameters: FloatArray, shift: FloatArray) -> FloatArray:
         """Values of landmarks without an anchor in a world shifted by (3,); (M, v). A walk of the gauge needs it."""
-        if self.in_camera:
-            return parameters
         raise NotImplementedError(f"{type(self).__name__} must have shifted: see LandmarkModel")
 
     def world_translation(self, parameters: FloatArray) -> FloatArray:
@@ -351,23 +326,6 @@ class LandmarkModel:
         """Seen numbers (M, seen_size) whose vectors are turned by R (3, 3), or by (M, 3, 3)."""
         vectors = [rotations.turned(R, seen[:, 3 * i : 3 * i + 3]) for i in range(self.seen_vectors)]
         return np.concatenate([*vectors, seen[:, 3 * self.seen_vectors :]], axis=1)
-
-    def _in_other_frame(
-        self,
-        position: FloatArray,
-        R_wc: FloatArray,
-        parameters: FloatArray,
-        carry: Callable[[FloatArray, FloatArray, FloatArray], FloatArray],
-    ) -> CarriedLandmarks:
-        """What `carry` makes of values, R_wc and the position, with numerical Jacobians."""
-
-        def at(delta: FloatArray) -> FloatArray:
-            own = self.retract(parameters, np.broadcast_to(delta[6:], (len(parameters), self.size)))
-            return carry(own, R_wc @ rotations.exp(delta[3:6]), position + delta[:3])
-
-        there = carry(parameters, R_wc, position)
-        J = differences.jacobian(lambda e: self.local(there, at(e)), 6 + self.size)
-        return CarriedLandmarks(there, J[:, :, :6], J[:, :, 6:])
 
     def _as_points(self, seen: ScaledPoints) -> ScaledPoints:
         """The points that stand for landmarks, with their Jacobians."""

@@ -106,7 +106,7 @@ class JointState:
     @property
     def viewpoint(self) -> tuple[FloatArray, FloatArray]:
         """Position and orientation of the camera in the frame in which landmarks start."""
-        if self.model.in_camera or self.model.in_anchor:
+        if self.model.in_anchor:
             return np.zeros(3), np.eye(3)
         return self.camera.position, self.camera.R_wc
 

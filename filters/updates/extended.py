@@ -41,8 +41,6 @@ class Extended(Linearisation):
         points_c = at.model.with_axes(R_wc.swapaxes(-1, -2), seen.homogeneous)
         jacobians = sensor.jacobians(camera, points_c, sensor.values_at(at.camera))
         by_pose, by_map = chain_rule(R_wc, seen, points_c, stage.T @ jacobians.by_point, at.model.seen_vectors)
-        if at.model.in_camera:
-            by_pose[:] = 0.0
         if at.model.in_anchor:
             by_pose, by_anchor = at.through_anchors(index, by_pose)
             by_map = np.concatenate([by_anchor, by_map], axis=2)

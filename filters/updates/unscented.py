@@ -117,8 +117,6 @@ def _measured_at(
     if anchors is not None:
         anchors = anchors[repeated] + flat[:, POSE_SIZE : POSE_SIZE + 3]
     position, R_wc = state.camera.position, state.camera.R_wc
-    if state.model.in_camera:
-        position, R_wc, flat = *state.viewpoint, 0.0 * flat
     position, R_wc = position + flat[:, POSITION], R_wc @ Rotation.from_rotvec(flat[:, ROTATION]).as_matrix()
     if state.model.in_anchor:
         place, R_wa, _ = state.anchor_poses(index[repeated])

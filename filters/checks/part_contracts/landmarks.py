@@ -22,7 +22,7 @@ def _started(model: LandmarkModel, moved: bool = True) -> Started:
     """Landmarks with their anchors where the camera was, or `moved` off."""
     rng, count = np.random.default_rng(0), len(SCALES)
     position, vectors = rng.uniform(-5.0, 5.0, 3), rng.standard_normal((count, 3 * model.seen_vectors))
-    if model.in_camera or model.in_anchor:
+    if model.in_anchor:
         position = np.zeros(3)
     others = np.column_stack([SCALES, 0.1 * rng.standard_normal((count, model.seen_size))])
     seen = np.hstack([vectors, others])[:, : model.seen_size]
@@ -130,9 +130,6 @@ def check_landmark_invariance(model: LandmarkModel) -> None:
     position, anchors, _, new = _started(model)
     x = new.parameters
     seen = model.homogeneous(position, anchors, x)
-    if model.in_camera:
-        check_carried(model, x)
-        return
     if model.in_anchor:
         assert_close("rotated of what is in the axes of the anchor", model.rotated(anchors, x, TURN), x, 1e-12)
         return
@@ -148,18 +145,6 @@ def check_landmark_invariance(model: LandmarkModel) -> None:
         free = new.anchored
         shifted = model.homogeneous(position + SHIFT, anchors + SHIFT, x)
         assert_close("homogeneous in a shifted world", shifted[free], seen[free], 1e-9)
-
-
-def check_carried(model: LandmarkModel, x: FloatArray) -> None:
-    """Raise an `AssertionError` where landmarks in the camera frame are not seen at R p + shift in another frame."""
-    there = model.in_frame(x, TURN, SHIFT)
-    seen = model.homogeneous(np.zeros(3), None, x)
-    wanted = model.with_axes(TURN, model.homogeneous(-TURN.T @ SHIFT, None, x))
-    again = model.homogeneous(np.zeros(3), None, there)
-    assert_close("homogeneous in another frame", unit_directions(again), unit_directions(wanted), 1e-9)
-    back = model.into_camera(SHIFT, TURN, model.into_world(SHIFT, TURN, x).parameters)
-    returned = model.homogeneous(np.zeros(3), None, back.parameters)
-    assert_close("in_frame there and back", unit_directions(returned), unit_directions(seen), 1e-9)
 
 
 def check_landmark_kernels(model: LandmarkModel) -> None:

@@ -23,8 +23,6 @@ from filters.engine.compiled.covariance import (
     keep_definite,
     pose_variances,
     restore_considered,
-    scale_blocks,
-    shear,
 )
 from filters.engine.compiled.disk_cache import KEPT
 from filters.engine.compiled.drift import fade, take_steps
@@ -57,7 +55,6 @@ from filters.engine.compiled.units import (
     RETRACT,
     SCRATCH,
     STORAGE,
-    TO_CARRY,
     TO_CHANGE,
     TO_DRIFT,
     TO_LINEARISE,
@@ -519,19 +516,6 @@ def _renew(
 
 
 @njit(**KERNEL)
-def _carry(routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch, back: int) -> bool:
-    """Landmarks from the frame of the camera to W, or back, with P; whether the parts could."""
-    n = plan.leading + plan.size * S.counts[b, BLOCKS]
-    if S.counts[b, LANDMARKS] > 0:
-        if not _ask(routines, TO_CARRY, b, s, back, 0):
-            return False
-        scale_blocks(S.P[b], n, plan.leading, s.D, s)
-        shear(S.P[b], n, 0, s.by_position, s)
-        shear(S.P[b], n, 3, s.W, s)
-    return True
-
-
-@njit(**KERNEL)
 def _predict(routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch, frame: FrameArrays) -> None:
     """The step of one filter, and odometry as a measurement after it."""
     P, x = S.P[b], S.x[b]
@@ -539,11 +523,7 @@ def _predict(routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch, fra
     if plan.gauge_walk > 0.0:
         for i in range(7):
             s.before[i] = x[i]
-    if plan.carries and not _carry(routines, plan, S, b, s, 0):
-        return
     call(routines[PREDICT], (routines, plan, P, n, x, S.predicted[b], frame, b, s))
-    if plan.carries and not _carry(routines, plan, S, b, s, 1):
-        return
     if plan.gauge_walk > 0.0:
         if plan.walks_by_numbers and not _ask(routines, TO_WALK, b, s, 0, 0):
             return

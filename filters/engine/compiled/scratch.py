@@ -61,8 +61,6 @@ class Scratch(NamedTuple):
     kept: FloatArray
     W: FloatArray
     D: FloatArray
-    by_position: FloatArray
-    """As W, by the position: of landmarks that a step moves."""
     copy: FloatArray
     tangents: FloatArray
     """H and, in the last column, nu from before a pass, of the measurements that it may leave as they are."""
@@ -186,7 +184,6 @@ def scratch(
         kept=np.zeros((max(1, len(plan.considered)),) * 2),
         W=np.zeros((n, 3)),
         D=np.zeros((blocks, size, size)),
-        by_position=np.zeros((n if plan.carries else 1, 3)),
         copy=np.zeros((n, n) if plan.iterations > 1 else (1, 1)),
         tangents=np.zeros((M if keeps else 1, MOST_ROWS, width + 1)),
         leading=np.arange(leading),

@@ -97,7 +97,7 @@ POINTS, START, TURN, EFFECT, BECOME, SENSE, BACKPROJECT, STEP, MEASURE, DOORS = 
     WALK + 1, WALK + len(OF_PARTS) + 2
 )
 ADDRESSES = types.UniTuple(types.intp, DOORS + 1)
-TO_LINEARISE, TO_MOVE, TO_START, TO_SELECT, TO_CHANGE, TO_WALK, TO_DRIFT, TO_CARRY = range(8)
+TO_LINEARISE, TO_MOVE, TO_START, TO_SELECT, TO_CHANGE, TO_WALK, TO_DRIFT = range(7)
 """What the doors are asked for."""
 SIGNATURES: dict[str, tuple[Any, ...]] = {
     "LandmarkKernels.point": (VECTOR, MATRIX, MATRIX, MATRICES),
