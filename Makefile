@@ -11,7 +11,7 @@ PYTEST ?=
 # Tests start hundreds of processes: without bytecode each compiles all modules, and reads all code to know what it is.
 RUN_TESTS = env -u PYTHONDONTWRITEBYTECODE $(BIN)/python -m pytest --numprocesses $(WORKERS) --dist loadfile --max-worker-restart 0 --durations 20
 WORKERS ?= 2
-EXTRAS := dev,gtsam,evo,bags,gl,ray,dask,rl,video,docs,viewer,pictures,notebooks
+EXTRAS := dev,gtsam,evo,bags,gl,dask,rl,video,docs,viewer,pictures,notebooks
 PYTHONS ?= python3.10 python3.11 python3.12 python3.13
 
 # The matrices are small: a second BLAS thread never helps and can cost a lot. Parallelism comes from whole runs.

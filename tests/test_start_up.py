@@ -10,7 +10,7 @@ import pytest
 import filters
 
 ROOT = Path(__file__).resolve().parent.parent
-HEAVY = {"cv2", "distributed", "filterpy", "joblib", "matplotlib", "numba", "pybullet", "ray", "scipy", "torch"}
+HEAVY = {"cv2", "distributed", "filterpy", "joblib", "matplotlib", "numba", "pybullet", "scipy", "torch"}
 HEAVY |= {"jinja2", "vl_convert"}
 HELP = "from stereo_slam_env.cli import app; app.main(['--help'])"
 

@@ -123,7 +123,7 @@ def run_benchmark(
         Instead of the scenario's.
     jobs : int
         Trials at a time; each uses one core and one BLAS thread.
-    backend : {"processes", "ray", "dask"}
+    backend : {"processes", "dask"}
         Where trials run.
     address : str, optional
         Scheduler of the cluster.

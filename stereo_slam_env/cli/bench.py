@@ -87,11 +87,11 @@ class RunOptions:
         ),
     ] = None
     backend: Annotated[
-        str, typer.Option("--backend", help="Where trials run: 'processes' here, or on a cluster with 'ray' or 'dask'.")
+        str, typer.Option("--backend", help="Where trials run: 'processes' here, or 'dask', on a cluster.")
     ] = "processes"
     address: Annotated[
         str | None,
-        typer.Option("--address", help="Scheduler of the Ray or Dask cluster.", show_default="one on this machine"),
+        typer.Option("--address", help="Scheduler of the Dask cluster.", show_default="one on this machine"),
     ] = None
 
     def adjusted(self, scenario: Scenario) -> Scenario:

@@ -1,4 +1,4 @@
-"""Backends of trials: this machine, or a cluster through joblib.
+"""Backends of trials: this machine, or a Dask cluster.
 
 On this machine each trial has a process of its own anyway (`isolation`), and a thread that waits for it is enough.
 Where the system cannot fork, joblib's processes do the work themselves.
@@ -10,10 +10,6 @@ import asyncio
 import itertools
 import logging
 import os
-import signal
-import subprocess
-import sys
-import threading
 import warnings
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
@@ -26,7 +22,7 @@ import joblib
 from threadpoolctl import threadpool_limits
 
 from filters.contract.extras import install_command
-from filters.contract.foreign_text import first_line, plain, type_name
+from filters.contract.foreign_text import first_line, type_name
 from stereo_slam_env.benchmark.running.isolation import run_isolated, start_server, waiting_threads
 
 Task = TypeVar("Task")
@@ -34,12 +30,11 @@ Result = TypeVar("Result")
 RunAll = Callable[[Callable[[Task], Result], Iterable[Task]], Iterator[Result]]
 Submit = Callable[[Callable[[Any], Any], Any], "Future[Any]"]
 
-BackendName = Literal["processes", "ray", "dask"]
-"""Processes of this machine, or a cluster, which the extra of that name brings."""
-TASKS_IN_A_ROUND = 4
+BackendName = Literal["processes", "dask"]
+"""Processes of this machine, or a Dask cluster, which the extra `dask` brings."""
 SECONDS_TO_ANSWER = 15
 SECONDS_OF_A_TASK = 3600
-_OF_WORKERS = ("joblib", "ray", "distributed", "concurrent")
+_OF_WORKERS = ("joblib", "distributed", "concurrent")
 """Packages whose exceptions say that a worker was lost; what a task raises is never one of them."""
 
 _DASK = {
@@ -57,7 +52,7 @@ class Backend:
 
     Attributes
     ----------
-    name : {"processes", "ray", "dask"}
+    name : {"processes", "dask"}
         What runs them.
     jobs : int
         Trials at a time, each on one core with one BLAS thread.
@@ -81,7 +76,7 @@ class Backend:
         if type(self.jobs) is not int or self.jobs < 1:
             raise ValueError(f"jobs must be >= 1, got {self.jobs!r}")
         if self.address is not None and self.name == "processes":
-            raise ValueError("address needs the backend ray or dask: processes run on this machine")
+            raise ValueError("address needs the backend dask: processes run on this machine")
 
     @property
     def in_this_process(self) -> bool:
@@ -116,9 +111,6 @@ class Backend:
             start_server(*preloaded)
             with threadpool_limits(limits=1):
                 yield map
-        elif self.name == "ray":
-            with _ray(self.jobs, self.address), joblib.parallel_config(backend="ray"):
-                yield partial(_twice, self._in_rounds)
         elif self.name == "dask":
             with _dask(self.jobs, self.address) as (submit, workers):
                 yield partial(_twice, partial(_as_completed, submit, workers))
@@ -146,13 +138,6 @@ class Backend:
             with warnings.catch_warnings():  # a caller that stops early knows that tasks are given up
                 warnings.simplefilter("ignore", UserWarning)
                 results.close()
-
-    def _in_rounds(self, function: Callable[[Task], Result], tasks: Iterable[Task]) -> Iterator[Result]:
-        """Run in rounds where joblib returns only when all is done, so that an interruption loses little."""
-        waiting = iter(tasks)
-        while round_of_tasks := list(itertools.islice(waiting, TASKS_IN_A_ROUND * self.jobs)):
-            workers = joblib.Parallel(n_jobs=self.jobs, batch_size=1)
-            yield from workers(joblib.delayed(function)(task) for task in round_of_tasks)
 
 
 def _as_completed(
@@ -206,45 +191,6 @@ def _in_own_process(function: Callable[[Task], Result], task: Task) -> Result:
 
 def _numbered(function: Callable[[Task], Result], task: tuple[int, Task]) -> tuple[int, Result]:
     return task[0], function(task[1])
-
-
-@contextmanager
-def _ray(jobs: int, address: str | None) -> Iterator[None]:
-    try:
-        import ray
-        from ray.util.joblib import register_ray
-    except ImportError as error:
-        raise ImportError(f"backend ray is not installed: {install_command('ray')}") from error
-    ours, quietly = not ray.is_initialized(), {"log_to_driver": False, "logging_level": logging.ERROR}
-    if ours:
-        terminated = signal.getsignal(signal.SIGTERM)
-        if address is None:
-            ray.init("local", num_cpus=jobs, include_dashboard=False, **quietly)
-        else:
-            _require_answer(address)
-            ray.init(address, **quietly)
-        if threading.current_thread() is threading.main_thread():
-            signal.signal(signal.SIGTERM, terminated)  # Ray has put its own in its place
-    register_ray()
-    try:
-        yield
-    finally:
-        if ours:
-            ray.shutdown()
-
-
-def _require_answer(address: str) -> None:
-    """Raise a `ValueError` where no Ray cluster answers in time; Ray itself waits for minutes and cannot be stopped."""
-    code = "import sys, ray; ray.init(sys.argv[1], log_to_driver=False)"
-    try:
-        asked = subprocess.run(
-            [sys.executable, "-c", code, address], capture_output=True, timeout=SECONDS_TO_ANSWER, check=False
-        )
-    except subprocess.TimeoutExpired as error:
-        raise ValueError(f"no Ray cluster answers at {address} within {SECONDS_TO_ANSWER} s") from error
-    if asked.returncode != 0:
-        why = plain(asked.stderr.decode(errors="replace").strip().rpartition("\n")[2])
-        raise ValueError(f"no Ray cluster answers at {address}: {why}")
 
 
 @contextmanager
