@@ -30,7 +30,6 @@ from stereo_slam_env.policies.network import Network
 from stereo_slam_env.recording.archive import load_recording
 from stereo_slam_env.recording.trajectory_bags import read_bag
 from stereo_slam_env.recording.trajectory_files import load_trajectory
-from stereo_slam_env.report.leaderboard import leaderboard
 from stereo_slam_env.sensing.rigs import calibration_of
 from stereo_slam_env.training.ppo import LearningCurve, require_own_training
 from stereo_slam_env.world.own_bodies import obj_mesh, urdf_solids
@@ -61,9 +60,9 @@ _IMAGES = ("datasets.open_image_sequence", "datasets.open_for_front_end", "datas
 _TRAJECTORIES = ("trajectory_score.evaluate_trajectory", "trajectory_files.load_trajectory", "stereo-slam evaluate")
 _CLAIMS = ("drift_calibration.calibrate", "DriftModel.read", "stereo-slam calibrate", "stereo-slam claim")
 _STUDIES = ("campaign.run_benchmark", "study.load_study", "study.preset_study", "stereo-slam bench")
-_HAND_IN = ("stereo-slam verify", "stereo-slam gate")
+_HAND_IN = ("stereo-slam verify",)
 _JSON = ("readers.read_json",)
-_RUNS = ("comparison.compare", "stereo-slam report", "stereo-slam submit", "stereo-slam gate", "settings.holds_run")
+_RUNS = ("comparison.compare", "stereo-slam report", "stereo-slam submit", "settings.holds_run")
 
 
 @cache
@@ -147,10 +146,10 @@ def _bodies(folder: Path) -> object:
 
 
 def _packet(folder: Path) -> object:
-    """What `verify`, `gate` and the leaderboard read, and what `submit` would replace."""
+    """What `verify` and `report --fail-if-worse` read, and what `submit` would replace."""
     packet = read_packet(folder / "packet.json")
     require_no_other(folder / "packet.json")
-    return leaderboard({"packet.json": packet}), gate([packet], [packet])
+    return gate([packet], [packet])
 
 
 def _pairs(folder: Path) -> object:

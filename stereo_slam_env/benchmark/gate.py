@@ -96,15 +96,6 @@ class Gate:
         ]
         return "\n".join(lines) + "\n"
 
-    def as_dict(self) -> dict[str, Any]:
-        """All of it as plain data for JSON."""
-        return {
-            "passed": self.passed,
-            "headline": self.headline,
-            "missing": list(self.missing),
-            "rows": [vars(row) for row in self.rows],
-        }
-
 
 def gate(
     baseline: Sequence[Mapping[str, Any]],

@@ -9,7 +9,6 @@ import sys
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Annotated
 
@@ -19,8 +18,8 @@ from stereo_slam_env.cli import bench as cli_bench
 from stereo_slam_env.cli import claim as cli_claim
 from stereo_slam_env.cli import convert as cli_convert
 from stereo_slam_env.cli import evaluate as cli_evaluate
-from stereo_slam_env.cli import packets as cli_packets
 from stereo_slam_env.cli import paper as cli_paper
+from stereo_slam_env.cli import results as cli_results
 from stereo_slam_env.cli import scenes as cli_scenes
 from stereo_slam_env.cli import train as cli_train
 from stereo_slam_env.cli import view as cli_view
@@ -28,12 +27,10 @@ from stereo_slam_env.cli.parts import (
     Interrupted,
     JsonOption,
     TakesTruths,
-    console,
     group,
     refuse,
     show_json,
     show_lines,
-    show_place,
 )
 
 if TYPE_CHECKING:
@@ -56,9 +53,9 @@ app.command()(cli_bench.replay)
 app.command(cls=TakesTruths)(cli_evaluate.evaluate)
 app.command(cls=TakesTruths)(cli_claim.calibrate)
 app.command()(cli_claim.claim)
-app.command()(cli_packets.submit)
-app.command()(cli_packets.verify)
-app.command()(cli_packets.gate)
+app.command()(cli_results.report)
+app.command()(cli_results.submit)
+app.command()(cli_results.verify)
 app.command()(cli_convert.convert)
 app.command()(cli_paper.paper)
 app.command()(cli_train.train)
@@ -137,52 +134,6 @@ def _start(
         raise typer.Exit()
     if context.invoked_subcommand is None:
         typer.echo(context.get_help())
-
-
-@app.command()
-def report(
-    directory: Annotated[Path, typer.Argument(help="Directory of a finished run.")],
-    after: Annotated[
-        Path | None, typer.Argument(help="A second run: say what is different in it.", show_default=False)
-    ] = None,
-    out: Annotated[
-        Path | None, typer.Option("--out", help="Where the page of a comparison goes.", show_default="second run")
-    ] = None,
-    trajectories: Annotated[
-        bool, typer.Option("--trajectories", help="Write the trajectories of all recordings that are kept, too.")
-    ] = False,
-) -> None:
-    """Write tables and report of a finished run again; with a second run, say what changed significantly."""
-    from stereo_slam_env.benchmark.storage.store import read_study
-    from stereo_slam_env.benchmark.storage.tables import write_results
-    from stereo_slam_env.files.folders import claimed_folder
-    from stereo_slam_env.report.benchmark_report import write_report_of
-    from stereo_slam_env.report.console import show_cells
-
-    if after is not None:
-        _compare(directory, after, out)
-        return
-    study = read_study(directory)
-    with claimed_folder(study.root):
-        results = write_results(study)
-        if trajectories:
-            study.write_trajectories()
-        page = write_report_of(study, results)
-    show_cells(console(), results)
-    show_place(page)
-
-
-def _compare(before: Path, after: Path, out: Path | None) -> None:
-    from stereo_slam_env.benchmark import compare
-    from stereo_slam_env.files.folders import require_writable
-    from stereo_slam_env.report.comparison_report import write_comparison_report
-    from stereo_slam_env.report.console import show_comparison
-
-    require_writable(after if out is None else out)
-    comparison = compare(before, after)
-    page = write_comparison_report(after if out is None else out, comparison)
-    show_comparison(console(), comparison)
-    typer.echo(f"report: {page.resolve()}")
 
 
 @filters_app.command("list")

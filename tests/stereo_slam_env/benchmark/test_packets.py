@@ -13,7 +13,6 @@ from stereo_slam_env.benchmark.packet_form import checked_packet, columns_of, mi
 from stereo_slam_env.benchmark.packets import packet_of, read_packet, verify, write_packet
 from stereo_slam_env.benchmark.scenarios.study import Study
 from stereo_slam_env.cli import app as cli
-from stereo_slam_env.report.leaderboard import leaderboard
 
 
 @pytest.fixture(scope="module")
@@ -170,7 +169,7 @@ DAMAGE = {
 def test_what_the_study_does_not_say_is_refused_in_a_line(packet, tmp_path, capsys, change):
     other = forged(packet, {**CONTRADICTIONS, **DAMAGE}[change])
     (tmp_path / "p.json").write_text(json.dumps({**other, "cells": with_trials(other["cells"], columns_of)}))
-    for command in (["verify"], ["gate", str(tmp_path / "p.json")]):
+    for command in (["verify"], ["report", "--fail-if-worse", str(tmp_path / "p.json")]):
         assert cli.main([*command, str(tmp_path / "p.json")]) == 2
         (line,) = capsys.readouterr().err.splitlines()
         assert "p.json is a damaged packet" in line
@@ -236,9 +235,9 @@ def test_what_a_packet_says_is_no_markup_and_moves_no_cursor(packet, capsys, tmp
 
     other = forged(packet, hostile)
     write_packet(tmp_path / "p.json", other)
-    page = leaderboard({"p.json": read_packet(tmp_path / "p.json")})
+    page = gate([read_packet(tmp_path / "p.json")], [read_packet(tmp_path / "p.json")]).as_markdown()
     cli.main(["verify", str(tmp_path / "p.json"), "--seeds", "1", "--jobs", "1"])
-    cli.main(["gate", str(tmp_path / "p.json"), str(tmp_path / "p.json")])
+    cli.main(["report", str(tmp_path / "p.json"), str(tmp_path / "p.json"), "--fail-if-worse"])
     said = page + capsys.readouterr().out
     assert "\x1b" not in said
     assert "<script>" not in page
@@ -326,10 +325,10 @@ def test_the_commands_say_it_by_their_exit_codes(run, packet, tmp_path, capsys):
     path, worse = tmp_path / "packet.json", tmp_path / "worse.json"
     assert cli.main(["submit", str(run), "--out", str(path)]) == 0
     write_packet(worse, changed(packet, 2.0))
-    assert cli.main(["gate", str(path), str(run), "--markdown", str(tmp_path / "gate.md")]) == 0
+    assert cli.main(["report", str(path), str(run), "--fail-if-worse", "--markdown", str(tmp_path / "gate.md")]) == 0
     assert (tmp_path / "gate.md").read_text().startswith("**Passed")
-    assert cli.main(["gate", str(path), str(worse)]) == 1
-    assert cli.main(["gate", str(path), str(tmp_path / "nothing")]) == 2
+    assert cli.main(["report", str(path), str(worse), "--fail-if-worse"]) == 1
+    assert cli.main(["report", str(path), str(tmp_path / "nothing"), "--fail-if-worse"]) == 2
     assert cli.main(["verify", str(worse), "--seeds", "1", "--jobs", "1", "--json"]) == 1
     assert '"agrees": false' in capsys.readouterr().out
 

@@ -1,4 +1,4 @@
-"""The commands `submit`, `verify` and `gate`: results that can be handed in, checked, and guarded."""
+"""The commands `report`, `submit` and `verify`: results shown, compared, guarded, handed in and checked."""
 
 from __future__ import annotations
 
@@ -8,10 +8,93 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from stereo_slam_env.cli.parts import JobsOption, JsonOption, console, show_json
+from stereo_slam_env.cli.parts import JobsOption, JsonOption, console, show_json, show_place
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
+
+
+def report(
+    directory: Annotated[Path, typer.Argument(help="Directory of a finished run; with --fail-if-worse, or packets.")],
+    after: Annotated[
+        list[Path] | None,
+        typer.Argument(help="A second run: say what is different in it.", metavar="[AFTER]", show_default=False),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Where the page of a comparison goes.", show_default="second run")
+    ] = None,
+    trajectories: Annotated[
+        bool, typer.Option("--trajectories", help="Write the trajectories of all recordings that are kept, too.")
+    ] = False,
+    fail_if_worse: Annotated[
+        bool,
+        typer.Option(
+            "--fail-if-worse",
+            help="For continuous integration: print what is worse than in the first run; exit code 1 if anything is. "
+            "Takes packets of `submit`, too, and several runs of the same.",
+        ),
+    ] = False,
+    limit: Annotated[
+        float,
+        typer.Option("--limit", help="With it: percent that is worse where runs are too few for a test.", min=0.0),
+    ] = 5.0,
+    time: Annotated[
+        bool, typer.Option("--time", help="With it: judge the time, too, which depends on the machine.")
+    ] = False,
+    markdown: Annotated[
+        Path | None, typer.Option("--markdown", help="With it: write the table there, too.", metavar="FILE.md")
+    ] = None,
+) -> None:
+    """Write tables and report of a finished run again; with a second run, say what changed significantly."""
+    from stereo_slam_env.benchmark.storage.store import read_study
+    from stereo_slam_env.benchmark.storage.tables import write_results
+    from stereo_slam_env.files.folders import claimed_folder
+    from stereo_slam_env.report.benchmark_report import write_report_of
+    from stereo_slam_env.report.console import show_cells
+
+    if fail_if_worse:
+        _fail_if_worse(directory, after or (), limit, time, markdown)
+        return
+    if after:
+        if len(after) > 1:
+            raise ValueError(f"one second run can be compared, got {len(after)}: several need --fail-if-worse")
+        _compare(directory, after[0], out)
+        return
+    study = read_study(directory)
+    with claimed_folder(study.root):
+        results = write_results(study)
+        if trajectories:
+            study.write_trajectories()
+        page = write_report_of(study, results)
+    show_cells(console(), results)
+    show_place(page)
+
+
+def _compare(before: Path, after: Path, out: Path | None) -> None:
+    from stereo_slam_env.benchmark import compare
+    from stereo_slam_env.files.folders import require_writable
+    from stereo_slam_env.report.comparison_report import write_comparison_report
+    from stereo_slam_env.report.console import show_comparison
+
+    require_writable(after if out is None else out)
+    comparison = compare(before, after)
+    page = write_comparison_report(after if out is None else out, comparison)
+    show_comparison(console(), comparison)
+    typer.echo(f"report: {page.resolve()}")
+
+
+def _fail_if_worse(baseline: Path, runs: Sequence[Path], limit: float, time: bool, markdown: Path | None) -> None:
+    from stereo_slam_env.benchmark.gate import gate
+    from stereo_slam_env.files.folders import write_atomically
+
+    if not runs:
+        raise ValueError("--fail-if-worse needs a second run: give the runs, or packets, that are to be judged")
+    verdict = gate(_packets([baseline]), _packets(runs), limit_percent=limit, with_time=time)
+    if markdown is not None:
+        write_atomically(markdown, lambda stream: stream.write(verdict.as_markdown().encode()))
+    typer.echo(verdict.as_markdown(), nl=False)
+    if not verdict.passed:
+        raise typer.Exit(1)
 
 
 def submit(
@@ -81,35 +164,6 @@ def verify(
             typer.echo(f"note: {plain(sentence)}")
         typer.echo(found.words)
     if not found.agrees:
-        raise typer.Exit(1)
-
-
-def gate(
-    baseline: Annotated[Path, typer.Argument(help="A packet, or a folder of packets.", metavar="BASELINE.json")],
-    runs: Annotated[
-        list[Path], typer.Argument(help="Run directories or packets; several are runs of the same.", metavar="RUN...")
-    ],
-    limit: Annotated[
-        float, typer.Option("--limit", help="Percent that is worse where runs are too few for a test.", min=0.0)
-    ] = 5.0,
-    time: Annotated[bool, typer.Option("--time", help="Look at the time, too: on one machine only.")] = False,
-    markdown: Annotated[
-        Path | None, typer.Option("--markdown", help="Write the table there, too.", metavar="FILE.md")
-    ] = None,
-    as_json: JsonOption = False,
-) -> None:
-    """Guard results in continuous integration: exit code 1 where something is worse than in the baseline."""
-    from stereo_slam_env.benchmark.gate import gate as gated
-    from stereo_slam_env.files.folders import write_atomically
-
-    found = gated(_packets([baseline]), _packets(runs), limit_percent=limit, with_time=time)
-    if markdown is not None:
-        write_atomically(markdown, lambda stream: stream.write(found.as_markdown().encode()))
-    if as_json:
-        show_json(found.as_dict())
-    else:
-        typer.echo(found.as_markdown(), nl=False)
-    if not found.passed:
         raise typer.Exit(1)
 
 
