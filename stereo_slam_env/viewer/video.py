@@ -15,7 +15,6 @@ from stereo_slam_env.rendering.drawing import even_sides
 from stereo_slam_env.rendering.images import Image
 
 _CODEC = "mp4v"
-_PARTIAL = ".partial.mp4"
 
 
 class Recorder:

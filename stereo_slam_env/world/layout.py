@@ -46,14 +46,6 @@ class Layout:
         return free
 
 
-def sample_surface(shape: Primitive, count: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-    """Points uniform on the side (of balls: the whole) surface, m in S, and unit outward normals; (count, 3) each."""
-    from stereo_slam_env.world import compiled
-
-    points, normals = compiled.sample(table_of([shape]), np.array([count]), rng)
-    return points, normals
-
-
 def facing_points(
     shapes: Sequence[Primitive],
     count: int,

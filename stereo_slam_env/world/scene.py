@@ -266,11 +266,6 @@ class Scene:
         return self  # nobody changes it
 
     @property
-    def landmark_ids(self) -> IntArray:
-        """Ids of the landmarks, ascending from 0; (N,) int64."""
-        return np.arange(len(self.landmark_points), dtype=np.int64)
-
-    @property
     def solids(self) -> Sequence[Primitive]:
         """The standing primitives that block rays and cars."""
         if isinstance(self.primitives, ShapeTable):

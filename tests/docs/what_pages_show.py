@@ -219,7 +219,7 @@ def shows_rendering(names, printed):
 
 def shows_scenes(names, printed):
     assert len(names["scene"].moving) > 10
-    assert len(names["scene"].landmark_ids) > 500
+    assert len(names["scene"].landmark_points) > 500
 
 
 def shows_statistics(names, printed):

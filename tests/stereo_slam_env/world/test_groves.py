@@ -6,10 +6,11 @@ from scipy.spatial import cKDTree
 
 from stereo_slam_env.world import groves
 from stereo_slam_env.world.groves import build_groves
-from stereo_slam_env.world.layout import sample_surface
 from stereo_slam_env.world.physics import PhysicsWorld
 from stereo_slam_env.world.road import road_along
 from stereo_slam_env.world.routes import ROUTES
+
+from .surfaces import sample_surface
 
 SEEDS = range(4)
 
@@ -43,7 +44,7 @@ def straight_scenes():
 def test_there_are_about_twelve_landmarks_to_fifteen_metres(route, scenes):
     road = road_along(route)
     length = 0.5 * sum(piece.stop - piece.start for piece in road.stretches()) - 100.0  # the road goes on 130 m
-    counts = [len(scene.landmark_ids) for scene in scenes]
+    counts = [len(scene.landmark_points) for scene in scenes]
     slack = 0.12 if route.streets is None else 0.2  # where streets cross, there is less room
     assert np.mean(counts) == pytest.approx(12 * length / 15.0, rel=slack)
     assert all(0.8 < count / np.mean(counts) < 1.2 for count in counts)
