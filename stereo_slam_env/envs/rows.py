@@ -187,7 +187,7 @@ class RowsWrapper(Rows):
         """The spaces of the observation inside; a `ValueError` where it is no Dict."""
         inside = self.rows.observation_space
         if not isinstance(inside, spaces.Dict):
-            raise ValueError(f"{self._label} needs a Dict observation, got {inside}: put it inside FlattenUVD")
+            raise ValueError(f"{self._label} needs a Dict observation, got {inside}: put what flattens it outside")
         return dict(inside.spaces)
 
     @property

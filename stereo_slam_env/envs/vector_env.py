@@ -128,14 +128,6 @@ class RowsVectorEnv(gym.vector.VectorEnv[Arrays, NDArray[Any], NDArray[Any]], Ke
             raise RuntimeError("there is no filter in the loop: give belief={}") from None
 
     @property
-    def episodes(self) -> Any:
-        """Consistency of the episodes that ended, see `RecordConsistency`."""
-        try:
-            return self.rows.inner("episodes")
-        except AttributeError:
-            raise RuntimeError("consistency is not recorded: give belief={} and consistency={}") from None
-
-    @property
     def np_random_seed(self) -> tuple[int | None, ...]:  # type: ignore[override]
         """Seed of the last seeded reset of each environment, as `SyncVectorEnv` has them."""
         return tuple(self._seeds)

@@ -1,9 +1,5 @@
 """Public names of this room; each is imported when it is first used."""
 
-from .minari_episodes import export_episodes as export_episodes
-from .minari_episodes import load_episodes as load_episodes
-from .minari_episodes import recording_of_episode as recording_of_episode
-from .minari_episodes import seed_of as seed_of
 from .ppo import LearningCurve as LearningCurve
 from .ppo import train as train
 from .registered_task import EpisodeOutcome as EpisodeOutcome

@@ -7,11 +7,7 @@ from .direction_of_gaze import DirectionOfGaze as DirectionOfGaze
 from .information import InformationCriterion as InformationCriterion
 from .information import log_det as log_det
 from .information_gain import InformationGain as InformationGain
-from .observation_shapes import FlattenUVD as FlattenUVD
-from .observation_shapes import SelectedKeys as SelectedKeys
-from .observation_shapes import SequenceObservation as SequenceObservation
-from .position_prediction import PositionPrediction as PositionPrediction
-from .record_consistency import RecordConsistency as RecordConsistency
+from .selected_keys import SelectedKeys as SelectedKeys
 from .snapshots import Snapshot as Snapshot
 from .snapshots import restore as restore
 from .snapshots import snapshot as snapshot

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
-from typing import Any, Literal
+from typing import Any
 
 from gymnasium.vector import AutoresetMode
 
-from filters.contract.known_names import one_of
 from stereo_slam_env.envs.options import DriveGazeOptions, DriveOptions, GazeOptions, StereoOptions
 from stereo_slam_env.envs.rows import Rows
 from stereo_slam_env.envs.vector_env import RowsVectorEnv, core_rows, limited
@@ -16,14 +15,9 @@ from stereo_slam_env.wrappers.belief_observation import BeliefObservation
 from stereo_slam_env.wrappers.belief_panorama import BeliefPanorama
 from stereo_slam_env.wrappers.direction_of_gaze import DirectionOfGaze
 from stereo_slam_env.wrappers.information_gain import InformationGain
-from stereo_slam_env.wrappers.observation_shapes import FlattenUVD, SelectedKeys, SequenceObservation
-from stereo_slam_env.wrappers.position_prediction import PositionPrediction
-from stereo_slam_env.wrappers.record_consistency import RecordConsistency
-from stereo_slam_env.wrappers.recorded_wrapper import RowWrapper
+from stereo_slam_env.wrappers.selected_keys import SelectedKeys
 from stereo_slam_env.wrappers.true_error import TrueError
 
-Shape = Literal["flat", "sequences"]
-_SHAPES: Mapping[str, type[RowWrapper]] = {"flat": FlattenUVD, "sequences": SequenceObservation}
 _KINDS: Mapping[str, type[StereoOptions]] = {
     "StereoSlam/Drive-v0": DriveOptions,
     "StereoSlam/Gaze-v0": GazeOptions,
@@ -59,10 +53,7 @@ def stereo_vector(
     information: Mapping[str, Any] | None = None,
     error: Mapping[str, Any] | None = None,
     keys: Sequence[str] | None = None,
-    consistency: Mapping[str, Any] | None = None,
     pans: int | None = None,
-    prediction: Mapping[str, Any] | None = None,
-    shape: Shape | None = None,
     **options: Any,
 ) -> RowsVectorEnv:
     """Many environments with an id, and what wrappers do for a single one as arguments.
@@ -88,14 +79,8 @@ def stereo_vector(
         Arguments of `BeliefPanorama`, of `InformationGain`, of the pose unless it says otherwise, and of `TrueError`.
     keys : sequence of str, optional
         The keys of the observation; None: all. What is not asked for is not computed.
-    consistency : mapping, optional
-        Arguments of `RecordConsistency`.
     pans : int, optional
         The action is the number of one of so many directions, see `DirectionOfGaze`.
-    prediction : mapping, optional
-        Arguments of `PositionPrediction`: the agent says where it is, too.
-    shape : {"flat", "sequences"}, optional
-        The observation as `FlattenUVD` or `SequenceObservation` gives it.
     **options
         Of the single environment; `sensor` must be "landmarks", without images. `render_mode` is None or "rgb_array".
 
@@ -106,8 +91,8 @@ def stereo_vector(
     ValueError
         An argument is impossible.
     """
-    if belief is None and not (panorama is information is error is consistency is None):
-        raise ValueError("panorama, information, error and consistency need a filter in the loop: give belief={}")
+    if belief is None and not (panorama is information is error is None):
+        raise ValueError("panorama, information and error need a filter in the loop: give belief={}")
     rows = limited(rows_of(name, num_envs, options, scenes=scenes, threads=threads), max_episode_steps)
     if belief is not None:
         rows = BeliefObservation.around(rows, **belief)
@@ -119,21 +104,9 @@ def stereo_vector(
         rows = TrueError.around(rows, **error)
     if pans is not None:
         rows = DirectionOfGaze.around(rows, pans=pans)
-    if prediction is not None:
-        rows = PositionPrediction.around(rows, **prediction)
     if keys is not None:
         rows = SelectedKeys.around(rows, keys=keys)
-    return RowsVectorEnv(_told(rows, consistency, shape), autoreset_mode)
-
-
-def _told(rows: Rows, consistency: Mapping[str, Any] | None, shape: Shape | None) -> Rows:
-    """Rows that tell the consistency of their filters, with observations of another shape."""
-    if consistency is not None:
-        rows = RecordConsistency.around(rows, **consistency)
-    if shape is not None:
-        one_of("shape", shape, _SHAPES)
-        rows = _SHAPES[shape].around(rows)
-    return rows
+    return RowsVectorEnv(rows, autoreset_mode)
 
 
 def drive_vector(**arguments: Any) -> RowsVectorEnv:
@@ -156,8 +129,8 @@ def drive_gaze_vector(**arguments: Any) -> RowsVectorEnv:
 def vector_of(task: Callable[..., Any]) -> Callable[..., RowsVectorEnv]:
     """What `make_vec` calls for a task: a function that makes one environment, or rows where it is given `many`.
 
-    `num_envs`, `autoreset_mode`, `scenes`, `threads`, `consistency` and `shape` are those of `stereo_vector`,
-    `max_episode_steps` counts the steps of the task; other arguments are the task's.
+    `num_envs`, `autoreset_mode`, `scenes` and `threads` are those of `stereo_vector`, `max_episode_steps` counts the
+    steps of the task; other arguments are the task's.
     """
 
     def vector(
@@ -166,12 +139,10 @@ def vector_of(task: Callable[..., Any]) -> Callable[..., RowsVectorEnv]:
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         scenes: int | None = None,
         threads: int = 1,
-        consistency: Mapping[str, Any] | None = None,
-        shape: Shape | None = None,
         **arguments: Any,
     ) -> RowsVectorEnv:
         many = {"num_envs": num_envs, "scenes": scenes, "threads": threads}
         rows = limited(task(many=many, **arguments), max_episode_steps)
-        return RowsVectorEnv(_told(rows, consistency, shape), autoreset_mode)
+        return RowsVectorEnv(rows, autoreset_mode)
 
     return vector

@@ -17,7 +17,7 @@ ROOT = Path(__file__).resolve().parents[2]
 PAGES = {
     path.relative_to(ROOT).as_posix(): path for path in [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 }
-OPTIONAL = ("pandas", "polars", "minari", "rerun")
+OPTIONAL = ("pandas", "polars", "rerun")
 SHORTER = {
     "README.md": ('scenario="turn", seeds=6', 'scenario="reference-turn", seeds=2'),
     "docs/benchmark.md": ('run_benchmark("quick", ', 'run_benchmark("reference-turn", '),
@@ -65,8 +65,8 @@ def test_what_a_page_imports_exists(name):
 
 @pytest.mark.parametrize("name", WITH_CODE)
 def test_a_page_runs_from_top_to_bottom_and_shows_what_it_says(name, tmp_path, monkeypatch, capsys):
-    if name in ("docs/active_perception.md", "docs/vector.md"):
-        pytest.importorskip("minari", reason="needs the extra rl")
+    if name == "docs/vector.md":
+        pytest.importorskip("stable_baselines3", reason="needs the extra rl")
     monkeypatch.chdir(tmp_path)
     names = {"__name__": "page", **GIVEN.get(name, dict)()}
     for line, code in blocks(PAGES[name]):

@@ -120,7 +120,6 @@ def shows_readme(names, printed):
 
 def shows_active_perception(names, printed):
     assert "20 None" in printed  # frames, no failure
-    assert len(names["recording"].frames) == 21
     assert np.isfinite(names["reward"]).all()
 
 

@@ -12,7 +12,6 @@ import stereo_slam_env  # noqa: F401 (registers the ids)
 from stereo_slam_env.wrappers import (
     BeliefObservation,
     InformationGain,
-    RecordConsistency,
     restore,
     snapshot,
 )
@@ -88,7 +87,7 @@ def test_other_arguments_are_part_of_it(arguments):
 def test_filters_and_wrappers_of_ours_and_of_others_are_part_of_it(filter_name):
     def make():
         env = BeliefObservation(single("StereoSlam/Gaze-v0", **QUICK, max_landmarks=12), filter=filter_name)
-        env = RecordConsistency(InformationGain(env, report_both=True, nees_gate=0.95), window=4)
+        env = InformationGain(env, report_both=True, nees_gate=0.95)
         return gym.wrappers.RecordEpisodeStatistics(gym.wrappers.TimeLimit(env, 6))
 
     def times_apart(calls):

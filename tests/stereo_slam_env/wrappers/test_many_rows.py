@@ -12,12 +12,9 @@ from stereo_slam_env.wrappers import (
     BeliefObservation,
     BeliefPanorama,
     DirectionOfGaze,
-    FlattenUVD,
     InformationCriterion,
     InformationGain,
-    RecordConsistency,
     SelectedKeys,
-    SequenceObservation,
     belief_observation,
 )
 
@@ -189,7 +186,7 @@ def test_a_filter_that_fails_is_named_with_its_row(monkeypatch):
         (
             {"panorama": {}},
             ValueError,
-            "information, error and consistency need a filter in the loop: give belief={}",
+            "panorama, information and error need a filter in the loop: give belief={}",
         ),
         ({"belief": {}, "information": {"off": "map"}}, TypeError, "unexpected keyword argument 'off'"),
         ({"belief": {}, "keys": ["panorama"]}, ValueError, "the observation has no key 'panorama'"),
@@ -210,37 +207,28 @@ def test_a_vector_without_filters_says_so():
     assert "submaps" in available_filters()
 
 
-@pytest.mark.parametrize("shape", ["flat", "sequences"])
-def test_consistency_and_shapes_are_the_same_on_one_row_and_on_many(shape):
-    wrapper = {"flat": FlattenUVD, "sequences": SequenceObservation}[shape]
-    vector = gym.make_vec(
-        GAZE, num_envs=3, belief={}, consistency={"window": 4}, shape=shape, max_episode_steps=STEPS - 2, **WORLD
-    )
-    actions = np.random.default_rng(0).uniform(-1.0, 1.0, (STEPS, 3, 2)).astype(np.float32)
-    together = drive(vector, actions[: STEPS - 2], seed=SEEDS)
-    kept = list(vector.episodes)
-    vector.close()
-    for b, seed in enumerate(SEEDS):
-        inside = BeliefObservation(gym.make(GAZE, max_episode_steps=STEPS - 2, **WORLD))
-        with wrapper(RecordConsistency(inside, window=4)) as env:
-            assert vector.single_observation_space == env.observation_space
-            alone = drive(env, actions[: STEPS - 2, b], seed=seed)
-            for one, all_of_them in zip(alone, together, strict=True):
-                told, single = ({"": s} if shape == "flat" else s for s in (all_of_them[0], one[0]))
-                for key, value in single.items():
-                    assert told[key][b].tobytes() == value.tobytes(), key
-                for key, value in one[-1].items():
-                    assert np.asarray(all_of_them[-1][key][b]).tobytes() == np.asarray(value).tobytes(), key
-            assert env.env.episodes[-1] == kept[b]
-
-
-def test_tasks_have_them_too():
-    vector = gym.make_vec("StereoSlam/Explore-v0", num_envs=2, consistency={}, shape="flat")
-    observation, info = vector.reset(seed=1)
-    assert observation in vector.observation_space
-    assert info["consistency_anees"].shape == (2,)
-    vector.close()
-    with pytest.raises(ValueError, match="shape must be one of 'flat', 'sequences', got 'flta'"):
-        gym.make_vec(GAZE, num_envs=2, shape="flta")
+def test_a_reward_from_a_filter_needs_one_in_the_loop():
     with pytest.raises(ValueError, match="need a filter in the loop"):
-        gym.make_vec(GAZE, num_envs=2, consistency={})
+        gym.make_vec(GAZE, num_envs=2, panorama={})
+
+
+def test_gymnasium_flattens_rescales_and_stacks_one_and_many():
+    """uvd alone, in [-1, 1], as one Box: of a vector, row by row the same bits; three frames of it for one."""
+    vector = gym.make_vec(GAZE, num_envs=3, keys=["uvd", "mask"], **WORLD)
+    lowest, highest = np.float32(-1.0), np.float32(1.0)
+    flat = gym.wrappers.vector.RescaleObservation(gym.wrappers.vector.FlattenObservation(vector), lowest, highest)
+    actions = np.zeros((STEPS, 3, 2), dtype=np.float32)
+    together = drive(flat, actions, seed=SEEDS)
+    assert flat.single_observation_space.shape == together[0][0][0].shape
+    assert np.abs(together[-1][0]).max() <= 1.0
+    flat.close()
+    for b, seed in enumerate(SEEDS):
+        inside = gym.wrappers.FlattenObservation(SelectedKeys(gym.make(GAZE, **WORLD), keys=["uvd", "mask"]))
+        with gym.wrappers.RescaleObservation(inside, lowest, highest) as env:
+            alone = drive(env, actions[:, b], seed=seed)
+        for one, all_of_them in zip(alone, together, strict=True):
+            np.testing.assert_array_equal(all_of_them[0][b], one[0])
+    with gym.wrappers.FrameStackObservation(gym.make(GAZE, **WORLD), 3) as env:
+        stacked, _ = env.reset(seed=1)
+        assert stacked in env.observation_space
+        assert stacked["uvd"].shape[0] == 3

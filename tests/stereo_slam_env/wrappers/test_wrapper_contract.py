@@ -13,8 +13,6 @@ from stereo_slam_env.wrappers import (
     DirectionOfGaze,
     InformationCriterion,
     InformationGain,
-    PositionPrediction,
-    RecordConsistency,
     TrueError,
 )
 
@@ -33,8 +31,6 @@ DEFAULTS = {
         **{"nees_gate": None, "weight": 1.0, "keep_reward": False, "max_age": 0, "use_odometry": True},
         "report_both": False,
     },
-    PositionPrediction: {"weight": 1.0, "keep_reward": False},
-    RecordConsistency: {"window": None, "buffer_length": 100},
     TrueError: {"weight": 1.0, "keep_reward": False},
 }
 LARGEST_ID = np.iinfo(np.int32).max
@@ -77,7 +73,7 @@ def test_bounds_are_those_of_the_manual():
         {"information": {"belief": "reference", "max_age": None}},
         {"error": {"weight": 1e9}},
         {"error": {"keep_reward": True}, "belief": {"hold": 2}},
-        {"consistency": {}, "panorama": {}},
+        {"panorama": {}},
     ],
     ids=str,
 )
@@ -89,15 +85,3 @@ def test_rows_that_do_not_go_on_earn_nothing_and_stay_as_they_are(wrappers):
     vector.step(actions)
     assert_the_second_rests(vector.rows, actions)
     vector.close()
-
-
-def test_predictions_of_rows_that_do_not_go_on_are_not_judged():
-    inside = gym.make_vec("StereoSlam/Gaze-v0", num_envs=2, route="right-turn", rig="qvga")
-    inside.reset(seed=[3, 4])
-    rows = PositionPrediction.around(inside.rows)
-    rows.begin(np.ones(2, dtype=bool), [3, 4], {})
-    actions = {"action": np.zeros((2, 2), dtype=np.float32), "prediction": np.full((2, 3), 2.0)}
-    rewards, _, _ = rows.advance(actions, np.array([True, False]))
-    assert rewards.tolist() == pytest.approx([-12.0, 0.0])  # from the origin, where the car was
-    assert rows.look()[1]["prediction"]["loss"].tolist() == pytest.approx([12.0, 0.0])
-    inside.close()
