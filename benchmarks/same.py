@@ -132,7 +132,7 @@ def filters(data: Path) -> Iterator[Figure]:
         "inertial flight": inertial_flight(0, frames=40),
     }
     for where, recording in recordings.items():
-        for name in available_filters():
+        for name in (*available_filters(), "shared-anchor", "hybrid"):
             run = run_filter(recording, name, score_map=False, seed=0)
             beliefs = run.positions, run.orientations, run.pose_covariances, run.velocity_covariances, run.nis
             yield f"{name} on {where}", digest(*beliefs, str(run.failure))

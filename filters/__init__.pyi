@@ -9,7 +9,6 @@ from .catalogue.presets import InertialEKF as InertialEKF
 from .catalogue.presets import InverseDepthStereoEKF as InverseDepthStereoEKF
 from .catalogue.presets import MonocularEKF as MonocularEKF
 from .catalogue.presets import RightInvariantEKF as RightInvariantEKF
-from .catalogue.presets import SharedAnchorEKF as SharedAnchorEKF
 from .catalogue.presets import UnscentedStereoFilter as UnscentedStereoFilter
 from .catalogue.registry import available_filters as available_filters
 from .catalogue.registry import make_filter as make_filter

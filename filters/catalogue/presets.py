@@ -61,11 +61,6 @@ EuclideanEKF = _named(
     """,
     landmark="euclidean",
 )
-SharedAnchorEKF = _named(
-    "SharedAnchorEKF",
-    """Inverse-depth stereo EKF whose landmarks of one frame share their anchor: same estimates, smaller state.""",
-    landmark="shared-anchor",
-)
 HybridEKF = _named(
     "HybridEKF",
     """Inverse-depth stereo EKF whose landmarks become XYZ once their position is Gaussian enough.
@@ -196,8 +191,6 @@ PRESETS: Mapping[str, type[StereoFilter]] = {
     "inverse-depth": InverseDepthStereoEKF,
     "dual-bearing": DualBearingEKF,
     "euclidean": EuclideanEKF,
-    "shared-anchor": SharedAnchorEKF,
-    "hybrid": HybridEKF,
     "right-invariant": RightInvariantEKF,
     "inertial": InertialEKF,
     "msckf": MultiStateConstraintEKF,
@@ -207,3 +200,5 @@ PRESETS: Mapping[str, type[StereoFilter]] = {
     "submaps": SubmapEKF,
 }
 """The named filters by name; the first line of a class describes it."""
+UNLISTED: Mapping[str, type[StereoFilter]] = {"shared-anchor": InverseDepthStereoEKF, "hybrid": HybridEKF}
+"""Names that resolve and are not listed: `inverse-depth` by how it stores landmarks, and with another landmark."""

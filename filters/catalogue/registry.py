@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
-from filters.catalogue.presets import PRESETS
+from filters.catalogue.presets import PRESETS, UNLISTED
 from filters.contract.foreign_text import error_line
 from filters.contract.known_names import did_you_mean
 from filters.contract.noise import StereoNoise
@@ -26,6 +26,7 @@ ENTRY_POINT_GROUP = "stereo_slam.filters"
 NOT_AVAILABLE = "not available"
 """Begins the line of a filter that is there and cannot be used."""
 FilterFactory = Callable[..., StereoFilter]
+_OURS = {**PRESETS, **UNLISTED}
 
 
 def make_filter(name: str | FilterFactory, *, camera: StereoCamera, noise: StereoNoise, **options: Any) -> StereoFilter:
@@ -59,7 +60,7 @@ def available_filters() -> dict[str, str]:
     """Names and one line on each; a third-party filter that cannot be loaded, or is hidden, says so instead."""
     lines = {name: _first_line(factory) for name, factory in PRESETS.items()}
     for entry_point in entry_points(group=ENTRY_POINT_GROUP):
-        if entry_point.name in PRESETS:
+        if entry_point.name in _OURS:
             lines[f"{entry_point.name} of {entry_point.module}"] = NOT_AVAILABLE + ": hidden by the built-in one"
             continue
         try:
@@ -89,8 +90,8 @@ def filter_factory(name: str | FilterFactory) -> FilterFactory:
     """
     if not isinstance(name, str):
         return name
-    if name in PRESETS:
-        return PRESETS[name]
+    if name in _OURS:
+        return _OURS[name]
     entry_point = plugin_of(name)
     if entry_point is not None:
         loaded: FilterFactory = load_factory("filter", entry_point)
@@ -117,7 +118,7 @@ def require_filter(name: str | FilterFactory, options: Mapping[str, Any]) -> Non
 
 
 def _plugins() -> dict[str, EntryPoint]:
-    return {point.name: point for point in entry_points(group=ENTRY_POINT_GROUP) if point.name not in PRESETS}
+    return {point.name: point for point in entry_points(group=ENTRY_POINT_GROUP) if point.name not in _OURS}
 
 
 def load_factory(kind: str, entry_point: EntryPoint) -> Any:

@@ -24,11 +24,13 @@ from stereo_slam_env.cli import scenes as cli_scenes
 from stereo_slam_env.cli import train as cli_train
 from stereo_slam_env.cli import view as cli_view
 from stereo_slam_env.cli.parts import (
+    FILTER_GROUPS,
     Interrupted,
     JsonOption,
     TakesTruths,
     group,
     refuse,
+    show_groups,
     show_json,
     show_lines,
 )
@@ -138,10 +140,10 @@ def _start(
 
 @filters_app.command("list")
 def list_filters(as_json: JsonOption = False) -> None:
-    """Names of all filters, with one line on each."""
+    """Names of all filters in groups, with one line on each."""
     from filters import available_filters
 
-    show_lines(available_filters(), as_json=as_json)
+    show_groups(available_filters(), FILTER_GROUPS, as_json=as_json)
 
 
 @policies_app.command("list")

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 import typer
 
 from stereo_slam_env.cli.parts import (
+    PRESET_GROUPS,
     FiltersOption,
     ImagesOptions,
     Interrupted,
@@ -21,7 +22,7 @@ from stereo_slam_env.cli.parts import (
     listed,
     new_directory,
     rig_from,
-    show_lines,
+    show_groups,
     show_place,
     values_from,
     with_options,
@@ -252,7 +253,7 @@ def bench(
     from stereo_slam_env.benchmark.scenarios.scenario import Sensor, policy_choice
 
     if show_list:
-        show_lines(presets())
+        show_groups(presets(), PRESET_GROUPS)
         return
     options.require_place()
     if preset is not None and scenario is not None:

@@ -279,6 +279,37 @@ def show_lines(lines: Mapping[str, str], width: int = 0, *, as_json: bool = Fals
         typer.echo(f"{name:<{width}}  {line}")
 
 
+FILTER_GROUPS: Mapping[str, tuple[str, ...]] = {
+    "the paper's": ("inverse-depth", "dual-bearing", "euclidean"),
+    "other choices": ("right-invariant", "unscented", "monocular", "submaps"),
+    "for real drives": ("coloured-noise", "coloured-noise-causal"),
+    "inertial": ("inertial", "msckf"),
+    "baselines": ("dead-reckoning", "frame-to-frame", "fixed-lag", "batch", "filterpy-ekf"),
+}
+PRESET_GROUPS: Mapping[str, tuple[str, ...]] = {
+    "streets": ("quick", "town", "turn", "straight"),
+    "the paper's, pure geometry": ("reference-drive", "reference-turn"),
+    "what makes the difference": ("attribution", "anchored", "baseline", "mismatch", "limits"),
+    "sensors and systems": ("front-ends", "inertial", "systems", "real"),
+    "where to look": ("gaze",),
+}
+
+
+def show_groups(lines: Mapping[str, str], groups: Mapping[str, tuple[str, ...]], *, as_json: bool = False) -> None:
+    """Names in groups, and one line on each; those of no group at the end; or all as one JSON object."""
+    if as_json:
+        show_json(lines)
+        return
+    grouped = {name for names in groups.values() for name in names}
+    rest = tuple(name for name in lines if name not in grouped)
+    width = max(map(len, lines))
+    for title, names in {**groups, "installed": rest}.items():
+        present = {name: lines[name] for name in names if name in lines}
+        if present:
+            typer.echo(f"{title}:")
+            show_lines({f"  {name}": line for name, line in present.items()}, width + 2)
+
+
 def new_directory(name: str) -> Path:
     """Run directory that is named after the command or scenario and the time."""
     return Path("runs") / f"{name}-{datetime.datetime.now():%Y%m%d-%H%M%S}"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from filters import FilterBatch, Hybrid, SharedAnchorEKF, Stage, Start, StereoEKF, StereoObservation
+from filters import FilterBatch, Hybrid, InverseDepthStereoEKF, Stage, Start, StereoEKF, StereoObservation
 from filters.geometry import rotations, symmetric
 from filters.landmarks.hybrid import linearity_index
 
@@ -66,7 +66,7 @@ def test_a_point_at_infinity_or_beyond_is_never_linear(rho: float) -> None:
 def test_without_a_limit_the_estimates_are_those_of_shared_anchors() -> None:
     frames = drive(2, 30)
     hybrid = finish(filter_with(linearity_limit=None), frames)
-    shared = finish(SharedAnchorEKF(CAMERA, INDEPENDENT_PIXELS, gate=None), frames)
+    shared = finish(InverseDepthStereoEKF(CAMERA, INDEPENDENT_PIXELS, gate=None), frames)
     assert not are_points(hybrid).any()
     np.testing.assert_allclose(hybrid.pose.position, shared.pose.position, atol=1e-12)
     np.testing.assert_allclose(hybrid.pose.covariance, shared.pose.covariance, rtol=1e-9)

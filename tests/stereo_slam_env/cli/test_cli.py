@@ -16,8 +16,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import stereo_slam_env as sse
+from filters import available_filters
+from filters.catalogue.registry import filter_factory
+from stereo_slam_env.benchmark import presets
 from stereo_slam_env.benchmark.storage.store import RunDirectory
 from stereo_slam_env.cli import app as cli
+from stereo_slam_env.cli.parts import FILTER_GROUPS, PRESET_GROUPS
 from stereo_slam_env.recording.archive import save_recording
 from stereo_slam_env.recording.recording import GIVEN_TRUTH, SIMULATION, Reference
 
@@ -134,7 +138,7 @@ def test_the_presets_are_listed(command):
     code, out, _ = command("bench", "--list")
     assert code == 0
     for name in ("quick", "attribution", "baseline", "mismatch", "real", "limits", "gaze"):
-        assert f"\n{name} " in f"\n{out}"
+        assert f"\n  {name} " in out
 
 
 def test_a_reader_that_has_seen_enough_is_no_error():
@@ -766,3 +770,17 @@ def test_ctrl_c_says_what_is_kept_and_the_same_command_goes_on(third_party, tmp_
     assert "report.html" in out
     assert len(list((tmp_path / "run").glob("trials/*/*.npz"))) == 4
     assert {path: path.stat().st_mtime_ns for path in kept} == kept
+
+
+def test_all_filters_and_presets_of_ours_are_in_one_group():
+    for groups, names in ((FILTER_GROUPS, available_filters()), (PRESET_GROUPS, presets())):
+        grouped = [name for group in groups.values() for name in group]
+        assert len(grouped) == len(set(grouped))
+        assert set(grouped) == {name for name in names if "my-" not in name}
+
+
+def test_older_names_of_filters_resolve_and_are_not_listed():
+    assert filter_factory("shared-anchor") is filter_factory("inverse-depth")
+    for name in ("shared-anchor", "hybrid"):
+        assert name not in available_filters()
+        assert callable(filter_factory(name))
