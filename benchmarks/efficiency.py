@@ -24,7 +24,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from filters import ConstantVelocity
-from filters.catalogue.common_options import usual_options
+from filters.catalogue.registry import usual_options
 from harness import arguments, by_seed, show
 from stereo_slam_env.benchmark.recordings.reference_problem import long_drive
 from stereo_slam_env.evaluation.cramer_rao import Bound, cramer_rao_bound

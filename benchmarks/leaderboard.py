@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import t
 
-from filters.contract.foreign_text import markdown
+from filters.contract.validation import markdown
 from stereo_slam_env.benchmark.packets import read_packet
 from stereo_slam_env.evaluation.figures import readable
 from stereo_slam_env.files import write_text

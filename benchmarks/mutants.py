@@ -92,13 +92,10 @@ ROOMS = {
     "frontend": Room(("stereo_slam_env/frontend/*.py",), ("tests/stereo_slam_env/frontend",)),
     "engine": Room(
         (
-            *(
-                f"filters/engine/compiled/{name}.py"
-                for name in ("correction", "covariance", "drift", "frame", "gating")
-            ),
-            *(f"filters/engine/compiled/{name}.py" for name in ("gauge_walk", "landmarks", "linearisation", "recipe")),
-            *(f"filters/engine/compiled/{name}.py" for name in ("prediction", "retraction", "scratch", "storage")),
-            "filters/engine/compiled/sigma_points.py",
+            *(f"filters/kernels/{name}.py" for name in ("correction", "covariance", "drift", "frame", "gating")),
+            *(f"filters/kernels/{name}.py" for name in ("gauge_walk", "landmarks", "linearisation", "recipe")),
+            *(f"filters/kernels/{name}.py" for name in ("prediction", "retraction", "scratch", "storage")),
+            "filters/kernels/sigma_points.py",
             *(f"filters/engine/{name}.py" for name in ("doors", "engine", "new_landmarks", "row", "selection")),
         ),
         (

@@ -30,9 +30,9 @@ import numpy as np
 
 import stereo_slam_env as sse
 from filters import ColouredNoise
-from filters.engine.compiled.gauge_walk import TURN_WEIGHT
 from filters.geometry import rotations
 from filters.geometry.arrays import BoolArray, FloatArray
+from filters.kernels.gauge_walk import TURN_WEIGHT
 from harness import arguments, mean_and_error, show
 from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary

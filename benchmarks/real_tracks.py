@@ -20,7 +20,7 @@ import numpy as np
 from joblib import Parallel, delayed
 
 from filters import StereoNoise
-from filters.catalogue.common_options import usual_options
+from filters.catalogue.registry import usual_options
 from harness import arguments, show
 from stereo_slam_env.datasets import layout_of, load, track_layouts
 from stereo_slam_env.evaluation.filter_run import run_filter

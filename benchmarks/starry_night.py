@@ -19,7 +19,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from filters.catalogue.common_options import make_with_common_options
+from filters.catalogue.registry import make_with_common_options
 from harness import arguments, show
 from stereo_slam_env.datasets import load
 from stereo_slam_env.datasets.starry_night import SHAPES, step_velocities

@@ -16,8 +16,7 @@ from enum import Enum
 
 import numpy as np
 
-from filters.contract.beliefs import PoseBelief
-from filters.contract.update_report import UpdateReport
+from filters.contract.outputs import PoseBelief, UpdateReport
 from filters.contract.validation import positive
 
 _TOLERATED, _LOST = 0.5, 0.9

@@ -19,31 +19,23 @@ from dataclasses import dataclass
 from importlib.metadata import entry_points
 from typing import Any
 
-from filters.contract.foreign_text import first_line
-from filters.contract.known_names import did_you_mean, require_known
-from filters.errors.first_estimates import FirstEstimates
+from filters.contract.validation import did_you_mean, first_line, require_known
+from filters.errors.error_definition import ErrorDefinition, FirstEstimates, QuaternionError, RotationVectorError
 from filters.errors.invariant import LeftInvariant, RightInvariant
-from filters.errors.model import ErrorDefinition
-from filters.errors.standard import QuaternionError, RotationVectorError
 from filters.landmarks.euclidean import Euclidean
 from filters.landmarks.hybrid import Hybrid
-from filters.landmarks.inverse_depth import InverseDepth
-from filters.landmarks.model import LandmarkModel
-from filters.landmarks.polar import Polar
-from filters.landmarks.shared_anchor import SharedAnchorInverseDepth
-from filters.landmarks.spherical import Spherical
+from filters.landmarks.inverse_depth import InverseDepth, SharedAnchorInverseDepth
+from filters.landmarks.landmark_model import LandmarkModel
+from filters.landmarks.spherical import Polar, Spherical
 from filters.measurements.calibrated_pair import CalibratedPair
-from filters.measurements.depth_camera import DepthCamera
-from filters.measurements.fisheye_pair import FisheyePair
-from filters.measurements.model import MeasurementModel
+from filters.measurements.measurement_model import MeasurementModel
+from filters.measurements.other_cameras import DepthCamera, FisheyePair, UnrectifiedPair
 from filters.measurements.rectified_pair import LeftOnly, LeftThenRight, RangeBearing, Stacked
-from filters.measurements.unrectified_pair import UnrectifiedPair
 from filters.motions.constant_velocity import ConstantVelocity
-from filters.motions.model import MotionModel
+from filters.motions.driven import VelocityDriven
+from filters.motions.motion_model import MotionModel
 from filters.motions.strapdown import Strapdown
-from filters.motions.velocity_driven import VelocityDriven
-from filters.updates.extended import Extended
-from filters.updates.model import Linearisation
+from filters.updates.extended import Extended, Linearisation
 from filters.updates.unscented import Unscented
 
 Named = str | Mapping[str, Any]

@@ -15,8 +15,7 @@ from typing import Any
 from rich.console import Console
 
 from filters import StereoNoise
-from filters.catalogue.common_options import usual_options
-from filters.catalogue.registry import label_of, require_filter
+from filters.catalogue.registry import label_of, require_filter, usual_options
 from filters.contract.validation import whole_number
 from stereo_slam_env.benchmark.head_to_head import FilterLike, HeadToHead, which_seeds
 from stereo_slam_env.benchmark.scenarios import streams

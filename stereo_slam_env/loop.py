@@ -23,9 +23,8 @@ from filters import (
     UpdateReport,
     nees,
 )
-from filters.catalogue.common_options import make_with_common_options, usual_options
-from filters.catalogue.registry import FilterFactory, label_of
-from filters.checks.pose_errors import blind_pose_error, error_jacobian
+from filters.catalogue.registry import FilterFactory, label_of, make_with_common_options, usual_options
+from filters.checks.consistency import blind_pose_error, error_jacobian
 from filters.geometry.arrays import FloatArray
 from stereo_slam_env.recording.recording import SIMULATION, Frame, Recording, Reference, require_frames
 
@@ -83,7 +82,7 @@ class Moment:
     def pose_error(self) -> tuple[FloatArray, FloatArray] | None:
         """Error (6,) in the filter's own definition and its claimed covariance (6, 6); None without truth.
 
-        The filter is not shown the truth: see `filters.checks.pose_errors`.
+        The filter is not shown the truth: see `filters.checks.consistency`.
         """
         return None if self.truth is None else blind_pose_error(self.slam, self.truth.position, self.truth.orientation)
 

@@ -15,7 +15,7 @@ WORLD_SIDE = ("world", "rendering", "sensing", "envs")
 
 MAX_LINES = 400
 LONGER_FOR_A_REASON = {
-    "filters/engine/compiled/frame.py": "the order of a whole frame, from top to bottom",
+    "filters/kernels/frame.py": "the order of a whole frame, from top to bottom",
     "filters/checks/conformance.py": "the contract of a filter as one list of checks, read from top to bottom",
     "stereo_slam_env/evaluation/figures.py": "the one table of figures, an entry each",
 }
@@ -55,7 +55,7 @@ def test_the_packages_are_found():
 @pytest.mark.parametrize("path", modules_of("filters"), ids=name_of)
 def test_filters_know_only_numpy_and_scipy(path):
     allowed = {*sys.stdlib_module_names, "filters", "numpy", "scipy", "filterpy", "lazy_loader", "threadpoolctl"}
-    if name_of(path).startswith("filters/engine/compiled/"):  # imported on demand only
+    if name_of(path).startswith("filters/kernels/"):  # imported on demand only
         allowed |= {"numba", "llvmlite"}
     if name_of(path) == "filters/checks/pytest_cases.py":  # for tests, imported when called
         allowed |= {"pytest"}
@@ -74,13 +74,13 @@ def test_the_world_knows_no_filter_and_no_evaluation(path):
     named = ("make_filter", "available_filters", "InverseDepthStereoEKF", "DualBearingEKF", "EuclideanEKF")
     forbidden = (*evaluation, *(f"filters.{part}" for part in (*concrete, *named)))
     # how machine code is made and kept, no estimation
-    kept = {f"filters.engine.compiled.disk_cache.{name}" for name in ("KEPT", "LINKED")}
+    kept = {f"filters.kernels.disk_cache.{name}" for name in ("KEPT", "LINKED")}
     assert [name for name in imported_under(path, *forbidden) if name not in kept] == []
 
 
 def test_machine_code_is_kept_on_disk_with_the_digest_of_its_sources_only():
     users = [name_of(path) for path in MODULES if re.search(r'cache=True|"cache": True', path.read_text("utf-8"))]
-    assert users == ["filters/engine/compiled/disk_cache.py"]
+    assert users == ["filters/kernels/disk_cache.py"]
 
 
 @pytest.mark.parametrize("path", modules_of("stereo_slam_env/report", "stereo_slam_env/viewer"), ids=name_of)

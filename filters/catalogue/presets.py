@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from filters.catalogue.msckf import MultiStateConstraintEKF
-from filters.contract.beliefs import PoseBelief
+from filters.contract.inputs import Start
 from filters.contract.noise import ColouredNoise, StereoNoise
-from filters.contract.start import Start
+from filters.contract.outputs import PoseBelief
 from filters.contract.stereo_filter import AT_ORIGIN, StereoFilter
 from filters.engine.stereo_ekf import StereoEKF
 from filters.geometry import rotations

@@ -17,18 +17,14 @@ from typing import Any
 
 import numpy as np
 
-from filters.catalogue.common_options import USUAL, make_with_common_options
-from filters.catalogue.registry import FilterFactory, filter_factory, label_of
-from filters.checks.consistency import chi_square_quantile, fault_of, nees
+from filters.catalogue.registry import USUAL, FilterFactory, filter_factory, label_of, make_with_common_options
+from filters.checks.consistency import blind_pose_error, chi_square_quantile, fault_of, nees
 from filters.checks.drives import DT, SPEED, START, START_COVARIANCE, StraightDrive, WindingDrive, predict_step
-from filters.checks.pose_errors import blind_pose_error
-from filters.contract.beliefs import Forecast, PoseBelief
-from filters.contract.foreign_text import first_line, type_name
+from filters.contract.inputs import Start, StereoObservation
 from filters.contract.noise import StereoNoise
-from filters.contract.observation import StereoObservation
-from filters.contract.start import Start
+from filters.contract.outputs import Forecast, PoseBelief, UpdateReport
 from filters.contract.stereo_filter import StereoFilter
-from filters.contract.update_report import UpdateReport
+from filters.contract.validation import first_line, type_name
 from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray
 from filters.geometry.camera import StereoCamera
@@ -119,7 +115,7 @@ def check_filter(factory: str | FilterFactory, *, raise_on_failure: bool = True)
     ----------
     factory : str or callable
         A name of `available_filters()`, or a filter class or a function, which is called as a benchmark does: with
-        `camera`, `noise` and the `filters.catalogue.common_options` that it leaves open; or without arguments if it
+        `camera`, `noise` and the `filters.catalogue.registry` that it leaves open; or without arguments if it
         takes none.
     raise_on_failure : bool
         Raise if a check fails; else only report.

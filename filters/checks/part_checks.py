@@ -13,10 +13,10 @@ from typing import Any
 from filters.checks.conformance import ConformanceReport, checked
 from filters.checks.part_contracts import errors, landmarks, measurements, motions
 from filters.checks.part_contracts.comparison import assert_refusal
-from filters.errors.model import ErrorDefinition
-from filters.landmarks.model import LandmarkModel
-from filters.measurements.model import MeasurementModel
-from filters.motions.model import MotionModel
+from filters.errors.error_definition import ErrorDefinition
+from filters.landmarks.landmark_model import LandmarkModel
+from filters.measurements.measurement_model import MeasurementModel
+from filters.motions.motion_model import MotionModel
 
 PartCheck = Callable[[Any], None]
 

@@ -15,13 +15,10 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from filters.contract.beliefs import Forecast, LandmarkBelief, PoseBelief, VelocityBelief
-from filters.contract.inertial import InertialSamples
+from filters.contract.inputs import InertialSamples, Start, StereoObservation
 from filters.contract.noise import StereoNoise
-from filters.contract.observation import StereoObservation
 from filters.contract.odometry import BodyVelocity
-from filters.contract.start import Start
-from filters.contract.update_report import UpdateReport
+from filters.contract.outputs import Forecast, LandmarkBelief, PoseBelief, UpdateReport, VelocityBelief
 from filters.contract.validation import positive, unique_ids
 from filters.geometry.arrays import FloatArray, IntArray
 from filters.geometry.camera import StereoCamera
@@ -207,7 +204,7 @@ class StereoFilter(ABC):
         """Error of the pose against another one, in the filter's own error definition, for NEES.
 
         Runs ask for it near the estimate alone, and compute the error against the truth by the same definition:
-        `filters.checks.pose_errors`.
+        `filters.checks.consistency`.
 
         Parameters
         ----------

@@ -1,9 +1,21 @@
-"""Checks of arguments: each raises one `ValueError` that names the argument, the value and the remedy."""
+"""Checks of arguments: each raises one `ValueError` that names the argument, the value and the remedy.
+
+Refusal of unknown names, with the nearest known one.
+
+Texts of strangers, made fit for a line of a terminal, a page or a table: control characters are written out.
+
+Names, messages and fields of files may hold what a terminal obeys, and an exception of somebody's code may raise even
+when it is asked for its message. Whatever is shown or stored of them goes through here.
+"""
 
 from __future__ import annotations
 
 import math
+import re
 import sys
+from collections.abc import Collection, Iterable
+from difflib import get_close_matches
+from html import escape
 from typing import Any, TypeVar
 
 import numpy as np
@@ -177,3 +189,88 @@ def unique_ids(name: str, value: ArrayLike) -> IntArray:
 
 def _shown(shape: tuple[int | str, ...]) -> str:
     return "(" + ", ".join(str(n) for n in shape) + ("," if len(shape) == 1 else "") + ")"
+
+
+def did_you_mean(word: object, known: Iterable[object]) -> str:
+    """`, did you mean 'x'?` with the nearest of the `known` words, or nothing where none is near.
+
+    Parameters
+    ----------
+    word : object
+        What somebody wrote.
+    known : iterable
+        What there is.
+    """
+    near = get_close_matches(str(word), [str(name) for name in known], n=1)
+    return f", did you mean {near[0]!r}?" if near else ""
+
+
+def require_known(subject: str, given: Iterable[str], known: Iterable[str]) -> None:
+    """Raise a `ValueError` for the first of the `given` names that is not `known`.
+
+    Parameters
+    ----------
+    subject : str
+        How the message begins: "the reader has no option".
+    given : iterable of str
+        Names somebody wrote.
+    known : iterable of str
+        Names there are.
+    """
+    names = list(known)
+    for name in given:
+        if name not in names:
+            raise ValueError(
+                f"{subject} {name!r}{did_you_mean(name, names) or '.'} Known: {', '.join(names) or 'none'}"
+            )
+
+
+def one_of(name: str, value: object, allowed: Collection[object]) -> None:
+    """Raise a `ValueError` if the argument `name` has a `value` that is not `allowed`."""
+    if not any(value == choice and type(value) is type(choice) for choice in allowed):
+        raise ValueError(f"{name} must be one of {', '.join(map(repr, allowed))}, got {value!r}")
+
+
+MOST_CHARACTERS = 2000
+"""Longer lines are cut."""
+_MOST_READ = 100_000
+_NAME: Any = vars(type)["__name__"]
+_CONTROLS = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
+
+
+def plain(text: str) -> str:
+    """The text with every character that does not print written out in ASCII; line ends stay."""
+    return "".join(c if c.isprintable() or c == "\n" else ascii(c)[1:-1] for c in text)
+
+
+def without_controls(document: str) -> str:
+    """A page with a replacement character for what controls a terminal or turns the direction of a text around."""
+    return _CONTROLS.sub("\N{REPLACEMENT CHARACTER}", document)
+
+
+def markdown(text: str) -> str:
+    """The text for a line or a cell of a table in Markdown: no markup in it is one."""
+    return re.sub(r"([\\|\[\]`])", r"\\\1", escape(" ".join(plain(text).split()), quote=False))
+
+
+def first_line(error: BaseException, *, empty: str | None = None) -> str:
+    """First line of an exception's message, plain; of an empty one `empty`, or its type."""
+    try:
+        text = str.__getitem__(str(error), slice(_MOST_READ))  # its own __str__ may return a text of a class of its own
+    except BaseException:  # ... or raise anything
+        text = "its message cannot be read"
+    lines = text.strip().splitlines()
+    if not lines:
+        return type_name(error) if empty is None else empty
+    return plain(lines[0][:MOST_CHARACTERS])
+
+
+def type_name(error: BaseException) -> str:
+    """Name of an exception's type, plain."""
+    name: str = _NAME.__get__(type(error))  # a metaclass may give `__name__` a meaning of its own
+    return plain(name[:MOST_CHARACTERS])
+
+
+def error_line(error: BaseException) -> str:
+    """Type and message of an exception in a line."""
+    return f"{type_name(error)}: {first_line(error, empty='no message')}"

@@ -9,12 +9,10 @@ from typing import TypeGuard, overload
 import numpy as np
 from numpy.typing import ArrayLike
 
-from filters.contract.beliefs import Forecast
-from filters.contract.inertial import InertialSamples
+from filters.contract.inputs import InertialSamples, Start, StereoObservation
 from filters.contract.noise import LARGEST_VARIANCE
-from filters.contract.observation import StereoObservation
 from filters.contract.odometry import BodyVelocity
-from filters.contract.start import Start
+from filters.contract.outputs import Forecast, UpdateReport
 from filters.contract.stereo_filter import (
     AT_ORIGIN,
     LONGEST_STEP,
@@ -23,17 +21,16 @@ from filters.contract.stereo_filter import (
     check_step,
     time_step,
 )
-from filters.contract.update_report import UpdateReport
 from filters.contract.validation import whole_number
-from filters.engine.compiled.readout import points_at, relative_landmarks
-from filters.engine.compiled.units import of_part
 from filters.engine.doors import Parts
 from filters.engine.engine import Engine
 from filters.engine.frames import FrameOutcome, Observations, Odometry
 from filters.engine.row import Row, report
 from filters.engine.stereo_ekf import StereoEKF
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
-from filters.motions.model import input_of
+from filters.kernels.readout import points_at, relative_landmarks
+from filters.kernels.units import of_part
+from filters.motions.motion_model import input_of
 
 
 @dataclass(frozen=True, eq=False)

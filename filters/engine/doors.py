@@ -12,28 +12,26 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from filters.contract.observation import StereoObservation
+from filters.contract.gate_limit import gate_limit
+from filters.contract.inputs import StereoObservation
 from filters.contract.validation import unchecked
 from filters.engine import selection
-from filters.engine.compiled.blas import PLAIN
-from filters.engine.compiled.frame import FIRST, MOVED, SETTLED
-from filters.engine.compiled.recipe import MOST_ROWS, MOST_STAGES, Recipe
-from filters.engine.compiled.scratch import Scratch
-from filters.engine.compiled.storage import CLONE_POSITION, POINT, REJECTED, STARTED, FrameArrays, Storage
-from filters.engine.gating import gate_limit
+from filters.engine.frames import ValuePlaces
 from filters.engine.new_landmarks import can_start, start_landmarks
 from filters.engine.options import Options
-from filters.engine.values import ValuePlaces
 from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray, IntArray
 from filters.geometry.camera import StereoCamera
-from filters.measurements.model import Stage
-from filters.motions.model import ROTATION, StepInput, measure_odometry, predict_camera
+from filters.kernels.blas import PLAIN
+from filters.kernels.frame import FIRST, MOVED, SETTLED
+from filters.kernels.recipe import MOST_ROWS, MOST_STAGES, Recipe
+from filters.kernels.scratch import Scratch
+from filters.kernels.storage import CLONE_POSITION, POINT, REJECTED, STARTED, FrameArrays, Storage
+from filters.measurements.measurement_model import Stage
+from filters.motions.motion_model import ROTATION, StepInput, measure_odometry, predict_camera
 from filters.state.joint_state import Clone, JointState, world_rotation_of_variables
-from filters.state.linearised import LinearisedMeasurements
-from filters.state.transport import Transport
-from filters.updates.extended import Extended
-from filters.updates.model import points_in_camera
+from filters.state.layout import LinearisedMeasurements, Transport
+from filters.updates.extended import Extended, points_in_camera
 
 _DOOR = ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * 5)
 

@@ -8,11 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from filters.engine.compiled.frame import CLONE, CLOSE_GAPS, FORGET, advance, change, correct_by, kernels
-from filters.engine.compiled.readout import compile_forecasts, forecasts
-from filters.engine.compiled.recipe import Recipe
-from filters.engine.compiled.scratch import Scratch, scratch
-from filters.engine.compiled.storage import (
+from filters.engine.doors import Doors, Parts
+from filters.engine.frames import FrameOutcome, Observations, Odometry
+from filters.geometry.arrays import BoolArray, FloatArray, IntArray
+from filters.kernels.frame import CLONE, CLOSE_GAPS, FORGET, advance, change, correct_by, kernels
+from filters.kernels.readout import compile_forecasts, forecasts
+from filters.kernels.recipe import Recipe
+from filters.kernels.scratch import Scratch, scratch
+from filters.kernels.storage import (
     BLOCKS,
     LANDMARKS,
     FilterState,
@@ -24,11 +27,8 @@ from filters.engine.compiled.storage import (
     grown,
     load,
 )
-from filters.engine.compiled.units import Packed
-from filters.engine.doors import Doors, Parts
-from filters.engine.frames import FrameOutcome, Observations, Odometry
-from filters.geometry.arrays import BoolArray, FloatArray, IntArray
-from filters.motions.model import MotionModel
+from filters.kernels.units import Packed
+from filters.motions.motion_model import MotionModel
 
 _ROOM = 32  # blocks, at first
 

@@ -18,8 +18,8 @@ def kernel(function: _Function) -> _Function:
 
     @cache
     def machine_code() -> Any:
-        from filters.engine.compiled.blas import entry
-        from filters.engine.compiled.disk_cache import include
+        from filters.kernels.blas import entry
+        from filters.kernels.disk_cache import include
 
         include(function.__module__)
         return entry(function)

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from filters.contract.beliefs import Forecast, LandmarkBelief
 from filters.contract.noise import StereoNoise
+from filters.contract.outputs import Forecast, LandmarkBelief
 from filters.geometry import rotations, symmetric
 from filters.geometry.arrays import FloatArray, IntArray
 from filters.geometry.camera import StereoCamera
-from filters.landmarks.model import Points
-from filters.measurements.model import MeasurementModel, Stage
-from filters.motions.model import POSE_SIZE
+from filters.landmarks.landmark_model import Points
+from filters.measurements.measurement_model import MeasurementModel, Stage
+from filters.motions.motion_model import POSE_SIZE
 from filters.state.joint_state import JointState
-from filters.updates.extended import Extended
-from filters.updates.model import points_in_camera
+from filters.updates.extended import Extended, points_in_camera
 
 
 def landmark_belief(state: JointState) -> LandmarkBelief:

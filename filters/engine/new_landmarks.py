@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from filters.contract.observation import StereoObservation
-from filters.engine.compiled.landmarks import FARTHEST
+from filters.contract.inputs import StereoObservation
 from filters.geometry import rotations
 from filters.geometry.arrays import BoolArray, FloatArray
 from filters.geometry.camera import StereoCamera
-from filters.measurements.model import MeasurementModel
+from filters.kernels.landmarks import FARTHEST
+from filters.measurements.measurement_model import MeasurementModel
 from filters.state.joint_state import JointState, NewLandmarks
 from filters.updates.extended import chain_rule
 

@@ -9,15 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from filters.contract.drift import LandmarkDrift
+from filters.contract.noise import LandmarkDrift
 from filters.contract.validation import covariance_matrix, gate_probability, positive
-from filters.errors.model import ErrorDefinition
-from filters.landmarks.model import LandmarkModel
-from filters.measurements.model import MeasurementModel
-from filters.motions.model import MotionModel
+from filters.errors.error_definition import ErrorDefinition
+from filters.landmarks.landmark_model import LandmarkModel
+from filters.measurements.measurement_model import MeasurementModel
+from filters.motions.motion_model import MotionModel
 from filters.parts import kernels_of, make_part
 from filters.state.layout import StateLayout
-from filters.updates.model import Linearisation
+from filters.updates.extended import Linearisation
 
 
 @dataclass(frozen=True)

@@ -8,26 +8,25 @@ from typing import Any
 
 import numpy as np
 
-from filters.contract.known_names import require_known
+from filters.contract.inputs import StereoObservation
 from filters.contract.noise import StereoNoise
-from filters.contract.observation import StereoObservation
-from filters.contract.update_report import UpdateReport
+from filters.contract.outputs import UpdateReport
+from filters.contract.validation import require_known
 from filters.contract.variables import VELOCITY
-from filters.engine.compiled import storage as fates
-from filters.engine.compiled.recipe import Plan, Recipe, stage_tables
-from filters.engine.compiled.storage import CLONE_POSITION, CLONE_ROTATION, OWN, POINT, FilterState
 from filters.engine.doors import Parts, anchor_poses, clones_at
 from filters.engine.engine import Engine
-from filters.engine.frames import FrameOutcome, Observations, Odometry
+from filters.engine.frames import FrameOutcome, Observations, Odometry, ValuePlaces
 from filters.engine.options import Options
-from filters.engine.values import ValuePlaces
-from filters.errors.model import ErrorKernels
+from filters.errors.error_definition import ErrorKernels
 from filters.geometry.arrays import FloatArray, IntArray
 from filters.geometry.camera import StereoCamera
 from filters.geometry.machine_code import settings_of
 from filters.geometry.retractions import ADDITIVE
-from filters.measurements.model import MeasurementModel
-from filters.motions.model import CameraState, StepInput
+from filters.kernels import storage as fates
+from filters.kernels.recipe import Plan, Recipe, stage_tables
+from filters.kernels.storage import CLONE_POSITION, CLONE_ROTATION, OWN, POINT, FilterState
+from filters.measurements.measurement_model import MeasurementModel
+from filters.motions.motion_model import CameraState, StepInput
 from filters.parts import SLOTS, kernels_of
 from filters.state.joint_state import JointState
 

@@ -14,10 +14,10 @@ import numpy as np
 from filters.geometry import symmetric
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.geometry.camera import StereoCamera
-from filters.measurements.model import MeasurementModel, Stage
-from filters.motions.model import POSE_SIZE, POSITION
+from filters.measurements.measurement_model import MeasurementModel, Stage
+from filters.motions.motion_model import POSE_SIZE, POSITION
 from filters.state.joint_state import JointState
-from filters.state.linearised import LinearisedMeasurements
+from filters.state.layout import LinearisedMeasurements
 from filters.updates.extended import Extended, chain_rule
 
 STEP = np.diag(np.repeat([1.0, 0.1], 3) ** 2)

@@ -12,32 +12,34 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from filters.contract.beliefs import Forecast, LandmarkBelief, PoseBelief, VelocityBelief
-from filters.contract.drift import LandmarkDrift
-from filters.contract.inertial import InertialSamples
-from filters.contract.known_names import require_known
-from filters.contract.noise import StereoNoise
-from filters.contract.observation import StereoObservation
+from filters.contract.gate_limit import gate_limit
+from filters.contract.inputs import InertialSamples, Start, StereoObservation
+from filters.contract.noise import LandmarkDrift, StereoNoise
 from filters.contract.odometry import BodyVelocity
-from filters.contract.start import Start
+from filters.contract.outputs import Correction, Forecast, LandmarkBelief, PoseBelief, UpdateReport, VelocityBelief
 from filters.contract.stereo_filter import AT_ORIGIN, StereoFilter, check_rig, check_start, check_step
-from filters.contract.update_report import Correction, UpdateReport
-from filters.contract.validation import covariance_matrix, finite_array, gate_probability, unique_ids, unit_quaternion
+from filters.contract.validation import (
+    covariance_matrix,
+    finite_array,
+    gate_probability,
+    require_known,
+    unique_ids,
+    unit_quaternion,
+)
 from filters.contract.variables import POSE, VELOCITY, VariableBelief
-from filters.engine.gating import gate_limit
 from filters.engine.marginals import forecast, joint_covariance, landmark_belief, pose_landmark_covariances
 from filters.engine.options import Options
-from filters.errors.model import ErrorDefinition
+from filters.errors.error_definition import ErrorDefinition
 from filters.geometry.arrays import FloatArray, IntArray
 from filters.geometry.camera import StereoCamera
 from filters.geometry.poses import Pose, relative_jacobian
-from filters.landmarks.model import LandmarkModel
-from filters.measurements.model import MeasurementModel
-from filters.motions.model import CameraState, MotionModel, input_of
-from filters.motions.odometry import moved_by
+from filters.landmarks.landmark_model import LandmarkModel
+from filters.measurements.measurement_model import MeasurementModel
+from filters.motions.driven import moved_by
+from filters.motions.motion_model import CameraState, MotionModel, input_of
 from filters.parts import Named
 from filters.state.joint_state import JointState
-from filters.updates.model import Linearisation
+from filters.updates.extended import Linearisation
 
 if TYPE_CHECKING:
     from filters.engine.engine import Engine
@@ -221,8 +223,7 @@ class StereoEKF(StereoFilter):
         limit, nu = np.inf, finite_array("innovation", innovation, ("k",))
         if len(nu) == 0 or not isinstance(H, Mapping) or not H:
             raise ValueError("H must name at least one variable, and innovation must have at least one number")
-        gate = gate_probability(gate)
-        if gate is not None:
+        if (gate := gate_probability(gate)) is not None:
             limit = gate_limit(gate, len(nu))
         rows = self._row.rows_of(H)
         parts = [finite_array(f"H of {n!r}", H[n], (len(nu), len(at))) for n, at in zip(H, rows, strict=True)]
@@ -383,9 +384,7 @@ class StereoEKF(StereoFilter):
 
     def pose_error(self, position: ArrayLike, orientation: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Error of the pose in this filter's error definition; see `StereoFilter.pose_error`."""
-        true_position = finite_array("position", position, (3,))
-        true_orientation = unit_quaternion("orientation", orientation)
-        truth = true_position, true_orientation
+        truth = finite_array("position", position, (3,)), unit_quaternion("orientation", orientation)
         return self.options.error.pose_error(self.camera_state, self.pose.covariance, *truth)
 
     def _wanted(self, ids: Sequence[int] | IntArray | None) -> tuple[IntArray, IntArray]:

@@ -21,12 +21,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from filters.errors.model import ErrorDefinition, ErrorKernels
+from filters.errors.error_definition import ErrorDefinition, ErrorKernels
 from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray
-from filters.motions.model import POSITION, ROTATION, CameraState
+from filters.motions.motion_model import POSITION, ROTATION, CameraState
 from filters.state.joint_state import JointState
-from filters.state.transport import Transport
+from filters.state.layout import Transport
 
 
 class _InvariantError(ErrorDefinition):

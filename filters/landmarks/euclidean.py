@@ -12,7 +12,7 @@ import numpy as np
 
 from filters.geometry import rotations
 from filters.geometry.arrays import BoolArray, FloatArray
-from filters.landmarks.model import LandmarkKernels, LandmarkModel, ScaledPoints, StartedLandmarks
+from filters.landmarks.landmark_model import LandmarkKernels, LandmarkModel, ScaledPoints, StartedLandmarks
 
 
 def _point(settings: FloatArray, values: FloatArray, points: FloatArray, J: FloatArray) -> None:

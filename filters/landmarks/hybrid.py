@@ -19,7 +19,7 @@ from filters.contract.validation import positive
 from filters.geometry.arrays import BoolArray, FloatArray
 from filters.landmarks.euclidean import Euclidean
 from filters.landmarks.inverse_depth import KERNELS, InverseDepth, ray, ray_direction
-from filters.landmarks.model import LandmarkKernels, LandmarkModel, ScaledPoints, StartedLandmarks
+from filters.landmarks.landmark_model import LandmarkKernels, LandmarkModel, ScaledPoints, StartedLandmarks
 
 _INVERSE_DEPTH, _EUCLIDEAN = InverseDepth(), Euclidean()
 

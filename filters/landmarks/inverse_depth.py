@@ -4,6 +4,13 @@ rho is inverse *distance* along the ray (Eq. 22). It may be zero or negative: a 
 the forward ray with rho <= 0, which has the same projection as the literal Eq. 21-24 (a point behind the camera).
 
 Derivation: docs/derivations/inverse_depth.md.
+
+Inverse depth with shared anchors: landmarks that enter the map in one frame keep one anchor between them.
+
+They would all copy the same camera position, so their anchor rows of P are equal and stay equal under every
+Kalman update: the estimate is the one of six-dimensional inverse depth, in 3 n + 3 k instead of 6 n numbers.
+
+Derivation: docs/derivations/inverse_depth.md.
 """
 
 from __future__ import annotations
@@ -19,7 +26,7 @@ from filters.geometry.arrays import BoolArray, FloatArray
 from filters.geometry.machine_code import compiled
 from filters.geometry.rotations import left_jacobian_derivative_of, matrix_of, quaternion_of, right_jacobian_of
 from filters.geometry.three_by_three import cross_matrix, multiply, times
-from filters.landmarks.model import LandmarkKernels, LandmarkModel, ScaledPoints, StartedLandmarks
+from filters.landmarks.landmark_model import LandmarkKernels, LandmarkModel, ScaledPoints, StartedLandmarks
 
 # Tangent of the angle to the vertical below which azimuth is undefined in double precision.
 _VERTICAL = 1e-6
@@ -265,3 +272,11 @@ class InverseDepth(LandmarkModel):
         by_correction[:, 2, 2] = 1.0
         by_theta[:, :2] = by_m @ (rotations.left_jacobian_derivative(theta, shift) - rotations.skew(m) @ spread)
         return by_correction, by_theta
+
+
+@dataclass(frozen=True)
+class SharedAnchorInverseDepth(InverseDepth):
+    """`InverseDepth` whose anchors are shared by the landmarks of one frame."""
+
+    shares_anchors: ClassVar[bool] = True
+    kernels: ClassVar[LandmarkKernels | None] = KERNELS

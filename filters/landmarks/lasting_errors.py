@@ -15,7 +15,7 @@ from filters.contract.validation import covariance_matrix, positive
 from filters.geometry.arrays import BoolArray, FloatArray
 from filters.geometry.machine_code import compiled
 from filters.landmarks.inverse_depth import KERNELS, InverseDepth
-from filters.landmarks.model import LandmarkKernels, LandmarkModel
+from filters.landmarks.landmark_model import LandmarkKernels, LandmarkModel
 
 assert KERNELS.turn is not None
 assert KERNELS.rotation is not None

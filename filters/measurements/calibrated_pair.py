@@ -15,7 +15,7 @@ from filters.geometry.camera import StereoCamera
 from filters.geometry.machine_code import compiled
 from filters.geometry.rotations import matrix_of, quaternion_of, right_jacobian_of
 from filters.geometry.three_by_three import times, transposed
-from filters.measurements.model import MeasurementKernels, MeasurementModel, SensorJacobians, Values
+from filters.measurements.measurement_model import MeasurementKernels, MeasurementModel, SensorJacobians, Values
 
 _PRIORS = (
     *("offset_sigma", "focal_sigma", "baseline_sigma"),

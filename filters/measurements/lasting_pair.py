@@ -10,7 +10,7 @@ import numpy as np
 from filters.geometry.arrays import BoolArray, FloatArray
 from filters.geometry.camera import StereoCamera
 from filters.measurements.calibrated_pair import ERRORS, CalibratedPair, backproject_with, predict_with
-from filters.measurements.model import MeasurementKernels, SensorJacobians, Values
+from filters.measurements.measurement_model import MeasurementKernels, SensorJacobians, Values
 
 
 def _predict(

@@ -12,11 +12,17 @@ from typing import ClassVar
 
 import numpy as np
 
-from filters.contract.observation import StereoObservation
+from filters.contract.inputs import StereoObservation
 from filters.contract.validation import positive
 from filters.geometry.arrays import BoolArray, FloatArray
 from filters.geometry.camera import StereoCamera
-from filters.measurements.model import MeasurementKernels, MeasurementModel, SensorJacobians, StageRows, Values
+from filters.measurements.measurement_model import (
+    MeasurementKernels,
+    MeasurementModel,
+    SensorJacobians,
+    StageRows,
+    Values,
+)
 
 _U, _V, _U_RIGHT = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (1.0, 0.0, -1.0)
 

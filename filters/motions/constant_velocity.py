@@ -16,7 +16,7 @@ from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray
 from filters.geometry.rotations import matrix_of, product_of, quaternion_of, right_jacobian_of
 from filters.geometry.three_by_three import cross_matrix, multiply, put, times, transposed
-from filters.motions.model import (
+from filters.motions.motion_model import (
     ANGULAR,
     CAMERA_SIZE,
     LINEAR,

@@ -10,14 +10,14 @@ from typing import ClassVar
 
 import numpy as np
 
-from filters.contract.inertial import InertialSamples
+from filters.contract.inputs import InertialSamples
 from filters.contract.validation import finite_array, positive
 from filters.contract.variables import Variable
 from filters.geometry.arrays import FloatArray as Array
 from filters.geometry.machine_code import compiled
 from filters.geometry.rotations import Nine, matrix_of, product_of, quaternion_of, right_jacobian_of
 from filters.geometry.three_by_three import IDENTITY, cross_matrix, multiply, put, times, transposed
-from filters.motions.model import CAMERA_SIZE, MotionKernels, MotionModel
+from filters.motions.motion_model import CAMERA_SIZE, MotionKernels, MotionModel
 
 
 @compiled

@@ -12,11 +12,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from filters.contract.start import Start
+from filters.contract.inputs import Start
 from filters.geometry import rotations, symmetric
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
-from filters.landmarks.model import LandmarkModel, StartedLandmarks
-from filters.motions.model import POSITION, ROTATION, CameraState
+from filters.landmarks.landmark_model import LandmarkModel, StartedLandmarks
+from filters.motions.motion_model import POSITION, ROTATION, CameraState
 from filters.state.layout import StateLayout
 
 

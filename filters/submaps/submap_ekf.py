@@ -11,14 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from filters.contract.beliefs import Forecast, LandmarkBelief, PoseBelief, VelocityBelief
-from filters.contract.inertial import InertialSamples
+from filters.contract.inputs import InertialSamples, Start, StereoObservation
 from filters.contract.noise import StereoNoise
-from filters.contract.observation import StereoObservation
 from filters.contract.odometry import BodyVelocity
-from filters.contract.start import Start
+from filters.contract.outputs import Forecast, LandmarkBelief, PoseBelief, UpdateReport, VelocityBelief
 from filters.contract.stereo_filter import AT_ORIGIN, StereoFilter
-from filters.contract.update_report import UpdateReport
 from filters.contract.validation import unique_ids
 from filters.engine.marginals import forecast, landmark_belief
 from filters.engine.stereo_ekf import StereoEKF

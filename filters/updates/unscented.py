@@ -19,11 +19,11 @@ from filters.contract.validation import positive
 from filters.geometry import rotations, symmetric
 from filters.geometry.arrays import FloatArray, IntArray
 from filters.geometry.camera import StereoCamera
-from filters.measurements.model import MeasurementModel, Stage
-from filters.motions.model import POSE_SIZE, POSITION, ROTATION
+from filters.measurements.measurement_model import MeasurementModel, Stage
+from filters.motions.motion_model import POSE_SIZE, POSITION, ROTATION
 from filters.state.joint_state import JointState
-from filters.state.linearised import LinearisedMeasurements
-from filters.updates.model import Linearisation
+from filters.state.layout import LinearisedMeasurements
+from filters.updates.extended import Linearisation
 
 NEGLIGIBLE = 1e-13
 """Share of a variance below which what is left of it, given the numbers before, is rounding."""

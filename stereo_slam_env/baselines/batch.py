@@ -11,7 +11,7 @@ from filters import BodyVelocity, CameraState, InertialSamples, StereoCamera, St
 from filters.contract.validation import positive
 from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray
-from filters.motions.model import CAMERA_SIZE, POSE_SIZE
+from filters.motions.motion_model import CAMERA_SIZE, POSE_SIZE
 from stereo_slam_env.baselines.dead_reckoning import CameraBelief
 from stereo_slam_env.baselines.guided_smoother import GuidedSmoother
 from stereo_slam_env.baselines.smoothing_graph import Smoothed, SmoothingGraph

@@ -30,13 +30,13 @@ from filters.contract.stereo_filter import AT_ORIGIN, check_rig, check_start, ch
 from filters.contract.validation import finite_array, unique_ids, unit_quaternion
 from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray, IntArray
-from filters.motions.model import POSE_SIZE, predict_camera
+from filters.motions.motion_model import POSE_SIZE, predict_camera
 from filters.parts import Named, make_part
 
 
 @dataclass(frozen=True, eq=False)
 class CameraBelief:
-    """A camera state and the covariance (12, 12) of its error, in the order of `filters.motions.model`."""
+    """A camera state and the covariance (12, 12) of its error, in the order of `filters.motions.motion_model`."""
 
     state: CameraState
     P: FloatArray

@@ -21,11 +21,11 @@ from filters import (
     StereoObservation,
     UpdateReport,
 )
+from filters.contract.gate_limit import gate_limit
 from filters.contract.validation import gate_probability, unique_ids
-from filters.engine.gating import gate_limit
 from filters.geometry import rotations
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
-from filters.motions.model import (
+from filters.motions.motion_model import (
     ANGULAR,
     CAMERA_SIZE,
     LINEAR,

@@ -22,7 +22,7 @@ from filters.checks.consistency import chi_square_quantile
 from filters.contract.validation import gate_probability, positive, unique_ids
 from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray, IntArray
-from filters.motions.model import ANGULAR, LINEAR, POSE_SIZE, POSITION, ROTATION
+from filters.motions.motion_model import ANGULAR, LINEAR, POSE_SIZE, POSITION, ROTATION
 from filters.parts import Named
 from stereo_slam_env.baselines.dead_reckoning import CameraBelief, CameraFilter, symmetrised
 from stereo_slam_env.frontend.ego_motion import (

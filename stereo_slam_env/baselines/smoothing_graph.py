@@ -18,7 +18,7 @@ from filters import BodyVelocity, CameraState, MotionModel, StereoCamera
 from filters.contract.extras import install_command
 from filters.geometry import rotations
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
-from filters.motions.model import POSE_SIZE, POSITION, ROTATION, predict_camera
+from filters.motions.motion_model import POSE_SIZE, POSITION, ROTATION, predict_camera
 
 if TYPE_CHECKING:
     from typing import Self

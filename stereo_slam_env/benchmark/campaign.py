@@ -13,10 +13,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from filters.catalogue.common_options import make_with_common_options
-from filters.catalogue.registry import filter_factory, plugin_of
-from filters.contract.foreign_text import first_line
+from filters.catalogue.registry import filter_factory, make_with_common_options, plugin_of
 from filters.contract.noise import StereoNoise
+from filters.contract.validation import first_line
 from filters.geometry.camera import StereoCamera
 from stereo_slam_env.benchmark.running.backends import Backend, BackendName, RunAll
 from stereo_slam_env.benchmark.running.isolation import Tell

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from filters.contract.foreign_text import markdown
+from filters.contract.validation import markdown
 from filters.geometry.arrays import FloatArray
 from stereo_slam_env.benchmark.statistics.differences import (
     Difference,

@@ -11,8 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from filters.catalogue.common_options import usual_options
-from filters.catalogue.registry import FilterFactory, label_of, require_filter
+from filters.catalogue.registry import FilterFactory, label_of, require_filter, usual_options
 from stereo_slam_env.benchmark.recordings.sources import ReferenceSource
 from stereo_slam_env.benchmark.scenarios.scenario import Scenario
 from stereo_slam_env.benchmark.scenarios.streams import make_recording

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from filters.contract.foreign_text import first_line, plain
+from filters.contract.validation import first_line, plain
 from stereo_slam_env.benchmark.campaign import Progress, check_study, run_checked
 from stereo_slam_env.benchmark.packet_form import (
     CLAIMED,

@@ -158,7 +158,7 @@ def console(*, stderr: bool = False) -> Console:
 
     class PlainConsole(Console):
         def render_str(self, text: str, **options: Any) -> Text:
-            from filters.contract.foreign_text import plain
+            from filters.contract.validation import plain
 
             return super().render_str(plain(text), **options)
 
@@ -167,7 +167,7 @@ def console(*, stderr: bool = False) -> Console:
 
 def refuse(message: str) -> int:
     """Say what is wrong in one line on stderr; returns the exit code."""
-    from filters.contract.foreign_text import plain
+    from filters.contract.validation import plain
 
     typer.echo(f"error: {plain(' '.join(message.split()))}", err=True)
     return 2

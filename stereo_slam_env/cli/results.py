@@ -104,7 +104,7 @@ def submit(
     ] = None,
 ) -> None:
     """Make a small packet of a run, to be handed in: study, versions, digests of the recordings, figures."""
-    from filters.contract.foreign_text import plain
+    from filters.contract.validation import plain
     from stereo_slam_env.benchmark.packets import packet_of, require_no_other, write_packet
     from stereo_slam_env.files.folders import require_writable
 
@@ -139,7 +139,7 @@ def verify(
     as_json: JsonOption = False,
 ) -> None:
     """Run a part of a packet again: do measurements and figures agree? Exit code 1 where they do not."""
-    from filters.contract.foreign_text import plain
+    from filters.contract.validation import plain
     from stereo_slam_env.benchmark.packets import read_packet
     from stereo_slam_env.benchmark.packets import verify as verified
     from stereo_slam_env.report.console import progress_bar

@@ -106,7 +106,7 @@ def _task(environment: str, arguments: dict[str, Any], looks: dict[str, Any]) ->
     """What is learnt in an environment."""
     import gymnasium as gym
 
-    from filters.contract.known_names import require_known
+    from filters.contract.validation import require_known
     from stereo_slam_env.tasks.active_gaze import gaze_task
     from stereo_slam_env.training.registered_task import RegisteredTask
     from stereo_slam_env.training.task import GazeTask

@@ -11,8 +11,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from filters.contract.known_names import require_known
 from filters.contract.noise import ColouredNoise
+from filters.contract.validation import require_known
 from stereo_slam_env.datasets import kitti00_stereo_tracks
 from stereo_slam_env.datasets.bag_images import grey_of
 from stereo_slam_env.datasets.bag_writer import write_mcap

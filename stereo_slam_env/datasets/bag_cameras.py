@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from filters.contract.foreign_text import plain
+from filters.contract.validation import plain
 from stereo_slam_env.sensing.calibration_entries import Size
 from stereo_slam_env.sensing.camera_info import CameraInfo, agreed, calibration_of_images
 from stereo_slam_env.sensing.rig_files import Calibration

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from filters.contract.foreign_text import plain
+from filters.contract.validation import plain
 from stereo_slam_env.datasets.image_files import MAX_PIXELS, BrokenPair, as_grey, decoded_pixels, shift_of
 from stereo_slam_env.recording.recording import GreyImage
 

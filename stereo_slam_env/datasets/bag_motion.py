@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from filters import BodyVelocity, InertialSamples, InertialUnit, Pose
-from filters.contract.foreign_text import plain
+from filters.contract.validation import plain
 from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray
 from stereo_slam_env.datasets.restated import pose_at

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 
-from filters.contract.foreign_text import first_line
+from filters.contract.validation import first_line
 from stereo_slam_env.files.opening import NotOpened, open_regular, read_bytes
 from stereo_slam_env.recording.recording import GreyImage
 

@@ -21,7 +21,7 @@ from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any, Protocol
 
-from filters.contract.foreign_text import first_line, plain, type_name
+from filters.contract.validation import first_line, plain, type_name
 
 ENTRY_POINT_GROUP = "stereo_slam.recordings"
 NOT_AVAILABLE = "not available"

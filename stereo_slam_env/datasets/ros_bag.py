@@ -18,7 +18,7 @@ import numpy as np
 
 from filters import BodyVelocity, InertialSamples, Start, StereoCamera
 from filters.contract.extras import require_module
-from filters.contract.foreign_text import plain
+from filters.contract.validation import plain
 from filters.geometry.arrays import FloatArray, IntArray
 from stereo_slam_env.datasets.bag_cameras import calibration_of_topics, cameras_of, first_infos
 from stereo_slam_env.datasets.bag_images import grey_of, grey_of_compressed, shift_of_messages, size_of_message

@@ -21,9 +21,7 @@ from typing import Any
 import numpy as np
 
 from filters import StereoCamera
-from filters.contract.foreign_text import first_line
-from filters.contract.known_names import require_known
-from filters.contract.validation import positive
+from filters.contract.validation import first_line, positive, require_known
 from filters.geometry.arrays import FloatArray
 from stereo_slam_env.datasets.image_files import MOST_FRAMES
 from stereo_slam_env.datasets.restated import Recalibrated, WithTruth

@@ -10,10 +10,8 @@ from gymnasium import spaces
 from gymnasium.utils.seeding import np_random
 from numpy.typing import NDArray
 
-from filters.contract.drift import LandmarkDrift
-from filters.contract.noise import ColouredNoise, StereoNoise
-from filters.contract.observation import StereoObservation
-from filters.contract.start import Start
+from filters.contract.inputs import Start, StereoObservation
+from filters.contract.noise import ColouredNoise, LandmarkDrift, StereoNoise
 from filters.geometry.arrays import BoolArray, FloatArray
 from filters.geometry.camera import StereoCamera
 from filters.geometry.poses import Pose

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin, get_type_h
 
 import numpy as np
 
-from filters.contract.known_names import did_you_mean, one_of, require_known
-from filters.contract.validation import positive, whole_number
+from filters.contract.validation import did_you_mean, one_of, positive, require_known, whole_number
 from filters.geometry.camera import StereoCamera
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.rendering.backends import RendererName, image_quality

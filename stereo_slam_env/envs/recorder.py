@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from filters.contract.inputs import Start
 from filters.contract.noise import StereoNoise
-from filters.contract.start import Start
 from filters.geometry.camera import StereoCamera
 from stereo_slam_env.envs.core_rows import CoreRows
 from stereo_slam_env.envs.drive import StereoDriveEnv

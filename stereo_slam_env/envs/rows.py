@@ -17,7 +17,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from filters.contract.start import Start
+from filters.contract.inputs import Start
 from filters.contract.validation import finite_array
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.geometry.poses import Pose

@@ -10,8 +10,8 @@ import numpy as np
 from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
+from filters.contract.inputs import Start
 from filters.contract.noise import StereoNoise
-from filters.contract.start import Start
 from filters.contract.validation import finite_array
 from filters.geometry.arrays import FloatArray, IntArray
 from filters.geometry.camera import StereoCamera

@@ -9,8 +9,8 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from filters import StereoNoise
-from filters.catalogue.common_options import MadeFilter, make_with_common_options
-from filters.checks.pose_errors import DEFINITIONS
+from filters.catalogue.registry import MadeFilter, make_with_common_options
+from filters.checks.consistency import DEFINITIONS
 from filters.engine.batch import FilterBatch, goes_in_a_batch
 from filters.geometry.arrays import FloatArray
 from stereo_slam_env.evaluation.contract import ContractBroken

@@ -15,7 +15,7 @@ import numpy as np
 from filters import Pose
 from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray
-from filters.motions.model import POSITION, ROTATION
+from filters.motions.motion_model import POSITION, ROTATION
 from stereo_slam_env.evaluation import trajectory_metrics as metrics
 from stereo_slam_env.files.readers import read_json
 from stereo_slam_env.recording.trajectory import Trajectory

@@ -13,7 +13,7 @@ from filters import nees
 from filters.checks.consistency import are_definite, chi_square_quantile
 from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray
-from filters.motions.model import POSE_SIZE, POSITION, ROTATION
+from filters.motions.motion_model import POSE_SIZE, POSITION, ROTATION
 from stereo_slam_env.evaluation.consistency import mean_band
 from stereo_slam_env.evaluation.intervals import MeanInterval, mean_interval
 from stereo_slam_env.recording.trajectory import Trajectory, transformed

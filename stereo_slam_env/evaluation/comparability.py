@@ -15,7 +15,7 @@ from filters import nees
 from filters.checks.consistency import are_definite
 from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray
-from filters.motions.model import POSE_SIZE, POSITION, ROTATION
+from filters.motions.motion_model import POSE_SIZE, POSITION, ROTATION
 from stereo_slam_env.evaluation import trajectory_metrics as metrics
 from stereo_slam_env.evaluation.body_frames import find_body_offset, seen_from, swapped_reading
 from stereo_slam_env.evaluation.claims import PARTS, claimed_numbers, nees_of

@@ -18,9 +18,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from filters.contract.inputs import Start, StereoObservation
 from filters.contract.noise import StereoNoise
-from filters.contract.observation import StereoObservation
-from filters.contract.start import Start
 from filters.contract.validation import unchecked
 from filters.engine.stereo_ekf import StereoEKF
 from filters.geometry import rotations
@@ -28,10 +27,10 @@ from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.geometry.camera import StereoCamera
 from filters.geometry.poses import Pose
 from filters.landmarks.euclidean import Euclidean
-from filters.landmarks.model import LandmarkModel
+from filters.landmarks.landmark_model import LandmarkModel
 from filters.measurements.rectified_pair import Stacked
 from filters.motions.constant_velocity import ConstantVelocity
-from filters.motions.model import POSE_SIZE, CameraState, MotionModel
+from filters.motions.motion_model import POSE_SIZE, CameraState, MotionModel
 from stereo_slam_env.recording.recording import Frame, LandmarkTruth, Recording
 
 if TYPE_CHECKING:

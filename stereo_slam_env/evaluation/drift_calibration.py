@@ -23,7 +23,7 @@ from filters.checks.consistency import chi_square_quantile
 from filters.contract.validation import positive
 from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray, IntArray
-from filters.motions.model import POSE_SIZE
+from filters.motions.motion_model import POSE_SIZE
 from stereo_slam_env.evaluation.body_frames import find_body_offset
 from stereo_slam_env.evaluation.comparability import find_obstacles
 from stereo_slam_env.evaluation.drift_model import DRIVERS, DriftModel, LengthCheck, basis

@@ -14,7 +14,7 @@ import numpy as np
 
 from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray, IntArray
-from filters.motions.model import POSITION, ROTATION
+from filters.motions.motion_model import POSITION, ROTATION
 from stereo_slam_env.evaluation import trajectory_metrics as metrics
 from stereo_slam_env.evaluation.consistency import DOF, landmark_anees, nis_per_dof, pooled
 from stereo_slam_env.evaluation.results import FilterSummary

@@ -10,14 +10,12 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from filters import StereoNoise
-from filters.catalogue.common_options import make_with_common_options
-from filters.catalogue.registry import FilterFactory, label_of
-from filters.checks.consistency import nees
-from filters.checks.pose_errors import InconsistentPoseError
-from filters.contract.foreign_text import error_line, first_line
-from filters.contract.update_report import UpdateReport
+from filters.catalogue.registry import FilterFactory, label_of, make_with_common_options
+from filters.checks.consistency import InconsistentPoseError, nees
+from filters.contract.outputs import UpdateReport
+from filters.contract.validation import error_line, first_line
 from filters.geometry.arrays import FloatArray, IntArray
-from filters.motions.model import POSE_SIZE, POSITION, ROTATION
+from filters.motions.motion_model import POSE_SIZE, POSITION, ROTATION
 from stereo_slam_env.evaluation.contract import Beliefs, ContractBroken, check_beliefs, check_maps
 from stereo_slam_env.evaluation.landmark_statistics import LandmarkScorer
 from stereo_slam_env.evaluation.map_scoring import FrameMap, TraceRecorder, score_maps, view_maps
@@ -58,7 +56,7 @@ def run_filter(
     label : str, optional
         Name in tables and files; None: that of the filter.
     common_options : mapping, optional
-        Options given to every filter of a comparison that leaves them open, see `filters.catalogue.common_options`;
+        Options given to every filter of a comparison that leaves them open, see `filters.catalogue.registry`;
         None: those that the recording states.
     noise : StereoNoise, optional
         Noise to assume; None: what the recording states.

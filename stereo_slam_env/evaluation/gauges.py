@@ -18,7 +18,7 @@ import numpy as np
 from filters import Pose
 from filters.geometry import rotations
 from filters.geometry.arrays import BoolArray, FloatArray
-from filters.motions.model import POSE_SIZE, POSITION, ROTATION
+from filters.motions.motion_model import POSE_SIZE, POSITION, ROTATION
 from stereo_slam_env.evaluation import trajectory_metrics as metrics
 from stereo_slam_env.recording.trajectory import Trajectory, tangent_jacobian, transformed
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from filters.checks.consistency import nees
-from filters.contract.beliefs import Forecast
+from filters.contract.outputs import Forecast
 from filters.geometry import rotations
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.geometry.camera import StereoCamera

@@ -16,7 +16,7 @@ import numpy as np
 from filters import Pose, nees
 from filters.checks.consistency import are_definite
 from filters.geometry.arrays import FloatArray, IntArray
-from filters.motions.model import POSE_SIZE, POSITION, ROTATION
+from filters.motions.motion_model import POSE_SIZE, POSITION, ROTATION
 from stereo_slam_env.evaluation.filter_run import failed_run
 from stereo_slam_env.evaluation.gauges import Alignment, carried, correlation_of, is_zero_at_start
 from stereo_slam_env.evaluation.results import FilterRun

@@ -10,7 +10,7 @@ from filters import nees
 from filters.checks.consistency import are_definite, chi_square_quantile
 from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray, IntArray
-from filters.motions.model import POSE_SIZE, ROTATION
+from filters.motions.motion_model import POSE_SIZE, ROTATION
 from stereo_slam_env.evaluation import trajectory_metrics as metrics
 from stereo_slam_env.evaluation.windows import window_ends
 from stereo_slam_env.recording.drift import adjoints

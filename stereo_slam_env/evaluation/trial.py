@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from filters.contract.beliefs import PoseBelief
-from filters.contract.update_report import UpdateReport
+from filters.contract.outputs import PoseBelief, UpdateReport
 from filters.geometry.arrays import BoolArray, FloatArray
 from filters.monitor import Alarm, DivergenceMonitor
 from stereo_slam_env.evaluation import trajectory_metrics as metrics

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 from urllib.parse import quote
 
-from filters.contract.foreign_text import first_line
+from filters.contract.validation import first_line
 from stereo_slam_env.files.bag_records import BagTooLarge, check_mcap, check_ros1
 from stereo_slam_env.files.message_definitions import check_definitions
 from stereo_slam_env.files.opening import open_regular, read_bytes

@@ -7,7 +7,7 @@ from html import escape
 
 import numpy as np
 
-from filters.contract.foreign_text import without_controls
+from filters.contract.validation import without_controls
 from filters.geometry.arrays import FloatArray
 
 _CELL = "text-align:left;padding:1px 10px 1px 0;vertical-align:top"

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from filters.contract.foreign_text import first_line, plain
+from filters.contract.validation import first_line, plain
 from filters.geometry.arrays import BoolArray, FloatArray
 from stereo_slam_env.files.opening import NotOpened, open_regular, read_bytes
 

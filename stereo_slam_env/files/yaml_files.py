@@ -10,7 +10,7 @@ import re
 from functools import cache
 from typing import Any
 
-from filters.contract.foreign_text import first_line, plain
+from filters.contract.validation import first_line, plain
 
 MOST_TEXT = 5_000_000
 """Longer texts are refused, characters."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from filters import Forecast, StereoCamera
 from filters.checks.conformance import ConformanceError, ConformanceReport
-from filters.contract.foreign_text import first_line, type_name
+from filters.contract.validation import first_line, type_name
 from filters.geometry.arrays import FloatArray
 from stereo_slam_env.frontend.front_ends import FrontEnd, FrontEndFactory, front_end_factory
 from stereo_slam_env.frontend.settings import TrackerSettings

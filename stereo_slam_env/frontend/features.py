@@ -10,8 +10,7 @@ import cv2
 import numpy as np
 
 from filters import Forecast, StereoCamera, StereoNoise
-from filters.contract.foreign_text import first_line
-from filters.contract.validation import positive
+from filters.contract.validation import first_line, positive
 from filters.geometry.arrays import FloatArray, IntArray
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.frontend.tracks import TrackedPair, require_legal, require_pair

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from filters import StereoCamera
+from filters.contract.gate_limit import gate_limit
 from filters.contract.validation import finite_array
-from filters.engine.gating import gate_limit
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from stereo_slam_env.frontend.matching import match_rows, search
 from stereo_slam_env.frontend.patches import Image, local_affine, parallax, warped_patches

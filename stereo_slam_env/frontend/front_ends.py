@@ -17,8 +17,7 @@ from typing import Protocol
 
 from filters import Forecast, StereoCamera
 from filters.catalogue.registry import load_factory
-from filters.contract.foreign_text import plain
-from filters.contract.known_names import did_you_mean
+from filters.contract.validation import did_you_mean, plain
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.frontend.tracks import TrackedPair
 from stereo_slam_env.recording.recording import GreyImage

@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from filters import StereoCamera
 from filters.contract.validation import finite_array
-from filters.engine.compiled.disk_cache import KEPT, LINKED
 from filters.geometry.arrays import FloatArray
+from filters.kernels.disk_cache import KEPT, LINKED
 
 ENTRY: dict[str, Any] = {**KEPT, "error_model": "numpy"}
 INLINE: dict[str, Any] = {**LINKED, "error_model": "numpy"}

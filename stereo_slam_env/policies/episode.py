@@ -10,7 +10,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from filters.contract.foreign_text import error_line
+from filters.contract.validation import error_line
 from filters.geometry.poses import Pose
 from stereo_slam_env.envs.recorder import recording_of
 from stereo_slam_env.envs.stereo_env import StereoEnv

@@ -25,7 +25,7 @@ from numba import njit
 
 from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray, IntArray
-from filters.motions.model import POSE_SIZE, POSITION, ROTATION
+from filters.motions.motion_model import POSE_SIZE, POSITION, ROTATION
 from stereo_slam_env.policies.foresight import Knowledge
 from stereo_slam_env.simulator.rays import OPTIONS
 

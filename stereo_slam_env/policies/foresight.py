@@ -26,7 +26,7 @@ from filters.geometry import rotations
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.geometry.camera import StereoCamera
 from filters.geometry.poses import Pose
-from filters.motions.model import POSE_SIZE, POSITION, ROTATION
+from filters.motions.motion_model import POSE_SIZE, POSITION, ROTATION
 from stereo_slam_env.simulator.rays import OPTIONS
 from stereo_slam_env.world.routes import FRAME_PERIOD, Route
 from stereo_slam_env.world.vehicle import Head, head_turn

@@ -11,7 +11,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from filters.contract.foreign_text import first_line
+from filters.contract.validation import first_line
 from filters.geometry.arrays import FloatArray
 from stereo_slam_env.files.folders import write_atomically
 from stereo_slam_env.files.readers import read_arrays

@@ -9,9 +9,8 @@ from typing import Any, get_args
 import gymnasium as gym
 import numpy as np
 
-from filters.contract.known_names import one_of
 from filters.contract.stereo_filter import StereoFilter
-from filters.contract.validation import positive, whole_number
+from filters.contract.validation import one_of, positive, whole_number
 from filters.geometry.arrays import FloatArray
 from filters.geometry.poses import Pose
 from stereo_slam_env.policies.expected_gain import Gain, expected_gain, motion_noise

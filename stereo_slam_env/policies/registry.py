@@ -11,8 +11,7 @@ from collections.abc import Callable
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any
 
-from filters.contract.foreign_text import first_line, type_name
-from filters.contract.known_names import did_you_mean, require_known
+from filters.contract.validation import did_you_mean, first_line, require_known, type_name
 from stereo_slam_env.policies.interface import Policy
 
 ENTRY_POINT_GROUP = "stereo_slam.policies"

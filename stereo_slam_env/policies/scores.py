@@ -10,7 +10,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import ArrayLike
 
-from filters.contract.known_names import require_known
+from filters.contract.validation import require_known
 from filters.geometry.arrays import FloatArray
 from stereo_slam_env.policies.interface import Action
 from stereo_slam_env.world.routes import FRAME_PERIOD

@@ -28,9 +28,8 @@ from filters import (
     StereoNoise,
     StereoObservation,
 )
-from filters.contract.foreign_text import first_line
 from filters.contract.odometry import FASTEST, LARGEST_VARIANCE
-from filters.contract.validation import at_most, covariance_matrix, unchecked
+from filters.contract.validation import at_most, covariance_matrix, first_line, unchecked
 from filters.geometry.arrays import FloatArray
 from stereo_slam_env.files.folders import write_atomically
 from stereo_slam_env.files.opening import NotOpened

@@ -15,7 +15,7 @@ import numpy as np
 
 from filters.geometry import rotations
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
-from filters.motions.model import POSE_SIZE, POSITION, ROTATION
+from filters.motions.motion_model import POSE_SIZE, POSITION, ROTATION
 
 Six = tuple[float, ...]
 """A number for each axis of the body: x, y, z of the position, x, y, z of the rotation."""

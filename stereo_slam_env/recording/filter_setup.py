@@ -7,10 +7,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from filters.catalogue.common_options import USUAL
-from filters.contract.known_names import require_known
+from filters.catalogue.registry import USUAL
 from filters.contract.noise import ColouredNoise, StereoNoise
-from filters.contract.validation import finite_array, gate_probability
+from filters.contract.validation import finite_array, gate_probability, require_known
 
 
 @dataclass(frozen=True)

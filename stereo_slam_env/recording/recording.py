@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from filters import BodyVelocity, InertialSamples, Pose, Start, StereoCamera, StereoNoise, StereoObservation
-from filters.contract.known_names import require_known
+from filters.contract.validation import require_known
 from filters.geometry import rotations
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.geometry.poses import relative_jacobian

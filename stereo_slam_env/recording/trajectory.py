@@ -15,7 +15,7 @@ from filters import Pose
 from filters.contract.validation import finite_array
 from filters.geometry import rotations
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
-from filters.motions.model import POSE_SIZE, POSITION, ROTATION
+from filters.motions.motion_model import POSE_SIZE, POSITION, ROTATION
 from stereo_slam_env.recording.drift import Drift
 
 Tangent = Literal["position-rotation", "position-quaternion", "right", "left"]

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from filters.contract.extras import require_module
-from filters.contract.foreign_text import first_line, plain
+from filters.contract.validation import first_line, plain
 from filters.geometry.arrays import IntArray
-from filters.motions.model import POSE_SIZE
+from filters.motions.motion_model import POSE_SIZE
 from stereo_slam_env.files.bags import open_bag
 from stereo_slam_env.files.opening import require_regular
 from stereo_slam_env.recording.times import message_times, require_rate

@@ -21,7 +21,7 @@ from typing import IO, Any, get_args
 import numpy as np
 
 from filters.geometry import rotations
-from filters.motions.model import POSE_SIZE
+from filters.motions.motion_model import POSE_SIZE
 from stereo_slam_env.files.folders import write_atomically
 from stereo_slam_env.files.readers import read_text
 from stereo_slam_env.recording.drift import DriftParts, drift_of

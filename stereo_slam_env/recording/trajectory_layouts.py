@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from filters.geometry.arrays import BoolArray, FloatArray
-from filters.motions.model import POSE_SIZE, POSITION, ROTATION
+from filters.motions.motion_model import POSE_SIZE, POSITION, ROTATION
 from stereo_slam_env.files.readers import parse_table, require_rotations, split_poses
 from stereo_slam_env.recording.times import seconds_of
 from stereo_slam_env.recording.trajectory import Tangent, Trajectory

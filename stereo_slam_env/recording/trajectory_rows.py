@@ -12,7 +12,7 @@ import numpy as np
 
 from filters.geometry import rotations
 from filters.geometry.arrays import BoolArray, FloatArray
-from filters.motions.model import POSE_SIZE, ROTATION
+from filters.motions.motion_model import POSE_SIZE, ROTATION
 from stereo_slam_env.recording.trajectory import Trajectory, transformed
 
 UNKNOWN = -1.0

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from filters import Pose
-from filters.contract.foreign_text import plain
+from filters.contract.validation import plain
 from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray
 

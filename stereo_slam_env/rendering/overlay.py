@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from filters.contract.observation import StereoObservation
+from filters.contract.inputs import StereoObservation
 from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray
 from filters.geometry.camera import StereoCamera

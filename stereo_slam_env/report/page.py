@@ -16,7 +16,7 @@ import vl_convert
 from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup, escape
 
-from filters.contract.foreign_text import without_controls
+from filters.contract.validation import without_controls
 from stereo_slam_env.benchmark.storage.settings import holds_run
 from stereo_slam_env.files.folders import own_files, remove_own_files, write_text
 from stereo_slam_env.report.charts.drawing import Chart

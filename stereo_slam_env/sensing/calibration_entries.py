@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from filters.contract.foreign_text import first_line, plain
+from filters.contract.validation import first_line, plain
 from filters.geometry.arrays import FloatArray
 from stereo_slam_env.files.readers import read_json, read_text
 from stereo_slam_env.files.yaml_files import parse_yaml

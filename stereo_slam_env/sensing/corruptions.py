@@ -19,8 +19,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from filters import BodyVelocity, StereoObservation
-from filters.contract.known_names import require_known
-from filters.contract.validation import positive, probability, whole_number
+from filters.contract.validation import positive, probability, require_known, whole_number
 from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray
 from stereo_slam_env.recording.inertial import joined

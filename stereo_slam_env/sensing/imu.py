@@ -10,8 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from filters import InertialSamples, InertialUnit
-from filters.contract.known_names import require_known
-from filters.contract.validation import finite_array, positive
+from filters.contract.validation import finite_array, positive, require_known
 from filters.geometry.arrays import FloatArray
 
 Path = Callable[[FloatArray], tuple[FloatArray, Rotation]]

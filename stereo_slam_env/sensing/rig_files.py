@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from filters import StereoCamera
-from filters.contract.foreign_text import plain
+from filters.contract.validation import plain
 from filters.geometry.arrays import FloatArray
 from stereo_slam_env.files.opening import open_regular
 from stereo_slam_env.files.paths import is_there

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from filters import StereoCamera
-from filters.contract.known_names import require_known
-from filters.contract.validation import finite_number
+from filters.contract.validation import finite_number, require_known
 from stereo_slam_env.sensing.projections import LONGEST_FOCAL_LENGTH
 from stereo_slam_env.sensing.rig_files import ENDINGS, Calibration, imu_shift, is_calibration, read_calibration
 

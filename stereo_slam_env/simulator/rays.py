@@ -15,9 +15,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from filters.engine.compiled.disk_cache import KEPT
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.geometry.rotations import Three
+from filters.kernels.disk_cache import KEPT
 from stereo_slam_env.world.instructions import entered_boxes, lowest_bit
 from stereo_slam_env.world.scene import BOX, CYLINDER, Primitive, ShapeTable, TriangleMesh, table_of
 

@@ -8,10 +8,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from filters.contract.inertial import InertialSamples
-from filters.contract.observation import StereoObservation
+from filters.contract.inputs import InertialSamples, Start, StereoObservation
 from filters.contract.odometry import BodyVelocity
-from filters.contract.start import Start
 from filters.contract.validation import unchecked
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.geometry.poses import Pose

@@ -9,8 +9,7 @@ from typing import Any
 
 import gymnasium as gym
 
-from filters.contract.known_names import one_of
-from filters.contract.validation import positive, whole_number
+from filters.contract.validation import one_of, positive, whole_number
 from stereo_slam_env.envs.rows import Rows
 from stereo_slam_env.wrappers.recorded_wrapper import RecordedWrapper
 from stereo_slam_env.wrappers.vectors import rows_of

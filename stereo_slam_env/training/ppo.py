@@ -19,9 +19,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from filters.contract.extras import require_module
-from filters.contract.foreign_text import first_line
-from filters.contract.known_names import require_known
-from filters.contract.validation import positive, whole_number
+from filters.contract.validation import first_line, positive, require_known, whole_number
 from filters.geometry.arrays import FloatArray
 from stereo_slam_env.files.folders import claimed_folder, is_occupied, write_atomically, write_text
 from stereo_slam_env.files.json_files import json_text, write_json

@@ -10,8 +10,7 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
-from filters.contract.known_names import one_of
-from filters.contract.validation import positive, whole_number
+from filters.contract.validation import one_of, positive, whole_number
 from filters.geometry.arrays import BoolArray, FloatArray
 from stereo_slam_env.envs.rows import Rows
 from stereo_slam_env.envs.vector_env import RowsVectorEnv, limited

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from filters.engine.compiled.disk_cache import KEPT, LINKED
 from filters.geometry.arrays import FloatArray, IntArray
+from filters.kernels.disk_cache import KEPT, LINKED
 from stereo_slam_env.world.instructions import fma
 from stereo_slam_env.world.scene import BOX, CYLINDER
 

@@ -11,8 +11,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from filters.contract.foreign_text import first_line
-from filters.contract.validation import finite_array, positive
+from filters.contract.validation import finite_array, first_line, positive
 from filters.geometry.arrays import FloatArray, IntArray
 from stereo_slam_env.files.readers import read_text
 from stereo_slam_env.world.scene import Box, Cylinder, Material, Primitive, Sphere, TriangleMesh

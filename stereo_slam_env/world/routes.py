@@ -15,8 +15,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from filters.contract.known_names import did_you_mean
-from filters.contract.validation import positive
+from filters.contract.validation import did_you_mean, positive
 from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray
 from stereo_slam_env.files.readers import read_poses

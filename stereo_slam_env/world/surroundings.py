@@ -9,8 +9,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from filters.contract.known_names import did_you_mean
-from filters.contract.validation import positive
+from filters.contract.validation import did_you_mean, positive
 from stereo_slam_env.world import corridor, field, groves, street
 from stereo_slam_env.world.looks import with_other_look
 from stereo_slam_env.world.routes import Route, load_registrations, require_new

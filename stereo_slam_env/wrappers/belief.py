@@ -7,15 +7,13 @@ from functools import cached_property
 
 import numpy as np
 
-from filters.checks.consistency import nees
-from filters.checks.pose_errors import blind_pose_error
-from filters.contract.beliefs import PoseBelief
+from filters.checks.consistency import blind_pose_error, nees
+from filters.contract.outputs import PoseBelief, UpdateReport
 from filters.contract.stereo_filter import StereoFilter
-from filters.contract.update_report import UpdateReport
 from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray, IntArray
 from filters.geometry.poses import Pose
-from filters.motions.model import POSE_SIZE, POSITION, ROTATION
+from filters.motions.motion_model import POSE_SIZE, POSITION, ROTATION
 
 
 @dataclass(frozen=True, eq=False)

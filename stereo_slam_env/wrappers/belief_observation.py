@@ -11,8 +11,8 @@ from gymnasium import spaces
 
 from filters.catalogue.registry import make_filter
 from filters.contract.noise import StereoNoise
+from filters.contract.outputs import UpdateReport
 from filters.contract.stereo_filter import StereoFilter
-from filters.contract.update_report import UpdateReport
 from filters.contract.validation import positive, whole_number
 from filters.engine.batch import RelativeLandmarks
 from filters.geometry.arrays import BoolArray

@@ -8,11 +8,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from filters.contract.foreign_text import first_line, type_name
+from filters.contract.inputs import Start
 from filters.contract.odometry import BodyVelocity
-from filters.contract.start import Start
+from filters.contract.outputs import UpdateReport
 from filters.contract.stereo_filter import StereoFilter
-from filters.contract.update_report import UpdateReport
+from filters.contract.validation import first_line, type_name
 from filters.engine.batch import (
     FilterBatch,
     RelativeLandmarks,

@@ -29,10 +29,9 @@ from typing import Literal, get_args
 import numpy as np
 from scipy.linalg import lapack
 
-from filters.contract.known_names import one_of
-from filters.contract.validation import positive
+from filters.contract.validation import one_of, positive
 from filters.geometry.arrays import FloatArray
-from filters.motions.model import POSE_SIZE, POSITION, ROTATION
+from filters.motions.motion_model import POSE_SIZE, POSITION, ROTATION
 
 Criterion = Literal["log-det", "entropy", "d-optimality", "a-optimality", "e-optimality"]
 Subject = Literal["map", "pose"]

@@ -9,8 +9,7 @@ from typing import Any, Literal, get_args
 import gymnasium as gym
 import numpy as np
 
-from filters.contract.known_names import one_of
-from filters.contract.validation import finite_number, whole_number
+from filters.contract.validation import finite_number, one_of, whole_number
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.motions.constant_velocity import ConstantVelocity
 from stereo_slam_env.envs.rows import Arrays, Rows, RowsWrapper, Seeds, Step

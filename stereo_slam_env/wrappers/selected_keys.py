@@ -8,7 +8,7 @@ from typing import Any
 import gymnasium as gym
 from gymnasium import spaces
 
-from filters.contract.known_names import require_known
+from filters.contract.validation import require_known
 from stereo_slam_env.envs.rows import Arrays, Rows, RowsWrapper
 from stereo_slam_env.wrappers.recorded_wrapper import RowWrapper
 

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from filters import RangeBearing, Start, StereoCamera, StereoObservation
 from filters.engine.new_landmarks import start_landmarks
 from filters.geometry.arrays import FloatArray
-from filters.landmarks.model import LandmarkModel
+from filters.landmarks.landmark_model import LandmarkModel
 from filters.state.joint_state import JointState, NewLandmarks
 from filters.state.layout import StateLayout
 

@@ -14,9 +14,9 @@ from scipy.spatial.transform import Rotation
 
 from filters import Hybrid
 from filters.contract.variables import Variable
-from filters.landmarks.model import LandmarkModel
-from filters.measurements.model import MeasurementModel
-from filters.motions.model import ANGULAR, LINEAR, POSITION, ROTATION, CameraState
+from filters.landmarks.landmark_model import LandmarkModel
+from filters.measurements.measurement_model import MeasurementModel
+from filters.motions.motion_model import ANGULAR, LINEAR, POSITION, ROTATION, CameraState
 
 from .drives import ODD_CAMERA as CAMERA
 from .numeric import numeric_jacobian, relative_difference

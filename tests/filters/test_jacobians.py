@@ -11,9 +11,9 @@ from scipy.spatial.transform import Rotation
 from filters import BodyVelocity, MotionModel, VelocityDriven
 from filters.geometry import rotations
 from filters.geometry.retractions import AdditiveQuaternion, RotationVector
-from filters.landmarks.model import LandmarkModel
-from filters.measurements.model import MeasurementModel
-from filters.motions.model import CameraState
+from filters.landmarks.landmark_model import LandmarkModel
+from filters.measurements.measurement_model import MeasurementModel
+from filters.motions.motion_model import CameraState
 
 from .jacobians import (
     CAMERA,

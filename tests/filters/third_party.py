@@ -10,7 +10,7 @@ from filters import BodyVelocity, CameraState, MeasurementModel, MotionModel, St
 from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray
 from filters.geometry.retractions import RotationVector
-from filters.measurements.model import Values
+from filters.measurements.measurement_model import Values
 
 DISPARITY_ERRORS = Variable("disparity-errors", [1.02, 0.003], np.diag([0.01, 0.002]) ** 2)
 """Scale of the disparity, and its shear over v."""

@@ -10,16 +10,15 @@ import numpy as np
 from filters.checks.conformance import REFERENCE_CAMERA, REFERENCE_NOISE
 from filters.checks.part_contracts.comparison import TURN, assert_close, moved_world
 from filters.checks.part_contracts.motions import a_camera
-from filters.contract.observation import StereoObservation
-from filters.contract.start import Start
+from filters.contract.inputs import Start, StereoObservation
 from filters.engine.stereo_ekf import StereoEKF
-from filters.errors.model import ErrorDefinition
+from filters.errors.error_definition import ErrorDefinition
 from filters.geometry import differences, rotations, symmetric
 from filters.geometry.arrays import FloatArray
 from filters.landmarks.euclidean import Euclidean
 from filters.landmarks.inverse_depth import InverseDepth
-from filters.landmarks.model import LandmarkModel
-from filters.motions.model import ROTATION
+from filters.landmarks.landmark_model import LandmarkModel
+from filters.motions.motion_model import ROTATION
 from filters.state.joint_state import JointState, world_rotation_of_variables
 
 

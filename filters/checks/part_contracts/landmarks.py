@@ -7,11 +7,19 @@ from collections.abc import Callable
 import numpy as np
 
 from filters.checks.conformance import require
-from filters.checks.part_contracts.comparison import SCALES, SHIFT, TOLERANCE, TURN, assert_close, unit_directions
-from filters.checks.part_contracts.kernels import Kernels, assert_same
+from filters.checks.part_contracts.comparison import (
+    SCALES,
+    SHIFT,
+    TOLERANCE,
+    TURN,
+    Kernels,
+    assert_close,
+    assert_same,
+    unit_directions,
+)
 from filters.geometry import differences, rotations
 from filters.geometry.arrays import FloatArray
-from filters.landmarks.model import LandmarkModel, StartedLandmarks
+from filters.landmarks.landmark_model import LandmarkModel, StartedLandmarks
 from filters.parts import kernels_of
 
 Started = tuple[FloatArray, FloatArray | None, FloatArray, StartedLandmarks]

@@ -9,14 +9,13 @@ from typing import Any
 import numpy as np
 
 from filters.checks.conformance import REFERENCE_CAMERA, REFERENCE_NOISE, require
-from filters.checks.part_contracts.comparison import SCALES, assert_close, unit_directions
-from filters.checks.part_contracts.kernels import Kernels, assert_same
-from filters.contract.observation import StereoObservation
+from filters.checks.part_contracts.comparison import SCALES, Kernels, assert_close, assert_same, unit_directions
+from filters.contract.inputs import StereoObservation
 from filters.contract.variables import VELOCITY
 from filters.geometry import differences
 from filters.geometry.arrays import FloatArray
 from filters.geometry.retractions import ADDITIVE, Retraction
-from filters.measurements.model import MeasurementModel, Values
+from filters.measurements.measurement_model import MeasurementModel, Values
 from filters.parts import kernels_of
 
 

@@ -7,13 +7,19 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from filters.checks.conformance import require
-from filters.checks.part_contracts.comparison import assert_close, assert_refusal, moved_world
-from filters.checks.part_contracts.kernels import Kernels, assert_same
-from filters.contract.inertial import InertialSamples, InertialUnit
+from filters.checks.part_contracts.comparison import Kernels, assert_close, assert_refusal, assert_same, moved_world
+from filters.contract.inputs import InertialSamples, InertialUnit
 from filters.contract.odometry import BodyVelocity
 from filters.geometry import differences, rotations
 from filters.geometry.arrays import FloatArray
-from filters.motions.model import CAMERA_SIZE, CameraState, MotionModel, StepInput, measure_odometry, predict_camera
+from filters.motions.motion_model import (
+    CAMERA_SIZE,
+    CameraState,
+    MotionModel,
+    StepInput,
+    measure_odometry,
+    predict_camera,
+)
 from filters.parts import kernels_of
 
 DT = 0.1

@@ -31,7 +31,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from filters import BodyVelocity, StereoCamera, StereoNoise, StereoObservation
-from filters.contract.start import Start
+from filters.contract.inputs import Start
 from filters.contract.validation import positive
 from filters.geometry.arrays import FloatArray
 from filters.geometry.poses import Pose

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args, get_origin
 
 import msgspec
 
-from filters.contract.known_names import did_you_mean, require_known
+from filters.contract.validation import did_you_mean, require_known
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.recording.recording import ImageSequence, Recording
 from stereo_slam_env.sensing.rigs import plain_rig

@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import msgspec
 
-from filters.contract.foreign_text import first_line, type_name
-from filters.contract.known_names import did_you_mean, require_known
+from filters.contract.validation import did_you_mean, first_line, require_known, type_name
 from stereo_slam_env.benchmark.recordings.source import OpenedImages, Progress, Renderer, Source, checked
 from stereo_slam_env.recording.recording import GIVEN_TRUTH, Recording
 from stereo_slam_env.sensing.rigs import camera_of

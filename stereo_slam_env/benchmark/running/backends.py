@@ -22,7 +22,7 @@ import joblib
 from threadpoolctl import threadpool_limits
 
 from filters.contract.extras import install_command
-from filters.contract.foreign_text import first_line, type_name
+from filters.contract.validation import first_line, type_name
 from stereo_slam_env.benchmark.running.isolation import run_isolated, start_server, waiting_threads
 
 Task = TypeVar("Task")

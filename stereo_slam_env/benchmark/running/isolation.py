@@ -38,7 +38,7 @@ from typing import NoReturn, TypeVar, cast
 
 import cloudpickle
 
-from filters.contract.foreign_text import error_line, first_line
+from filters.contract.validation import error_line, first_line
 from stereo_slam_env.benchmark.running.process_server import LOADING, READY, STATUS, end_process
 
 Result = TypeVar("Result")

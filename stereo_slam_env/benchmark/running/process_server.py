@@ -30,7 +30,7 @@ from typing import NoReturn
 
 import cloudpickle
 
-from filters.contract.foreign_text import error_line
+from filters.contract.validation import error_line
 
 Send = Callable[[str, object], None]
 """Sends a kind of message, and its content."""

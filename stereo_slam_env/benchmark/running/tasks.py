@@ -24,7 +24,7 @@ import numpy as np
 
 from filters import ConstantVelocity
 from filters.catalogue.presets import PRESETS, UNLISTED
-from filters.contract.foreign_text import first_line
+from filters.contract.validation import first_line
 from stereo_slam_env.benchmark.recordings.source import OpenedImages
 from stereo_slam_env.benchmark.recordings.sources import StreetSource
 from stereo_slam_env.benchmark.running.isolation import (

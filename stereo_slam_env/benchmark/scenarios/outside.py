@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
-from filters.contract.known_names import require_known
+from filters.contract.validation import require_known
 
 OUTSIDE = "trajectory"
 """Name of a competitor that is a trajectory from outside."""

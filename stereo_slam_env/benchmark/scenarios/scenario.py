@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, get_type_hi
 
 from msgspec import Meta
 
-from filters.catalogue.common_options import USUAL, usual_options
-from filters.contract.known_names import require_known
+from filters.catalogue.registry import USUAL, usual_options
 from filters.contract.noise import StereoNoise
-from filters.contract.validation import gate_probability
+from filters.contract.validation import gate_probability, require_known
 from stereo_slam_env.benchmark.recordings.source import Renderer, Source, checked
 from stereo_slam_env.benchmark.recordings.sources import StreetSource, known_kinds, source_of
 from stereo_slam_env.benchmark.scenarios.bounds import (
@@ -318,7 +317,7 @@ class Scenario:
 
     @property
     def common_options(self) -> dict[str, Any]:
-        """Options that every filter gets that leaves them open, see `filters.catalogue.common_options`."""
+        """Options that every filter gets that leaves them open, see `filters.catalogue.registry`."""
         return self.filter_setup.common_options({})
 
     def with_sensor(self, sensor: Sensor | None, renderer: Renderer | None = None) -> Scenario:

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from filters.catalogue.common_options import make_with_common_options
+from filters.catalogue.registry import make_with_common_options
+from filters.contract.inputs import StereoObservation
 from filters.contract.noise import ColouredNoise, StereoNoise
-from filters.contract.observation import StereoObservation
 from stereo_slam_env.benchmark.recordings.source import OpenedImages, Progress
 from stereo_slam_env.benchmark.scenarios.measurement_errors import measurement_errors, noise_by_range
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, Scenario

@@ -21,7 +21,7 @@ from typing import Annotated, Any
 
 from msgspec import Meta
 
-from filters.contract.known_names import did_you_mean, require_known
+from filters.contract.validation import did_you_mean, require_known
 from stereo_slam_env.benchmark.recordings.source import checked
 from stereo_slam_env.benchmark.scenarios.scenario import KEYS, FilterChoice, Label, Scenario
 from stereo_slam_env.files.paths import is_there, require_inside

@@ -9,7 +9,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from filters.catalogue.common_options import USUAL
+from filters.catalogue.registry import USUAL
 from stereo_slam_env.benchmark.statistics.differences import CONFIDENCE, MIN_PAIRS, listed
 from stereo_slam_env.evaluation.figures import readable
 from stereo_slam_env.evaluation.intervals import rms_ratio_interval

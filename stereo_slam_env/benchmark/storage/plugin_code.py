@@ -32,7 +32,7 @@ from typing import Any
 
 import numpy as np
 
-from filters.contract.foreign_text import error_line
+from filters.contract.validation import error_line
 from stereo_slam_env.benchmark.recordings.source import Source
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice
 from stereo_slam_env.benchmark.storage.code_identity import PACKAGES, digest_of, meaning, source_files

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from filters.contract.foreign_text import first_line
+from filters.contract.validation import first_line
 from filters.geometry.arrays import FloatArray, IntArray
 from stereo_slam_env.evaluation.cramer_rao import Bound
 from stereo_slam_env.evaluation.figures import trial_columns

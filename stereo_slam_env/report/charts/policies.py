@@ -9,7 +9,7 @@ import numpy as np
 
 from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray
-from filters.motions.model import POSITION
+from filters.motions.motion_model import POSITION
 from stereo_slam_env.evaluation.results import FilterRun
 from stereo_slam_env.recording.recording import Recording
 from stereo_slam_env.report.charts import series

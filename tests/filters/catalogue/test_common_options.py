@@ -17,10 +17,9 @@ from filters import (
     available_filters,
     make_filter,
 )
-from filters.catalogue.common_options import NOT_OPEN, MadeFilter, make_with_common_options
-from filters.catalogue.registry import FilterFactory
+from filters.catalogue.registry import NOT_OPEN, FilterFactory, MadeFilter, make_with_common_options
 from filters.checks.conformance import REFERENCE_CAMERA, REFERENCE_NOISE
-from filters.motions.model import CameraState, MotionPrediction
+from filters.motions.motion_model import CameraState, MotionPrediction
 
 from ..delayed import DelayedEKF
 

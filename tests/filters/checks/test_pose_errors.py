@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 import stereo_slam_env as sse
 from filters import ConformanceError, InverseDepthStereoEKF, PoseBelief, StereoEKF, check_filter, nees
 from filters.checks.conformance import REFERENCE_CAMERA, REFERENCE_NOISE
+from filters.checks.consistency import InconsistentPoseError, blind_pose_error
 from filters.checks.drives import StraightDrive
-from filters.checks.pose_errors import InconsistentPoseError, blind_pose_error
 from stereo_slam_env.evaluation.filter_run import run_filter
 
 

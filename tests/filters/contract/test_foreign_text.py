@@ -2,7 +2,7 @@
 
 import pytest
 
-from filters.contract.foreign_text import MOST_CHARACTERS, first_line, plain, type_name, without_controls
+from filters.contract.validation import MOST_CHARACTERS, first_line, plain, type_name, without_controls
 
 
 class Wordless(Exception):

@@ -2,7 +2,7 @@
 
 import pytest
 
-from filters.contract.known_names import did_you_mean, require_known
+from filters.contract.validation import did_you_mean, require_known
 
 
 def test_the_nearest_known_word_is_named_or_none():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from filters.contract import validation
-from filters.contract.observation import StereoObservation
+from filters.contract.inputs import StereoObservation
 
 
 def test_finite_array_gives_a_read_only_float_copy() -> None:

@@ -12,8 +12,8 @@ import sys
 import numpy as np
 from numba import njit
 
-from filters.engine.compiled import blas
-from filters.engine.compiled.storage import padded
+from filters.kernels import blas
+from filters.kernels.storage import padded
 
 LANES = 8
 _libc = ctypes.CDLL(None, use_errno=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from filters.state.linearised import LinearisedMeasurements
+from filters.state.layout import LinearisedMeasurements
 
 
 def random_covariance(rng: np.random.Generator, size: int) -> np.ndarray:

@@ -9,11 +9,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from filters import CalibratedPair, RightInvariant, StereoEKF, StereoNoise
-from filters.engine.compiled.recipe import Recipe
-from filters.engine.compiled.storage import FAILED, FilterState
 from filters.engine.engine import Engine
 from filters.engine.frames import Observations
 from filters.geometry import symmetric
+from filters.kernels.recipe import Recipe
+from filters.kernels.storage import FAILED, FilterState
 
 from ..drives import CAMERA
 

@@ -16,7 +16,7 @@ import json, multiprocessing, sys
 import numpy as np
 
 def seen():
-    from filters.engine.compiled.readout import relative_landmarks
+    from filters.kernels.readout import relative_landmarks
     x = np.zeros((1, 13)); x[0, 6] = 1.0
     own, none = np.zeros((1, 1), dtype=np.int64), np.full((1, 1, 2), -1)
     p_c, P_c, located = np.zeros((1, 3)), np.zeros((1, 3, 3)), np.zeros(1, dtype=np.bool_)
@@ -228,8 +228,8 @@ for u in (300.0, 301.0):
 COUNTED = """
 import logging
 from numba import njit
-from filters.engine.compiled.disk_cache import include
-from filters.engine.compiled.progress import counted
+from filters.kernels.disk_cache import include
+from filters.kernels.progress import counted
 
 @njit
 def double(x):
@@ -302,7 +302,7 @@ def test_it_is_silent_if_logging_says_so(tmp_path, terminal):
 def test_where_logging_is_set_up_it_is_a_record_there(tmp_path):
     setting = "logging.basicConfig(format='%(levelname)s %(name)s %(message)s')"
     told = shown(tmp_path, COUNTED.format(setting=setting), terminal=True)
-    assert told.startswith("WARNING filters.engine.compiled.progress compiling machine code")
+    assert told.startswith("WARNING filters.kernels.progress compiling machine code")
     assert told.count("\n") == 1
 
 
@@ -316,8 +316,8 @@ def test_a_process_in_the_background_leaves_the_terminal_alone(tmp_path):
 
 def test_functions_that_only_kernels_call_are_no_machine_code(copy):
     program = """
-from filters.engine.compiled import prediction
-from filters.engine.compiled.frame import predict
+from filters.kernels import prediction
+from filters.kernels.frame import predict
 predict.address
 (made,) = prediction.constrain.overloads.values()
 print(made.library._compiled_object, file=__import__('sys').stderr)

@@ -22,7 +22,7 @@ from filters import (
     StereoObservation,
 )
 from filters.geometry import symmetric
-from filters.state.linearised import LinearisedMeasurements
+from filters.state.layout import LinearisedMeasurements
 
 from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, INDEPENDENT_UVD, SPEED, drive, run
 from .beliefs import assert_same_belief, make, scaled

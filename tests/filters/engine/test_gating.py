@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from filters.engine import gating
+from filters.contract import gate_limit as gating
 
 
 @pytest.mark.parametrize(("dof", "limit"), [(2, 9.210), (3, 11.345), (4, 13.277)])

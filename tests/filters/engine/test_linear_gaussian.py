@@ -11,7 +11,7 @@ from filterpy.kalman import KalmanFilter
 
 from filters import BodyVelocity, ConstantVelocity, Euclidean, Start, StereoEKF, StereoObservation
 from filters.geometry import symmetric
-from filters.motions.model import CAMERA_SIZE, POSE_SIZE
+from filters.motions.motion_model import CAMERA_SIZE, POSE_SIZE
 
 from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, SPEED, drive, finish
 from ..state.states import augment, camera_at, new_landmarks, remove, transform_variables, without_map

@@ -13,7 +13,7 @@ ROOT = Path(__file__).resolve().parents[3]
 NAMES = ("shared-anchor/everything/right-invariant", "spherical/joint/so3", "clones/hybrid/first-estimates")
 CODE = """
 import numpy as np
-from filters.engine.compiled.blas import PLAIN
+from filters.kernels.blas import PLAIN
 from tests.filters.engine.combinations import combinations, figures, run_case
 assert PLAIN
 for case in combinations():

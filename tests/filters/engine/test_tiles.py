@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from filters.engine.compiled.blas import PLAIN
+from filters.kernels.blas import PLAIN
 
 ROOT = Path(__file__).resolve().parents[3]
 pytestmark = [

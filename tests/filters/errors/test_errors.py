@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from filters import LeftInvariant, RightInvariant
 from filters.geometry import rotations, symmetric
-from filters.motions.model import POSITION, ROTATION
+from filters.motions.motion_model import POSITION, ROTATION
 
 from ..numeric import numeric_jacobian, relative_difference
 from ..slots import ERRORS, LANDMARKS

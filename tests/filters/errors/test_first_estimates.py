@@ -10,9 +10,9 @@ import pytest
 
 from filters import BodyVelocity, Extended, FirstEstimates, Start, StereoEKF, StereoObservation, VelocityDriven
 from filters.geometry import rotations, symmetric
-from filters.motions.model import ANGULAR, CAMERA_SIZE, LINEAR, POSITION, ROTATION
+from filters.motions.motion_model import ANGULAR, CAMERA_SIZE, LINEAR, POSITION, ROTATION
 from filters.state.joint_state import JointState, world_rotation_of_variables
-from filters.state.linearised import LinearisedMeasurements
+from filters.state.layout import LinearisedMeasurements
 
 from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, SPEED, drive
 from ..engine.beliefs import assert_same_belief, make

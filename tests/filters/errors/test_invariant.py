@@ -20,7 +20,7 @@ from filters import (
     VelocityDriven,
 )
 from filters.geometry import rotations, symmetric
-from filters.motions.model import ANGULAR, CAMERA_SIZE, LINEAR, POSITION, ROTATION
+from filters.motions.motion_model import ANGULAR, CAMERA_SIZE, LINEAR, POSITION, ROTATION
 from filters.state.joint_state import JointState
 
 from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, drive

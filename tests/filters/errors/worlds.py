@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from filters import BodyVelocity, StereoEKF
-from filters.motions.model import ANGULAR, CAMERA_SIZE, LINEAR, POSITION, ROTATION, CameraState
+from filters.motions.motion_model import ANGULAR, CAMERA_SIZE, LINEAR, POSITION, ROTATION, CameraState
 from filters.state.joint_state import JointState
 
 from ..drives import DT, Frame, drive

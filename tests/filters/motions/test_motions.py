@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from filters import BodyVelocity, ConstantVelocity, InverseDepthStereoEKF, StereoEKF, VelocityDriven
 from filters.checks.conformance import shown_arrays
-from filters.motions.model import CameraState, LinearMeasurement, MotionPrediction
+from filters.motions.motion_model import CameraState, LinearMeasurement, MotionPrediction
 
 from ..drives import CAMERA, INDEPENDENT_PIXELS, drive
 

@@ -9,8 +9,8 @@ import numpy as np
 from filters import Start
 from filters.geometry import symmetric
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
-from filters.landmarks.model import LandmarkModel, StartedLandmarks
-from filters.motions.model import POSE_SIZE, CameraState
+from filters.landmarks.landmark_model import LandmarkModel, StartedLandmarks
+from filters.motions.motion_model import POSE_SIZE, CameraState
 from filters.state.joint_state import Clone, JointState, NewLandmarks
 from filters.state.layout import StateLayout
 

@@ -9,15 +9,14 @@ import pytest
 
 from filters import StereoNoise, StereoObservation
 from filters.engine.new_landmarks import start_landmarks
+from filters.errors.error_definition import ErrorDefinition
 from filters.errors.invariant import RightInvariant
-from filters.errors.model import ErrorDefinition
-from filters.landmarks.model import LandmarkModel
-from filters.measurements.model import MeasurementModel
-from filters.motions.model import POSITION, ROTATION
+from filters.landmarks.landmark_model import LandmarkModel
+from filters.measurements.measurement_model import MeasurementModel
+from filters.motions.motion_model import POSITION, ROTATION
 from filters.state.joint_state import JointState, NewLandmarks
-from filters.state.layout import StateLayout
-from filters.state.transport import Transport
-from filters.updates.model import points_in_camera
+from filters.state.layout import StateLayout, Transport
+from filters.updates.extended import points_in_camera
 
 from ..engine.linear_problems import dense
 from ..jacobians import (

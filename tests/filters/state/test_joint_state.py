@@ -9,7 +9,7 @@ import pytest
 
 from filters.geometry import symmetric
 from filters.landmarks.hybrid import Hybrid
-from filters.landmarks.model import LandmarkModel
+from filters.landmarks.landmark_model import LandmarkModel
 from filters.state.joint_state import JointState, NewLandmarks
 
 from ..slots import LANDMARKS

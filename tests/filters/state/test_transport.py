@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from filters.motions.model import ROTATION
-from filters.state.transport import Transport
+from filters.motions.motion_model import ROTATION
+from filters.state.layout import Transport
 
 from ..engine.linear_problems import dense, random_measurements
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from filters.geometry import symmetric
-from filters.motions.model import CAMERA_SIZE, CameraState
+from filters.motions.motion_model import CAMERA_SIZE, CameraState
 from filters.state.joint_state import JointState
-from filters.state.linearised import LinearisedMeasurements
+from filters.state.layout import LinearisedMeasurements
 from filters.submaps.chain import SubmapChain
 
 from ..engine.linear_problems import update

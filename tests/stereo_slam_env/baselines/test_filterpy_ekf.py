@@ -16,7 +16,7 @@ from filters import (
     check_filter,
     make_filter,
 )
-from filters.contract.start import Start
+from filters.contract.inputs import Start
 from stereo_slam_env.baselines import FilterpyEKF
 
 from ...filters.drives import CAMERA, DT, INDEPENDENT_PIXELS, INDEPENDENT_UVD, ODD_CAMERA, SPEED, drive, start

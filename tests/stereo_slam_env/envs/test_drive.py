@@ -15,8 +15,8 @@ import pytest
 from gymnasium.utils.env_checker import check_env, data_equivalence
 
 import stereo_slam_env
+from filters.contract.inputs import StereoObservation
 from filters.contract.noise import StereoNoise
-from filters.contract.observation import StereoObservation
 from filters.geometry import rotations
 from stereo_slam_env.envs.drive import StereoDriveEnv
 from stereo_slam_env.envs.options import DriveOptions

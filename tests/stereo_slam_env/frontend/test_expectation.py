@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from filters.contract.beliefs import Forecast
+from filters.contract.outputs import Forecast
 from filters.geometry import rotations
 from stereo_slam_env.frontend.ego_motion import continued
 from stereo_slam_env.frontend.settings import TrackerSettings

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from filters.contract.beliefs import Forecast
+from filters.contract.outputs import Forecast
 from filters.geometry.camera import StereoCamera
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.frontend.tracker import StereoTracker

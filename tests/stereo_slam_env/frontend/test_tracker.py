@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from filters.contract.beliefs import Forecast
+from filters.contract.outputs import Forecast
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.frontend.tracker import StereoTracker
 from stereo_slam_env.frontend.tracks import Outcome

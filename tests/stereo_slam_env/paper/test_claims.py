@@ -5,7 +5,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from filters.catalogue.common_options import usual_options
+from filters.catalogue.registry import usual_options
 from stereo_slam_env.paper.claims import (
     EUCLIDEAN,
     FILTERS,

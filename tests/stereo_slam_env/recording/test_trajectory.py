@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from filters import LeftInvariant, Pose, QuaternionError, RightInvariant, RotationVectorError, jacobian, nees
 from filters.geometry import rotations
-from filters.motions.model import CameraState
+from filters.motions.motion_model import CameraState
 from stereo_slam_env.recording.trajectory import Trajectory, pose_errors, tangent_jacobian
 from stereo_slam_env.recording.trajectory_files import load_trajectory, save_trajectory
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from filters import Pose
-from filters.contract.observation import StereoObservation
+from filters.contract.inputs import StereoObservation
 from filters.geometry import rotations
 from stereo_slam_env.rendering.drawing import caption_bar
 from stereo_slam_env.rendering.images import StereoImages

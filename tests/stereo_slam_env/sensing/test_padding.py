@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from filters.contract.observation import StereoObservation
+from filters.contract.inputs import StereoObservation
 from stereo_slam_env import stereo_observation
 from stereo_slam_env.sensing.padding import padded, padded_extras
 

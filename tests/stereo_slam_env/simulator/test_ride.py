@@ -11,7 +11,7 @@ from gymnasium.utils.env_checker import check_env
 
 from filters import Strapdown
 from filters.geometry import rotations
-from filters.motions.model import CameraState
+from filters.motions.motion_model import CameraState
 from stereo_slam_env import evaluate, record, run
 from stereo_slam_env.recording.archive import load_recording, save_recording
 from stereo_slam_env.wrappers import restore, snapshot

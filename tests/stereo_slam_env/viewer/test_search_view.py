@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from filters.contract.observation import StereoObservation
+from filters.contract.inputs import StereoObservation
 from stereo_slam_env.frontend.tracks import Outcome, Search, TrackedPair
 from stereo_slam_env.viewer.search_view import search_picture
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from filters import Strapdown
-from filters.motions.model import CameraState
+from filters.motions.motion_model import CameraState
 from stereo_slam_env import evaluate, run
 from stereo_slam_env.benchmark.recordings.inertial_problem import inertial_drive, inertial_flight
 from stereo_slam_env.benchmark.scenarios.streams import stream_digest

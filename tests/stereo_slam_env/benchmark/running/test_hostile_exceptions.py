@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from filters.contract.foreign_text import error_line, first_line, type_name
+from filters.contract.validation import error_line, first_line, type_name
 from stereo_slam_env.benchmark import preset, run_benchmark
 from stereo_slam_env.benchmark.campaign import check_filters
 from stereo_slam_env.benchmark.recordings.sources import ReferenceSource

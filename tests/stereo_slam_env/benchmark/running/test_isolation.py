@@ -341,7 +341,7 @@ def test_a_process_has_the_machine_code_of_usual_trials_before_it_begins():
     """Loading it would cost it some 0.1 s, more than many trials."""
 
     def loaded(tell):
-        from filters.engine.compiled import frame
+        from filters.kernels import frame
         from stereo_slam_env.simulator.frame import run_frame
         from stereo_slam_env.world.street_plan import plan
 

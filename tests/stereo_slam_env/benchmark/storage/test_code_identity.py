@@ -14,7 +14,7 @@ from stereo_slam_env.benchmark.storage.code_identity import ROOT, code_digest
 
 from .test_store import fill
 
-KERNELS = "filters/engine/compiled/gating.py"
+KERNELS = "filters/kernels/gating.py"
 
 
 @pytest.fixture(scope="module")

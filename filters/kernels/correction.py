@@ -1,0 +1,220 @@
+"""Kernels of the Kalman update, a chunk of measurements at a time: an exact sequential update.
+
+All chunks have the Jacobians and predictions of one linearisation; what the ones before have explained is taken from
+the innovation of the next. With P = P^T in its upper triangle and L L^T = S the update is P -= X^T X, X = L^-1 H P.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit, types
+
+from filters.geometry.arrays import FloatArray, IntArray
+from filters.kernels.blas import KERNEL, Routines, cholesky, multiply_panel, solve_triangular, subtract_square
+from filters.kernels.covariance import take_leading, take_row, take_rows
+from filters.kernels.recipe import Plan
+from filters.kernels.scratch import CHUNK_ROWS, Scratch
+from filters.kernels.units import ADDRESSES, INDEX, MATRIX, PLAN, SCRATCH, unit
+
+DROWNED = 1e12
+"""Times R: a landmark as good as in the image plane has an S so large that R is lost in its rounding."""
+
+
+@njit(**KERNEL)
+def times_covariance(
+    plan: Plan, P: FloatArray, n: int, s: Scratch, select: IntArray, first: int, last: int, size: int
+) -> None:
+    """H P of the selected measurements first to last - 1, in the first rows of HP."""
+    measured, held = plan.measured, -1
+    own = measured + 3 * plan.anchors
+    width = own + plan.size
+    take_leading(P, n, measured, s.lead)
+    for i in range(first, last):
+        m = select[i]
+        if plan.anchors > 0 and s.base[m, 1] != held:  # neighbours often share an anchor
+            held = s.base[m, 1]
+            for which in range(plan.anchors):
+                take_rows(P, n, s.base[m, 2 - plan.anchors + which], 3, s.lead[measured + 3 * which :])
+        take_rows(P, n, s.base[m, 2], plan.size, s.lead[own:])
+        multiply_panel(s.HP[(i - first) * size :], 0, s.H[m], size, s.lead, 0, 0, width, n)
+
+
+@njit(**KERNEL)
+def take_columns(plan: Plan, s: Scratch, m: int, top: int, rows: int, held: int) -> int:
+    """Columns of HP that belong to a landmark, transposed, below those of the leading rows in `shared`.
+
+    Those of the anchor are there where it is `held`, the one before; the anchor that is there now.
+    """
+    HP, shared, column = s.HP, s.shared, plan.measured
+    for which in range(2 - plan.anchors, 3):
+        base = s.base[m, which]
+        for row in range(rows if which < 2 and s.base[m, 1] == held else top, rows):
+            shared[column, row] = HP[row, base]
+            shared[column + 1, row] = HP[row, base + 1]
+            shared[column + 2, row] = HP[row, base + 2]
+        column += 3
+    for c in range(3, plan.size):
+        for row in range(top, rows):
+            shared[column, row] = HP[row, s.base[m, 2] + c]
+        column += 1
+    return int(s.base[m, 1])
+
+
+@njit(**KERNEL)
+def take_leading_columns(plan: Plan, s: Scratch, rows: int) -> None:
+    """The first columns of HP, transposed, in `shared`."""
+    for row in range(rows):
+        for c in range(plan.measured):
+            s.shared[c, row] = s.HP[row, c]
+
+
+@njit(**KERNEL)
+def innovation_covariance(plan: Plan, s: Scratch, select: IntArray, first: int, last: int, size: int) -> bool:
+    """Upper triangle of S = (H P) H^T + R of these measurements; whether R is left in it."""
+    S, rows, held = s.S, (last - first) * size, np.int64(-1)
+    width = plan.measured + 3 * plan.anchors + plan.size
+    take_leading_columns(plan, s, rows)
+    for i in range(first, last):
+        m, top = select[i], (i - first) * size
+        held = take_columns(plan, s, m, top, rows, held)
+        multiply_panel(S[top:], top, s.H[m], size, s.shared, 0, top, width, rows - top)
+        for a in range(size):
+            for b in range(a, size):
+                S[top + a, top + b] += s.R[m, a, b]
+            if S[top + a, top + a] > DROWNED * s.R[m, a, a]:
+                return False
+    return True
+
+
+@njit(**KERNEL)
+def factorise(routines: Routines, s: Scratch, rows: int) -> bool:
+    """Cholesky factor of S in place; whether there is one."""
+    return cholesky(routines, s.S, rows, s.letters, s.sizes) and math.isfinite(s.S[rows - 1, rows - 1])
+
+
+@njit(**KERNEL)
+def absorb(routines: Routines, P: FloatArray, n: int, s: Scratch, rows: int) -> float:
+    """Correct P and delta by HP, its last column the innovation, and S; the NIS, or -1 without a Cholesky factor."""
+    HP = s.HP
+    if not factorise(routines, s, rows):
+        return -1.0
+    solve_triangular(s.S, HP, rows, n + 1)
+    nis = 0.0
+    for row in range(rows):
+        solved, nu = HP[row], HP[row, n]
+        for j in range(n):
+            s.delta[j] += nu * solved[j]
+        nis += nu**2
+    subtract_square(P, HP, rows, n)
+    return nis
+
+
+@njit(**KERNEL)
+def explained(plan: Plan, s: Scratch, m: int, k: int) -> float:
+    """What delta says of one row of a measurement, H delta."""
+    H, delta, measured = s.H[m, k], s.delta, plan.measured
+    total = 0.0
+    for c in range(measured):
+        total += H[c] * delta[c]
+    for which in range(2 - plan.anchors, 3):
+        for c in range(3):
+            total += H[measured + c] * delta[s.base[m, which] + c]
+        measured += 3
+    for c in range(3, plan.size):
+        total += H[measured + c - 3] * delta[s.base[m, 2] + c]
+    return total
+
+
+@njit(**KERNEL)
+def _take(
+    routines: Routines,
+    plan: Plan,
+    P: FloatArray,
+    n: int,
+    s: Scratch,
+    select: IntArray,
+    first: int,
+    last: int,
+    size: int,
+) -> float:
+    """Correct P and delta with the measurements first to last - 1; the NIS, or -1 where S has no Cholesky factor."""
+    times_covariance(plan, P, n, s, select, first, last, size)
+    if not innovation_covariance(plan, s, select, first, last, size):
+        return -1.0
+    for i in range(first, last):
+        m = select[i]
+        for k in range(size):
+            s.HP[(i - first) * size + k, n] = s.nu[m, k] - explained(plan, s, m, k)
+    return absorb(routines, P, n, s, (last - first) * size)
+
+
+@unit(ADDRESSES, PLAN, MATRIX, types.int64, SCRATCH, INDEX, types.int64, types.int64)
+def correct(
+    routines: Routines, plan: Plan, P: FloatArray, n: int, s: Scratch, select: IntArray, count: int, size: int
+) -> None:
+    """Kalman update with the selected measurements: P in place; delta, `used` and the NIS (`result`) written."""
+    for j in range(n):
+        s.delta[j] = 0.0
+    nis, chunk = 0.0, max(1, CHUNK_ROWS // size)
+    chunks = -(-count // chunk)
+    for i in range(chunks):
+        first, last = count * i // chunks, count * (i + 1) // chunks
+        gained = _take(routines, plan, P, n, s, select, first, last, size)
+        for j in range(first, last):
+            s.used[select[j]] = gained >= 0.0
+        if gained >= 0.0:
+            nis += gained
+        elif last - first > 1:
+            for j in range(first, last):
+                gained = _take(routines, plan, P, n, s, select, j, j + 1, size)
+                s.used[select[j]] = gained >= 0.0
+                if gained >= 0.0:
+                    nis += gained
+    s.result[0] = nis
+
+
+@njit(**KERNEL)
+def correct_rows(
+    routines: Routines,
+    P: FloatArray,
+    n: int,
+    rows: IntArray,
+    H: FloatArray,
+    nu: FloatArray,
+    R: FloatArray,
+    limit: float,
+    s: Scratch,
+) -> float:
+    """Correct P and delta with one measurement that is linear in the errors at `rows`, H (k, len(rows)).
+
+    The NIS, above `limit` without a correction; -1 where S has no Cholesky factor. `lead` has room for the rows.
+    """
+    size, width = H.shape
+    for j in range(width):
+        take_row(P, n, rows[j], s.lead[j])
+    for top in range(0, size, 4):
+        multiply_panel(s.HP[top:], 0, H[top:], min(4, size - top), s.lead, 0, 0, width, n)
+    for a in range(size):
+        for b in range(a, size):
+            total = R[a, b]
+            for j in range(width):
+                total += s.HP[b, rows[j]] * H[a, j]
+            s.S[a, b] = total
+        s.HP[a, n] = nu[a]
+    for j in range(n):
+        s.delta[j] = 0.0
+    if not factorise(routines, s, size):
+        return -1.0
+    solve_triangular(s.S, s.HP, size, n + 1)
+    nis = 0.0
+    for a in range(size):
+        nis += s.HP[a, n] ** 2
+    if nis <= limit:
+        for a in range(size):
+            whitened = s.HP[a, n]
+            for j in range(n):
+                s.delta[j] += whitened * s.HP[a, j]
+        subtract_square(P, s.HP, size, n)
+    return nis

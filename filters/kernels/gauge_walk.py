@@ -1,0 +1,122 @@
+"""Gauge walk: camera and map together make a random walk in the six directions that vision cannot see.
+
+It stands for errors that all tracks of a frame have in common: they show in no innovation, and turn and shift the whole
+estimate. They grow with the motion of the image, as the errors of the single tracks do. A measurement says nothing
+about these directions, so the walk costs it nothing, provided that the Jacobians know them: those of first-estimates
+and right-invariant errors do, other ones take a large variance there for information.
+"""
+
+from __future__ import annotations
+
+import math
+
+from numba import njit, types
+
+from filters.geometry.arrays import FloatArray
+from filters.geometry.rotations import Nine, product_of
+from filters.geometry.three_by_three import IDENTITY, cross_matrix, transposed
+from filters.kernels.blas import KERNEL, Routines, add_square, call
+from filters.kernels.linearisation import clear_all, from_camera, take_points
+from filters.kernels.prediction import orientation
+from filters.kernels.recipe import Plan
+from filters.kernels.scratch import Scratch
+from filters.kernels.storage import BLOCKS, LANDMARKS, OWN, POINT, Storage
+from filters.kernels.units import ADDRESSES, EFFECT, PLAN, SCRATCH, STORAGE, VECTOR, unit
+
+TURN_WEIGHT = 5.0
+"""Of the flow that a turn makes. It moves all points in the same direction, and so do the errors that it brings; ahead,
+points move away from each other and their errors cancel in part. Measured: docs/covariances.md."""
+FARTHEST = 1000.0
+"""Mean distance of landmarks, m, beyond which the walk of the position grows no further."""
+
+
+@njit(**KERNEL)
+def _put_columns(B: FloatArray, first: int, column: int, nine: Nine, sign: float) -> None:
+    """B^T[column:, first:] (3, 3) = a matrix, row by row, up to its sign; B is stored with its columns as rows."""
+    for i, number in enumerate(nine):
+        B[first + i % 3, column + i // 3] = sign * number
+
+
+@njit(**KERNEL)
+def _image_motion(
+    routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch, before: FloatArray
+) -> tuple[float, float]:
+    """How far the landmarks move on the sphere of bearings since the camera was at `before`, and their distance.
+
+    `TURN_WEIGHT` times the turn + mean |step x p| / |p|^2, rad; 1 / mean (1 / |p|), at most `FARTHEST`, m.
+    """
+    x, blocks, own, anchor = S.x[b], S.blocks[b], S.own[b], S.anchor[b]
+    a0, a1, a2, a3 = product_of(-before[3], -before[4], -before[5], before[6], x[3], x[4], x[5], x[6])
+    turn = 2.0 * math.atan2(math.sqrt(a0 * a0 + a1 * a1 + a2 * a2), abs(a3))
+    s0, s1, s2 = x[0] - before[0], x[1] - before[1], x[2] - before[2]
+    count, by_step, inverse = S.counts[b, LANDMARKS], 0.0, 0.0
+    if count == 0:
+        return 0.0, FARTHEST
+    if not plan.walks_by_numbers:  # otherwise the door has written them, from the camera
+        for i in range(count):
+            s.taken[i] = own[i]
+        take_points(routines, plan, blocks, S.kind[b], s, count)
+    for i in range(count):
+        h0, h1, h2, scale = s.points[i, 0], s.points[i, 1], s.points[i, 2], s.points[i, 3]
+        if not plan.walks_by_numbers:
+            d0, d1, d2 = from_camera(plan, x, blocks, anchor[i, 0])
+            h0, h1, h2 = h0 + scale * d0, h1 + scale * d1, h2 + scale * d2
+        squared, scale = h0 * h0 + h1 * h1 + h2 * h2, max(scale, 0.0)
+        c0, c1, c2 = s1 * h2 - s2 * h1, s2 * h0 - s0 * h2, s0 * h1 - s1 * h0
+        by_step += scale * math.sqrt(c0 * c0 + c1 * c1 + c2 * c2) / squared
+        inverse += scale / math.sqrt(squared)
+    return TURN_WEIGHT * turn + by_step / count, 1.0 / max(inverse / count, 1.0 / FARTHEST)
+
+
+@njit(**KERNEL)
+def _find_directions(routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch, n: int) -> None:
+    """Effects of a rotation of the world about the camera, and of a shift of the world, at the first estimates or now.
+
+    In the first six rows of HP.
+    """
+    counts, x, B = S.counts[b], S.x[b], s.HP
+    blocks = S.first[b] if plan.first_estimates else S.blocks[b]
+    for k in range(6):
+        for j in range(n):
+            B[k, j] = 0.0
+    v = plan.velocity
+    _put_columns(B, 3, 0, IDENTITY, 1.0)
+    _put_columns(B, 0, 3, transposed(orientation(x)), 1.0)
+    _put_columns(B, 0, v, cross_matrix(x[v + 1], x[v + 2], x[v + 3]), -1.0)
+    for row in plan.in_world:
+        _put_columns(B, 0, row, cross_matrix(x[row + 1], x[row + 2], x[row + 3]), -1.0)
+    turning = 0
+    for c in range(counts[BLOCKS]):
+        column = plan.leading + plan.size * c
+        if S.kind[b, c] == OWN:
+            s.taken[turning] = c
+            for a in range(s.values_taken.shape[1]):
+                s.values_taken[turning, a] = blocks[c, a]
+            turning += 1
+        elif S.kind[b, c] == POINT:  # clones stay where the camera was
+            away = cross_matrix(blocks[c, 0] - x[0], blocks[c, 1] - x[1], blocks[c, 2] - x[2])
+            _put_columns(B, 0, column, away, -1.0)
+            _put_columns(B, 3, column, IDENTITY, 1.0)
+    if turning > 0:
+        clear_all(s.effect, turning)
+        call(routines[EFFECT], (plan.landmark, s.values_taken[:turning], s.effect[:turning]))
+    for i in range(turning):
+        column = plan.leading + plan.size * s.taken[i]
+        for k in range(3):
+            for a in range(plan.size):
+                B[k, column + a] = s.effect[i, a, k]
+
+
+@unit(ADDRESSES, PLAN, STORAGE, types.int64, SCRATCH, VECTOR)
+def walk_gauge(routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch, before: FloatArray) -> None:
+    """P += B B^T for the way from the pose `before`: rotation about the camera, then a shift as large in the image."""
+    P, n, B = S.P[b], plan.leading + plan.size * S.counts[b, BLOCKS], s.HP
+    motion, distance = _image_motion(routines, plan, S, b, s, before)
+    if not plan.walks_by_numbers:
+        _find_directions(routines, plan, S, b, s, n)
+    sigma = plan.gauge_walk * math.sqrt(motion)
+    for k in range(6):
+        scale = sigma if k < 3 else sigma * distance
+        for j in range(n):
+            B[k, j] *= scale
+    add_square(P, B, 6, n)

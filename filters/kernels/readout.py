@@ -1,0 +1,184 @@
+"""Kernels that read maps: relative to the camera or in W, and as predicted measurements."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit, types
+
+from filters.geometry.arrays import BoolArray, FloatArray, IntArray
+from filters.geometry.three_by_three import cross_matrix, put, times, transposed
+from filters.kernels.blas import ENTRY, PLAIN, Routines, call
+from filters.kernels.disk_cache import KEPT
+from filters.kernels.linearisation import expect
+from filters.kernels.prediction import orientation
+from filters.kernels.storage import LANDMARKS
+from filters.kernels.units import (
+    ADDRESSES,
+    FLAGS,
+    INDEX,
+    MATRICES,
+    MATRIX,
+    read_plan,
+    read_scratch,
+    read_storage,
+)
+from filters.motions.motion_model import POSE_SIZE
+
+
+@njit(**KEPT, **ENTRY)
+def points_at(address: int, settings: FloatArray, values: FloatArray, points: FloatArray, J: FloatArray) -> None:
+    """Homogeneous points of landmarks by the kernel of their parametrisation."""
+    call(address, (settings, values, points, J))
+
+
+@njit(**KEPT, **ENTRY)
+def relative_landmarks(
+    P: FloatArray,
+    x: FloatArray,
+    blocks: FloatArray,
+    own: IntArray,
+    anchor: IntArray,
+    counts: IntArray,
+    leading: int,
+    anchored: bool,
+    in_world: bool,
+    points: FloatArray,
+    by_own: FloatArray,
+    offsets: IntArray,
+    places: FloatArray,
+    covariances: FloatArray,
+    located: BoolArray,
+) -> None:
+    """p_c = R_wc^T (p_w - r) of the landmarks of all filters, and its covariance; the last three are written.
+
+    With `in_world` the same of p_w: the pose then is that of W, and exact.
+
+    `points` (M, seen) and `by_own` (M, seen, size) are those of `points_at`. `located`: in front of the anchor, at a
+    finite distance, with a finite covariance.
+    """
+    size = by_own.shape[2]
+    most = POSE_SIZE + 3 + size
+    J, own_P, JP = np.empty((3, most)), np.empty((most, most)), np.empty((3, most))
+    rows, width = np.empty(most, dtype=np.int64), POSE_SIZE + size + (3 if anchored else 0)
+    rows[:POSE_SIZE] = np.arange(POSE_SIZE)
+    origin_of_w = np.zeros(7)
+    origin_of_w[6] = 1.0
+    for b in range(len(x)):
+        camera, P_b = origin_of_w if in_world else x[b], P[b]
+        R_cw = transposed(orientation(camera))
+        for i in range(counts[b, LANDMARKS]):
+            m, first = offsets[b] + i, POSE_SIZE
+            w0, w1, w2, origin = -camera[0], -camera[1], -camera[2], anchor[b, i, 0]
+            if anchored and origin < 0:  # a point of W
+                origin = own[b, i]
+                for a in range(4):
+                    points[m, a] = blocks[b, origin, a] if a < 3 else 1.0
+                    for k in range(size):
+                        by_own[m, a, k] = 1.0 if a == k else 0.0
+                rows[first : first + 3] = leading + size * origin + np.arange(3)
+                first += 3
+            elif anchored:
+                w0, w1, w2 = w0 + blocks[b, origin, 0], w1 + blocks[b, origin, 1], w2 + blocks[b, origin, 2]
+                rows[first : first + 3] = leading + size * origin + np.arange(3)
+                first += 3
+            rows[first : first + size] = leading + size * own[b, i] + np.arange(size)
+            z = 1.0 / points[m, 3]
+            d0, d1, d2 = z * points[m, 0], z * points[m, 1], z * points[m, 2]
+            for k in range(size):
+                by_scale = by_own[m, 3, k]
+                J[0, first + k], J[1, first + k], J[2, first + k] = times(
+                    R_cw,
+                    z * (by_own[m, 0, k] - d0 * by_scale),
+                    z * (by_own[m, 1, k] - d1 * by_scale),
+                    z * (by_own[m, 2, k] - d2 * by_scale),
+                )
+            ahead = z > 0.0
+            c0, c1, c2 = times(R_cw, w0 + d0, w1 + d1, w2 + d2)
+            places[m, 0], places[m, 1], places[m, 2] = c0, c1, c2
+            for a in range(3):
+                for k in range(3):
+                    J[a, k] = 0.0 if in_world else -R_cw[3 * a + k]
+                    if anchored:
+                        J[a, POSE_SIZE + k] = R_cw[3 * a + k] if anchor[b, i, 0] >= 0 else 0.0
+            put(J, 0, 3, cross_matrix(c0, c1, c2), 0.0 if in_world else 1.0)
+            for k in range(width):
+                for q in range(k, width):
+                    p = P_b[min(rows[k], rows[q]), max(rows[k], rows[q])]
+                    own_P[k, q], own_P[q, k] = p, p
+            for a in range(3):
+                for q in range(width):
+                    total = 0.0
+                    for k in range(width):
+                        total += J[a, k] * own_P[k, q]
+                    JP[a, q] = total
+            finite = math.isfinite(c0) and math.isfinite(c1) and math.isfinite(c2)
+            for a in range(3):
+                for q in range(a, 3):
+                    total = 0.0
+                    for k in range(width):
+                        total += JP[a, k] * J[q, k]
+                    covariances[m, a, q], covariances[m, q, a] = total, total
+                    finite = finite and math.isfinite(total)
+            located[m] = ahead and finite
+
+
+@njit(_nrt=False, **KEPT, **ENTRY)
+def forecasts(
+    routines: Routines,
+    plan_at: int,
+    storage_at: int,
+    scratch_at: int,
+    first: int,
+    offsets: IntArray,
+    noise: FloatArray,
+    uvd: FloatArray,
+    S: FloatArray,
+    in_front: BoolArray,
+) -> None:
+    """Predicted (u, v, d) of all landmarks of some filters, from the first on, and H P H^T + R of each.
+
+    Landmarks of filter first + f are at offsets[f] to offsets[f + 1] - 1 of the last three, which are written; its
+    noise is noise[f].
+    """
+    plan, storage, s = read_plan(plan_at), read_storage(storage_at), read_scratch(scratch_at)
+    measured, width = plan.measured, plan.measured + 3 * plan.anchors + plan.size
+    for f in range(len(offsets) - 1):
+        b, begin, count = first + f, offsets[f], offsets[f + 1] - offsets[f]
+        expect(routines, plan, storage, b, s, count)
+        P = storage.P[b]
+        for i in range(count):
+            m, H = begin + i, s.H[i]
+            in_front[m] = s.in_front[i]
+            for k in range(3):
+                uvd[m, k] = s.numbers[i, k]
+            for a in range(width):
+                s.gate_rows[a] = a
+            for which in range(plan.anchors):
+                for a in range(3):
+                    s.gate_rows[measured + 3 * which + a] = s.base[i, 2 - plan.anchors + which] + a
+            for a in range(plan.size):
+                s.gate_rows[width - plan.size + a] = s.base[i, 2] + a
+            for k in range(3):
+                for a in range(width):
+                    s.gate_HP[k, a] = 0.0
+            for a in range(width):
+                for c in range(width):
+                    p, q = s.gate_rows[a], s.gate_rows[c]
+                    covariance = P[min(p, q), max(p, q)]
+                    for k in range(3):
+                        s.gate_HP[k, c] += H[k, a] * covariance
+            for k in range(3):
+                for j in range(k, 3):  # and its mirror: where S is large, rounding is not symmetric
+                    total = 0.0
+                    for c in range(width):
+                        total += s.gate_HP[k, c] * H[j, c]
+                    S[m, k, j], S[m, j, k] = total + noise[f, k, j], total + noise[f, j, k]
+
+
+def compile_forecasts() -> None:
+    """Compile `forecasts`, or load it from the disk, before it is called."""
+    if not PLAIN and not forecasts.signatures:
+        arrays = INDEX, MATRICES, MATRIX, MATRICES, FLAGS
+        forecasts.compile(types.void(ADDRESSES, *[types.intp] * 3, types.int64, *arrays))

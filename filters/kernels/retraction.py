@@ -1,0 +1,260 @@
+"""Kernels of the error definitions: corrections of the state, and P carried along with them."""
+
+from __future__ import annotations
+
+from numba import njit, types
+
+from filters.geometry.arrays import FloatArray
+from filters.geometry.retractions import additive_transport_of
+from filters.geometry.rotations import (
+    Four,
+    Nine,
+    left_jacobian_derivative_of,
+    matrix_of,
+    product_of,
+    quaternion_of,
+    right_jacobian_of,
+)
+from filters.geometry.three_by_three import IDENTITY, cross_matrix, multiply, put, times, transposed
+from filters.kernels.blas import KERNEL, Routines, call
+from filters.kernels.covariance import identity, scale_block, scale_blocks, shear, transform_leading
+from filters.kernels.linearisation import clear_all
+from filters.kernels.prediction import clear, orientation
+from filters.kernels.recipe import Plan
+from filters.kernels.scratch import Scratch
+from filters.kernels.storage import BLOCKS, CLONE_ROTATION, OWN, POINT, Storage
+from filters.kernels.units import ADDRESSES, EFFECT, PLAN, SCRATCH, STORAGE, TURN, unit
+
+
+@njit(**KERNEL)
+def _rotated(plan: Plan, q: FloatArray, x: float, y: float, z: float) -> Four:
+    """Retraction of an orientation."""
+    if plan.additive_quaternion:
+        return product_of(q[0], q[1], q[2], q[3], 0.5 * x, 0.5 * y, 0.5 * z, 1.0)
+    e0, e1, e2, e3 = quaternion_of(x, y, z)
+    return product_of(q[0], q[1], q[2], q[3], e0, e1, e2, e3)
+
+
+@njit(**KERNEL)
+def _rotation_transport(plan: Plan, x: float, y: float, z: float) -> Nine:
+    """Its `Retraction.transport`, row by row."""
+    return additive_transport_of(x, y, z) if plan.additive_quaternion else right_jacobian_of(x, y, z)
+
+
+@njit(**KERNEL)
+def _orientation(blocks: FloatArray, k: int) -> Nine:
+    """Rotation matrix of a block of a clone, row by row."""
+    return matrix_of(blocks[k, 0], blocks[k, 1], blocks[k, 2], blocks[k, 3])
+
+
+@njit(**KERNEL)
+def _turn_own(routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch) -> None:
+    """The landmarks' own values corrected by delta in `moved_blocks`, and their rows of the Jacobian in D and W.
+
+    Where camera and map turn together that is a turn by `theta` after a correction less what the turn does.
+    """
+    blocks, kind, delta, theta = S.blocks[b], S.kind[b], s.delta, s.theta
+    R, values, count = orientation(S.x[b]), s.values_taken.shape[1], 0
+    theta[0], theta[1], theta[2] = 0.0, 0.0, 0.0
+    if plan.turns:
+        theta[0], theta[1], theta[2] = times(R, delta[3], delta[4], delta[5])
+    for k in range(S.counts[b, BLOCKS]):
+        if kind[k] == OWN:
+            row = plan.leading + plan.size * k
+            s.taken[count] = k
+            for a in range(values):
+                s.values_taken[count, a] = blocks[k, a]
+            for a in range(plan.size):
+                s.correction[count, a] = delta[row + a]
+            count += 1
+    if count == 0:
+        return
+    clear_all(s.effect, count)
+    if plan.turns:
+        call(routines[EFFECT], (plan.landmark, s.values_taken[:count], s.effect[:count]))
+        for i in range(count):
+            for a in range(plan.size):
+                for c in range(3):
+                    s.correction[i, a] -= s.effect[i, a, c] * theta[c]
+    clear_all(s.by_correction, count)
+    clear_all(s.by_theta, count)
+    clear(s.values_moved[:count])
+    given = plan.landmark, s.values_taken[:count], theta, s.correction[:count], s.values_moved[:count]
+    call(routines[TURN], (*given, s.by_correction[:count], s.by_theta[:count]))
+    for i in range(count):
+        for a in range(values):
+            s.moved_blocks[s.taken[i], a] = s.values_moved[i, a]
+    full = plan.resets or not plan.turns
+    if not full:  # the effect of a turn there less that here
+        for i in range(count):
+            for a in range(plan.size):
+                for c in range(3):
+                    s.by_theta[i, a, c] = -s.effect[i, a, c]
+        clear_all(s.effect, count)
+        call(routines[EFFECT], (plan.landmark, s.values_moved[:count], s.effect[:count]))
+    for i in range(count):
+        row, J = plan.leading + plan.size * s.taken[i], s.by_correction[i]
+        for a in range(plan.size):
+            if full:
+                for c in range(plan.size):
+                    s.D[s.taken[i], a, c] = J[a, c]
+            for c in range(3):
+                by_turn = s.by_theta[i, a, c]
+                if full:
+                    for k in range(plan.size):
+                        by_turn -= J[a, k] * s.effect[i, k, c]
+                else:
+                    by_turn += s.effect[i, a, c]
+                if plan.turns:
+                    for m in range(3):
+                        s.W[row + a, m] += by_turn * R[3 * c + m]
+
+
+@njit(**KERNEL)
+def scales_blocks(plan: Plan) -> bool:
+    """Whether the blocks of D matter: where P goes to the new tangent spaces, and these are others."""
+    return plan.resets or not (plan.additive or plan.turns or plan.first_estimates)
+
+
+@njit(**KERNEL)
+def move(routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch) -> None:
+    """The state corrected by delta in `moved` and `moved_blocks`, and the Jacobian D + W E^T that takes errors there.
+
+    E selects the rotation, and W has the whole column of it on its own rows. D is block-diagonal, (C, s, s) for the
+    blocks, and the identity for the other leading rows; where it `resets`, leading points turn as the point blocks do.
+    """
+    x, blocks, kind, count, delta = S.x[b], S.blocks[b], S.kind[b], S.counts[b, BLOCKS], s.delta
+    leading, v, moved, moved_blocks, W, D = plan.leading, plan.velocity, s.moved, s.moved_blocks, s.W, s.D
+    for i in range(leading + plan.size * count):
+        W[i, 0] = W[i, 1] = W[i, 2] = 0.0
+    for i in range(3):
+        moved[i] = x[i] + delta[i]
+    for i in range(6, leading):
+        moved[i + 1] = x[i + 1] + delta[i]
+    moved[3], moved[4], moved[5], moved[6] = _rotated(plan, x[3:7], delta[3], delta[4], delta[5])
+    R = orientation(x)
+    t0, t1, t2 = times(R, delta[3], delta[4], delta[5])
+    spread = transposed(right_jacobian_of(t0, t1, t2))
+    for k in range(count):
+        row = leading + plan.size * k
+        d0, d1, d2 = delta[row], delta[row + 1], delta[row + 2]
+        put(D[k], 0, 0, IDENTITY, 1.0)
+        for a in range(3, plan.size):
+            for c in range(a):
+                D[k, a, c] = D[k, c, a] = 0.0
+            D[k, a, a] = 1.0
+        if kind[k] == CLONE_ROTATION:
+            q0, q1, q2, q3 = _rotated(plan, blocks[k], d0, d1, d2)
+            moved_blocks[k, 0], moved_blocks[k, 1], moved_blocks[k, 2], moved_blocks[k, 3] = q0, q1, q2, q3
+            put(D[k], 0, 0, _rotation_transport(plan, d0, d1, d2), 1.0)
+            continue
+        if plan.turns and kind[k] == POINT:
+            if plan.resets:
+                put(W, row, 0, multiply(left_jacobian_derivative_of(t0, t1, t2, d0, d1, d2), R), 1.0)
+                put(D[k], 0, 0, spread, 1.0)
+            d0, d1, d2 = times(spread, d0, d1, d2)
+        moved_blocks[k, 0], moved_blocks[k, 1], moved_blocks[k, 2] = (
+            blocks[k, 0] + d0,
+            blocks[k, 1] + d1,
+            blocks[k, 2] + d2,
+        )
+        for a in range(3, plan.size):
+            moved_blocks[k, a] = blocks[k, a] + delta[row + a]
+    if plan.turns or not plan.additive:
+        _turn_own(routines, plan, S, b, s)
+    if plan.first_estimates:  # errors stay those of the linearisation point
+        return
+    if not plan.turns or plan.resets:
+        put(W, 3, 0, _rotation_transport(plan, delta[3], delta[4], delta[5]), 1.0)
+    if plan.turns:
+        for first in (0, v):  # position, linear velocity
+            at = first if first == 0 else first + 1
+            d0, d1, d2 = delta[first], delta[first + 1], delta[first + 2]
+            if plan.resets:
+                put(W, first, 0, multiply(left_jacobian_derivative_of(t0, t1, t2, d0, d1, d2), R), 1.0)
+            d0, d1, d2 = times(spread, d0, d1, d2)
+            moved[at], moved[at + 1], moved[at + 2] = x[at] + d0, x[at + 1] + d1, x[at + 2] + d2
+        if not plan.resets:
+            _turn_with_world(plan, S, b, R, s)
+    for i in range(3):
+        W[3 + i, i] -= 1.0
+
+
+@njit(**KERNEL)
+def _turn_with_world(plan: Plan, S: Storage, b: int, R: Nine, s: Scratch) -> None:
+    """(Gamma+ - Gamma) R_wc of all but the landmarks' own rows, in W: what a turn of the world does there and here."""
+    x, moved, blocks, moved_blocks, kind, W = S.x[b], s.moved, S.blocks[b], s.moved_blocks, S.kind[b], s.W
+    put(W, 3, 0, multiply(transposed(orientation(moved)), R), 1.0)
+    _put_shift(W, 0, x, moved, 0, R)
+    _put_shift(W, plan.velocity, x, moved, plan.velocity + 1, R)
+    for row in plan.in_world:
+        _put_shift(W, row, x, moved, row + 1, R)
+    for k in range(S.counts[b, BLOCKS]):
+        row = plan.leading + plan.size * k
+        if kind[k] == CLONE_ROTATION:
+            put(W, row, 0, multiply(transposed(_orientation(moved_blocks, k)), R), 1.0)
+            before = multiply(transposed(_orientation(blocks, k)), R)
+            for i in range(9):
+                W[row + i // 3, i % 3] -= before[i]
+        elif kind[k] != OWN:
+            _put_shift(W, row, blocks[k], moved_blocks[k], 0, R)
+
+
+@njit(**KERNEL)
+def _put_shift(W: FloatArray, row: int, before: FloatArray, after: FloatArray, at: int, R: Nine) -> None:
+    """-[after - before]x R_wc of a point."""
+    shift = cross_matrix(after[at] - before[at], after[at + 1] - before[at + 1], after[at + 2] - before[at + 2])
+    put(W, row, 0, multiply(shift, R), -1.0)
+
+
+@njit(**KERNEL)
+def _take_moved(x: FloatArray, blocks: FloatArray, count: int, s: Scratch) -> None:
+    """The state becomes the moved one."""
+    for i in range(len(x)):
+        x[i] = s.moved[i]
+    for c in range(count):
+        for i in range(blocks.shape[1]):
+            blocks[c, i] = s.moved_blocks[c, i]
+
+
+@unit(ADDRESSES, PLAN, STORAGE, types.int64, SCRATCH)
+def retract(routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch) -> None:
+    """Move the state by delta and carry P along."""
+    P, count, delta = S.P[b], S.counts[b, BLOCKS], s.delta
+    n = plan.leading + plan.size * count
+    move(routines, plan, S, b, s)
+    if plan.resets:
+        t0, t1, t2 = times(orientation(S.x[b]), delta[3], delta[4], delta[5])
+        spread = transposed(right_jacobian_of(t0, t1, t2))
+        identity(s.F)
+        put(s.F, 0, 0, spread, 1.0)
+        put(s.F, plan.velocity, plan.velocity, spread, 1.0)
+        transform_leading(P, n, s)
+    elif not (plan.turns or plan.first_estimates):
+        identity(s.F)
+        put(s.F, 3, 3, _rotation_transport(plan, delta[3], delta[4], delta[5]), 1.0)
+        transform_leading(P, n, s)
+    if scales_blocks(plan):
+        scale_blocks(P, n, plan.leading, s.D, s)
+    elif not (plan.turns or plan.first_estimates):
+        for c in range(count):
+            if S.kind[b, c] == CLONE_ROTATION:
+                row = plan.leading + plan.size * c
+                D = _rotation_transport(plan, delta[row], delta[row + 1], delta[row + 2])
+                scale_block(P, n, row, D, s.block)
+    if plan.turns:
+        shear(P, n, 3, s.W, s)
+    _take_moved(S.x[b], S.blocks[b], count, s)
+
+
+@unit(ADDRESSES, PLAN, STORAGE, types.int64, SCRATCH)
+def retract_by_numbers(routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch) -> None:
+    """The same by what the door has written: F, and D and W where `result` says so."""
+    P, count = S.P[b], S.counts[b, BLOCKS]
+    n = plan.leading + plan.size * count
+    transform_leading(P, n, s)
+    if s.result[0] > 0.0:
+        scale_blocks(P, n, plan.leading, s.D, s)
+    if s.result[1] > 0.0:
+        shear(P, n, 3, s.W, s)
+    _take_moved(S.x[b], S.blocks[b], count, s)

@@ -1,0 +1,225 @@
+"""Base class of measurement models: what the sensor measures of a point, and how a frame is used.
+
+A part gives the numbers that the sensor measures of points in the camera frame, and the inverse. The points are
+homogeneous, so that one at infinity or beyond is nothing special. Jacobians are numerical by default.
+
+Derivation: docs/derivations/measurements.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+
+from filters.contract.inputs import StereoObservation
+from filters.contract.variables import VELOCITY, Variable
+from filters.geometry import differences, rotations
+from filters.geometry.arrays import BoolArray, FloatArray
+from filters.geometry.camera import StereoCamera
+from filters.geometry.retractions import ADDITIVE, Retraction
+
+if TYPE_CHECKING:
+    from filters.motions.motion_model import CameraState
+
+Values = Mapping[str, FloatArray]
+"""Values of named variables."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stage:
+    """One update of the frame: all landmarks, k rows each."""
+
+    z: FloatArray
+    """(M, k): measurements."""
+    T: FloatArray
+    """(k, s): z = T times the s numbers of the sensor."""
+    R: FloatArray
+    """(M, k, k): covariance of z."""
+
+
+@dataclass(frozen=True, eq=False)
+class SensorJacobians:
+    """Jacobians of the s numbers of the sensor by homogeneous points, (M, s, 4), and by each variable, (M, s, size)."""
+
+    by_point: FloatArray
+    by_variable: Mapping[str, FloatArray]
+
+
+@dataclass(frozen=True)
+class StageRows:
+    """What a stage uses of the numbers of the sensor: z = T times them."""
+
+    T: tuple[tuple[float, ...], ...]
+    """One for each row."""
+    right_row: int = -1
+    """Row that takes the separately measured v_right; -1: none. A fourth number of the sensor has the variance of v."""
+    apart_row: int = -1
+    """Row whose error is independent of those of the other rows; -1: none."""
+    apart_scale: float = 1.0
+    """Factor of the variance of that row."""
+
+    def of_uvd(self) -> FloatArray:
+        """T by (u, v, d) alone, v standing for v_right; (k, 3)."""
+        T = np.array(self.T)
+        T[:, 1] += T[:, 3:].sum(axis=1)
+        return T[:, :3]
+
+    def of(self, observation: StereoObservation, R: FloatArray) -> Stage:
+        """The stage of M measurements with noise R (M, 3, 3) of (u, v, d)."""
+        by_uvd = self.of_uvd()
+        z, noise = observation.uvd @ by_uvd.T, by_uvd @ R @ by_uvd.T
+        if self.right_row >= 0:
+            z[:, self.right_row] = observation.v_right
+        if self.apart_row >= 0:
+            own = noise[:, self.apart_row, self.apart_row] * self.apart_scale
+            noise[:, self.apart_row] = noise[:, :, self.apart_row] = 0.0
+            noise[:, self.apart_row, self.apart_row] = own
+        return Stage(z, np.array(self.T), noise)
+
+
+@dataclass(frozen=True)
+class MeasurementKernels:
+    """Compiled functions of a measurement model: all its points in C-ordered arrays at once, outputs zero before.
+
+    A kernel is a function that Numba can compile; it writes what it is to give into its last arguments. `camera` is fx,
+    fy, cx, cy and the baseline; `values` those of the variables of the model, one after the other, and J_values the
+    Jacobian by their errors. The stages are those of `MeasurementModel.rows`.
+    """
+
+    predict: Callable[..., None]
+    """(settings, camera, points (M, 4), values, numbers (M, s), J (M, s, 4), J_values, in_front (M,)):
+    `MeasurementModel.predict`, its Jacobians, and `in_front`."""
+    backproject: Callable[..., None]
+    """(settings, camera, uvd (M, 3), values, points (M, 4), J (M, 4, 3), J_values): `MeasurementModel.backproject` and
+    its Jacobians."""
+    settings: tuple[str, ...] = ()
+    """Attributes of the part whose numbers are the first argument."""
+
+
+class MeasurementModel:
+    """A function of points in the camera frame and of the variables that it names, vectorised over points.
+
+    The numbers of the sensor are those of a `StereoObservation`: the three of `uvd`, and `v_right` as a fourth where
+    the model has it. Of a rectified pair they are (u, v, d); another sensor may give the columns its own meaning.
+
+    References
+    ----------
+    Chen, Lin and Shih, "Using range and bearing observation in stereo-based EKF SLAM", Eq. 7 to 10, section 4.
+    F. Dellaert, "Factor graphs and GTSAM", 2012 (its `CustomFactor`).
+    """
+
+    seen_size: ClassVar[int] = 4
+    """Numbers by which it sees a landmark, those of the landmark's `seen_size`: of a point, direction and scale."""
+    seen_vectors: ClassVar[int] = 1
+    """How many vectors lead them, as of the landmark."""
+    size: ClassVar[int] = 3
+    """Numbers of the sensor, s: 3, or 4 with `v_right`."""
+    variables: tuple[Variable, ...] = ()
+    """Variables of the state that it needs."""
+    sees_velocity: ClassVar[bool] = False
+    """Whether it depends on the velocity, as with rows read in turn or an unknown delay: then there is a value
+    "velocity", linear (m/s) and angular (rad/s), both in the camera frame, behind those of the variables."""
+    kernels: ClassVar[MeasurementKernels | None] = None
+    """The same, compiled. They hold for the class that states them, not for its subclasses."""
+
+    # --- what a part gives ---
+
+    def predict(self, camera: StereoCamera, points_c: FloatArray, values: Values) -> FloatArray:
+        """Numbers of the sensor; points (..., seen_size), the point is direction / scale -> (..., s)."""
+        raise NotImplementedError(f"{type(self).__name__} must have predict: see MeasurementModel")
+
+    def backproject(self, camera: StereoCamera, uvd: FloatArray, values: Values) -> FloatArray:
+        """Homogeneous points (M, seen_size) in the camera frame at the measurements (M, 3)."""
+        raise NotImplementedError(f"{type(self).__name__} must have backproject: see MeasurementModel")
+
+    # --- what it may give instead of the default ---
+
+    def rows(self, with_right: bool) -> tuple[StageRows, ...]:
+        """What the stages use of the sensor's numbers where `v_right` is not measured, and where it is.
+
+        The default is one stage with all numbers; the error of `v_right` is independent of the others and has the
+        variance of v. Where it is missing, the other three are used.
+        """
+        every = tuple(tuple(row) for row in np.eye(self.size).tolist())
+        if self.size == 3 or not with_right:
+            return (StageRows(every[:3]),)
+        return (StageRows(every, right_row=3, apart_row=3),)
+
+    def stages(self, observation: StereoObservation, R: FloatArray) -> tuple[Stage, ...]:
+        """Updates to be made one after the other, each linearised at the state the previous one left.
+
+        Parameters
+        ----------
+        observation : StereoObservation
+            M measurements.
+        R : (M, 3, 3)
+            Covariance of `uvd`.
+        """
+        return tuple(rows.of(observation, R) for rows in self.rows(observation.v_right is not None))
+
+    def completed(self, observation: StereoObservation, camera: StereoCamera) -> StereoObservation:
+        """The observation with all that the model needs of it.
+
+        Raises
+        ------
+        ValueError
+            It has no disparities, as of one camera, and the model needs them.
+        """
+        if observation.has_disparity:
+            return observation
+        name = type(self).__name__
+        raise ValueError(
+            f"observation has no disparity, which measurement={name}() needs: take measurement='left' with inertial "
+            "samples, as make_filter('inertial', measurement='left', ...)"
+        )
+
+    def in_front(self, points_c: FloatArray) -> BoolArray:
+        """Which homogeneous points (M, 4) the sensor can see at all: those with a direction ahead."""
+        forward: BoolArray = points_c[:, 2] > 0.0
+        return forward
+
+    def jacobians(self, camera: StereoCamera, points_c: FloatArray, values: Values) -> SensorJacobians:
+        """Jacobians of `predict`."""
+        by_point = differences.jacobian(lambda e: self.predict(camera, points_c + e, values), self.seen_size)
+        return SensorJacobians(by_point, self._by_variables(lambda x: self.predict(camera, points_c, x), values))
+
+    def backprojection_jacobians(self, camera: StereoCamera, uvd: FloatArray, values: Values) -> SensorJacobians:
+        """Jacobians of `backproject`, (M, 4, 3) by the measurement as `by_point`, and by each variable."""
+        by_measurement = differences.jacobian(lambda e: self.backproject(camera, uvd + e, values), 3)
+        return SensorJacobians(by_measurement, self._by_variables(lambda x: self.backproject(camera, uvd, x), values))
+
+    def _by_variables(self, function: Callable[[Values], FloatArray], values: Values) -> dict[str, FloatArray]:
+        """Jacobians of a function of the values by each of them."""
+        needed = [(variable.name, variable.retraction, variable.size) for variable in self.variables]
+        if self.sees_velocity:
+            needed.append((VELOCITY, ADDITIVE, len(values[VELOCITY])))
+        return {name: _jacobian_by(name, retraction, size, function, values) for name, retraction, size in needed}
+
+    # --- what follows from it ---
+
+    def values_at(self, camera: CameraState) -> Values:
+        """What the functions take at a state."""
+        if not self.sees_velocity:
+            return camera.variables
+        felt = np.concatenate([camera.R_wc.T @ camera.linear_velocity, camera.angular_velocity])
+        return {**camera.variables, VELOCITY: felt}
+
+    def by_leading(self, by_pose: FloatArray, by_variable: Mapping[str, FloatArray], camera: CameraState) -> FloatArray:
+        """Jacobian (M, k, c) by the leading rows of the state: by the pose (M, k, 6), then by what the model names."""
+        columns = [by_pose, *(by_variable[variable.name] for variable in self.variables)]
+        if self.sees_velocity:
+            by_linear, by_angular = np.split(by_variable[VELOCITY], 2, axis=2)
+            R_cw = camera.R_wc.T
+            by_turn = by_linear @ rotations.skew(R_cw @ camera.linear_velocity)
+            columns[0] = np.concatenate([by_pose[:, :, :3], by_pose[:, :, 3:] + by_turn], axis=2)
+            columns += [by_linear @ R_cw, by_angular]
+        return np.concatenate(columns, axis=2) if len(columns) > 1 else by_pose
+
+
+def _jacobian_by(
+    name: str, retraction: Retraction, size: int, function: Callable[[Values], FloatArray], values: Values
+) -> FloatArray:
+    return differences.jacobian(lambda e: function({**values, name: retraction.retract(values[name], e)}), size)
