@@ -26,7 +26,7 @@ from filters import nees
 from harness import arguments, show
 from stereo_slam_env.cli.app import main as command
 from stereo_slam_env.evaluation.synchronisation import paired
-from stereo_slam_env.evaluation.trajectory_windows import motion_covariances, motions
+from stereo_slam_env.evaluation.windows import motion_covariances, motions
 from stereo_slam_env.recording.trajectory import pose_errors
 
 LENGTHS = (1.0, 10.0)

@@ -90,7 +90,7 @@ def as_driven(recording: Recording) -> ConstantVelocity:
 
 def run_batch(recording: Recording, right_row: bool) -> Outcome:
     """All frames, solved now and then and at the end."""
-    from stereo_slam_env.baselines.batch import BatchSmoother
+    from stereo_slam_env.baselines.smoothers import BatchSmoother
 
     smoother = BatchSmoother(recording.camera, recording.noise, gate=None, right_row=right_row)
     smoother.reset(recording.start)

@@ -25,7 +25,7 @@ from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.evaluation.results import FilterRun
 from stereo_slam_env.evaluation.run_figures import figures_of, summarise_all
 from stereo_slam_env.recording.recording import Recording
-from stereo_slam_env.sensing.pixel_noise import matching_errors
+from stereo_slam_env.sensing.corruptions import matching_errors
 
 WRONG = 0.10
 ASSUMED_SIGMA = 0.35  # px; the two Gaussians of the mixture together have 0.28

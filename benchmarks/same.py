@@ -38,8 +38,8 @@ from stereo_slam_env.benchmark.recordings.reference_problem import long_drive
 from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.evaluation.trajectory_score import TrajectoryScore
 from stereo_slam_env.paper import PaperSettings, run_paper
+from stereo_slam_env.policies import GazeTask
 from stereo_slam_env.report.trajectory_report import write_trajectory_report
-from stereo_slam_env.training import GazeTask
 from stereo_slam_env.wrappers import BeliefObservation, InformationGain
 
 KEPT = Path(__file__).with_name("same.json")

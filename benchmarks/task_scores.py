@@ -26,8 +26,7 @@ from scipy.stats import bootstrap, trim_mean
 import stereo_slam_env  # noqa: F401 (registers the ids)
 from harness import arguments, mean_and_error, show
 from stereo_slam_env.policies import follow_route, normalised_score
-from stereo_slam_env.policies.rows import Oracle
-from stereo_slam_env.policies.scores import REFERENCE_RETURNS
+from stereo_slam_env.policies.rows import REFERENCE_RETURNS, Oracle
 from stereo_slam_env.tasks import (
     close_if_it_pays,
     drive_slowly,

@@ -22,11 +22,11 @@ import numpy as np
 from scipy.stats import bootstrap, trim_mean
 
 from harness import arguments, show
+from stereo_slam_env.policies.gaze_task import GazeTask, evaluate
 from stereo_slam_env.policies.network import Network
-from stereo_slam_env.policies.scores import normalised_score
-from stereo_slam_env.training.ppo import LearningCurve, Task
-from stereo_slam_env.training.registered_task import RegisteredTask
-from stereo_slam_env.training.task import GazeTask, evaluate
+from stereo_slam_env.policies.ppo import LearningCurve, Task
+from stereo_slam_env.policies.registered_task import RegisteredTask
+from stereo_slam_env.policies.rows import normalised_score
 
 SEED = 300_000
 """The first one."""

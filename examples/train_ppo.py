@@ -13,7 +13,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecNormalize
 
 import stereo_slam_env  # noqa: F401 (registers the ids)
-from stereo_slam_env.training import SB3VecEnv
+from stereo_slam_env.policies import SB3VecEnv
 
 ID = "StereoSlam/ActiveGaze-v0"
 

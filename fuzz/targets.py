@@ -27,11 +27,11 @@ from stereo_slam_env.evaluation.trajectory_score import evaluate_trajectory
 from stereo_slam_env.files.readers import read_arrays
 from stereo_slam_env.paper import holds_paper
 from stereo_slam_env.policies.network import Network
+from stereo_slam_env.policies.ppo import LearningCurve, require_own_training
 from stereo_slam_env.recording.archive import load_recording
 from stereo_slam_env.recording.trajectory_bags import read_bag
 from stereo_slam_env.recording.trajectory_files import load_trajectory
 from stereo_slam_env.sensing.rigs import calibration_of
-from stereo_slam_env.training.ppo import LearningCurve, require_own_training
 from stereo_slam_env.world.own_bodies import obj_mesh, urdf_solids
 from stereo_slam_env.world.routes import kitti_route
 from stereo_slam_env.world.scene import Material

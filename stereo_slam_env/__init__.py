@@ -2,7 +2,7 @@
 
 Importing this package registers the Gymnasium environments. `__init__.pyi` lists the public names; each is imported
 when it is first used. The rooms that users work in have public names of their own: `stereo_slam_env.wrappers`,
-`.policies`, `.frontend`, `.datasets`, `.world`, `.sensing`, `.rendering`, `.evaluation`, `.benchmark`, `.training`,
+`.policies`, `.frontend`, `.datasets`, `.world`, `.sensing`, `.rendering`, `.evaluation`, `.benchmark`,
 `.viewer`.
 """
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 import stereo_slam_env as sse
 from stereo_slam_env.benchmark.scenarios.streams import without_measurements
 from stereo_slam_env.frontend import ActiveSearch
-from stereo_slam_env.rendering.drawing import label
+from stereo_slam_env.rendering.overlay import label
 from stereo_slam_env.viewer import Drive, save_still, search_picture
 
 Image = NDArray[np.uint8]

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from stereo_slam_env.cli import bench as cli_bench
-from stereo_slam_env.cli import claim as cli_claim
 from stereo_slam_env.cli import convert as cli_convert
+from stereo_slam_env.cli import evaluate as cli_claim
 from stereo_slam_env.cli import evaluate as cli_evaluate
 from stereo_slam_env.cli import paper as cli_paper
 from stereo_slam_env.cli import results as cli_results

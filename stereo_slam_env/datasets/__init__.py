@@ -28,7 +28,7 @@ from stereo_slam_env.datasets.registry import (
 from stereo_slam_env.datasets.restated import Recalibrated, WithTruth
 from stereo_slam_env.datasets.sequence import Choice, OnBroken
 from stereo_slam_env.evaluation.body_frames import read_body
-from stereo_slam_env.files.paths import is_there, require_inside, require_links_inside
+from stereo_slam_env.files.opening import is_there, require_inside, require_links_inside
 from stereo_slam_env.frontend.calibration import calibrated
 from stereo_slam_env.frontend.camera_motion import set_up_for_tracks, with_moving_start
 from stereo_slam_env.frontend.recorder import record_tracks

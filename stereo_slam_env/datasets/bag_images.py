@@ -1,9 +1,12 @@
-"""Grey values of the messages Image and CompressedImage, in whatever encoding, with one scale for a recording."""
+"""Grey values of the messages Image and CompressedImage, in whatever encoding, with one scale for a recording.
+
+The pair of cameras of a bag: topics of its images, and what all their messages CameraInfo say.
+"""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +16,9 @@ from numpy.typing import NDArray
 from filters.contract.validation import plain
 from stereo_slam_env.datasets.image_files import MAX_PIXELS, BrokenPair, as_grey, decoded_pixels, shift_of
 from stereo_slam_env.recording.recording import GreyImage
+from stereo_slam_env.sensing.calibration_entries import Size
+from stereo_slam_env.sensing.camera_info import CameraInfo, agreed, calibration_of_images
+from stereo_slam_env.sensing.rig_files import Calibration
 
 _CHANNELS = {
     **dict.fromkeys(("mono8", "8UC1", "mono16", "16UC1"), 1),
@@ -109,3 +115,115 @@ def _grey(pixels: Pixels, encoding: str, shift: int) -> GreyImage:
         code = getattr(cv2, f"COLOR_{_BAYER.get(encoding[6:10], 'BayerBG2GRAY')}")
         pixels = cv2.cvtColor(np.ascontiguousarray(pixels), code)
     return as_grey(pixels, shift, rgb=encoding.startswith("rgb"))
+
+
+IMAGES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
+INFO = "sensor_msgs/msg/CameraInfo"
+Infos = Mapping[str, tuple[str, CameraInfo]]
+"""Topics of CameraInfo and their first messages, by name space."""
+
+
+def first_infos(reader: Any) -> Infos:
+    """First messages CameraInfo that are filled in."""
+    found: dict[str, tuple[str, CameraInfo]] = {}
+    for connection in (c for c in reader.connections if c.msgtype == INFO):
+        name = connection.topic.rpartition("/")[0]
+        for _, _, raw in reader.messages([connection]):
+            info = CameraInfo.of_message(reader.deserialize(raw, INFO))
+            if name not in found or any(info.P):
+                found[name] = connection.topic, info
+            if any(info.P):  # drivers begin with empty ones
+                break
+    return found
+
+
+def calibration_of_topics(
+    reader: Any, path: Path, eyes: tuple[str, str], infos: Infos, sizes: tuple[Size, Size]
+) -> tuple[Calibration, tuple[str, ...]]:
+    """Calibration of images with these sizes by all CameraInfo of both cameras, and notes on it."""
+    topics = [known[0] for topic in eyes if (known := _info_of(infos, topic)) is not None]
+    if len(topics) < len(eyes):
+        raise ValueError(f"{path} has no CameraInfo of {' and '.join(map(plain, eyes))}: give the calibration as rig")
+    both, notes = [], list[str]()
+    for topic in topics:
+        chosen = [c for c in reader.connections if c.topic == topic]
+        every = (CameraInfo.of_message(reader.deserialize(raw, INFO)) for _, _, raw in reader.messages(chosen))
+        info, note = agreed(every, f"{path}, {plain(topic)}")
+        both.append(info)
+        notes += note
+    left, right = ("rect" not in topic.rpartition("/")[2] and "/image_rect" not in topic for topic in eyes)
+    found, more = calibration_of_images((both[0], both[1]), sizes, f"{path}, {plain(topics[1])}", mapped=(left, right))
+    return found, (*notes, *more)
+
+
+def _info_of(infos: Infos, topic: str) -> tuple[str, CameraInfo] | None:
+    parts = topic.split("/")
+    return next((infos[name] for n in range(len(parts) - 1, 0, -1) if (name := "/".join(parts[:n])) in infos), None)
+
+
+def cameras_of(
+    path: Path,
+    topics: Mapping[str, str],
+    infos: Infos,
+    left: str | None,
+    right: str | None,
+    *,
+    by_name: bool,
+) -> tuple[str, str]:
+    """Topics of the left and of the right images: by CameraInfo, or else, if that will do, by their names."""
+    images = sorted(topic for topic, kind in topics.items() if kind in IMAGES)
+    if not images:
+        raise ValueError(
+            f"{path} holds no images, on none of its {len(topics)} topics: give one with a stereo pair (poses alone "
+            "are judged by `stereo-slam evaluate`)"
+        )
+    listed = ", ".join(map(plain, images))
+    for asked in (left, right):
+        if asked is not None and asked not in images:
+            raise ValueError(f"{path} has no images on {asked!r}; topics with images: {listed}")
+    if left is not None and right is not None:
+        return left, right
+    of_eye: tuple[list[str], list[str]] = ([], [])
+    for topic in images:
+        info = _info_of(infos, topic)
+        if info is not None and not any(word in topic for word in ("depth", "disparity", "mask")):
+            of_eye[info[1].shift < 0].append(topic)
+    lefts = [left] if left is not None else of_eye[0]
+    rights = [right] if right is not None else of_eye[1]
+    best = [(a, b) for b in rights for a in lefts if _alike(a, b)]
+    best = best or [(a, b) for b in rights for a in lefts if _alike(_unsaid(a), _unsaid(b))]
+    if not best and by_name:
+        called = [(a, b) for a in images for b in images if _called_left_and_right(a, b)]
+        best = [(a, b) for a, b in called if left in (None, a) and right in (None, b)]
+    best = [pair for pair in best if "rect" in pair[0]] or best
+    best = [pair for pair in best if topics[pair[0]].endswith("/Image")] or best
+    if len(best) != 1:
+        why = f"{len(best)} pairs of cameras: name the topics (--image-topics LEFT,RIGHT)"
+        if not best:
+            why = "no pair of cameras whose CameraInfo makes them one rig (P[3] of the right one is -f b): give a rig"
+        shifts = {topic: _info_of(infos, topic) for topic in images}
+        listed = ", ".join(
+            f"{plain(topic)} with {'no CameraInfo' if info is None else f'P[3] = {info[1].shift:g}'}"
+            for topic, info in shifts.items()
+        )
+        raise ValueError(f"{path} holds {why}; images: {listed}")
+    return best[0]
+
+
+def _alike(left: str, right: str) -> bool:
+    """Whether two topics differ as left and right do: in one part of their names, or by a digit or word in it."""
+    a, b = left.split("/"), right.split("/")
+    return len(a) == len(b) and sum(one != other for one, other in zip(a, b, strict=True)) == 1
+
+
+def _unsaid(topic: str) -> str:
+    """The topic without words on what its images are: one camera's may say raw, the other's rectified."""
+    return re.sub(r"_(rect|raw|colou?r|mono|gr[ae]y)(?=[_/]|$)", "", topic)
+
+
+def _called_left_and_right(a: str, b: str) -> bool:
+    """Whether two topics are `left` and `right`, or one digit apart as `cam0` and `cam1`, or `infra1` and `infra2`."""
+    if a.replace("left", "right") == b != a:
+        return True
+    other = [(x, y) for x, y in zip(a, b, strict=False) if x != y]
+    return len(a) == len(b) and other in ([("0", "1")], [("1", "2")])

@@ -24,10 +24,10 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from filters import InertialSamples, InertialUnit, Pose
 from filters.geometry.arrays import FloatArray, IntArray
-from stereo_slam_env.datasets.known_recordings import reference_for
 from stereo_slam_env.datasets.rectified_or_raw import as_they_are, sample_of_files
+from stereo_slam_env.datasets.registry import reference_for
 from stereo_slam_env.datasets.sequence import Choice, ImageFiles, RecordedSequence, known_poses
-from stereo_slam_env.files.paths import is_plain_name
+from stereo_slam_env.files.opening import is_plain_name
 from stereo_slam_env.files.readers import finite_rows, read_text
 from stereo_slam_env.recording.inertial import samples_of_steps
 from stereo_slam_env.recording.recording import NO_REFERENCE

@@ -31,7 +31,7 @@ from filters.geometry.arrays import FloatArray
 from stereo_slam_env.datasets.calibration import rig_of
 from stereo_slam_env.datasets.image_files import numbered_images
 from stereo_slam_env.datasets.sequence import Choice, ImageFiles, RecordedSequence, known_poses
-from stereo_slam_env.files.paths import require_inside
+from stereo_slam_env.files.opening import require_inside
 from stereo_slam_env.files.readers import finite_rows, read_table
 from stereo_slam_env.recording.recording import Reference
 from stereo_slam_env.sensing.projections import projections

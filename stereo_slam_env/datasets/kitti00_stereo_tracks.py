@@ -22,9 +22,9 @@ from filters import InertialUnit, Pose, Start, StereoCamera, StereoNoise
 from filters.contract.extras import install_command
 from filters.contract.validation import positive
 from filters.geometry.arrays import FloatArray, IntArray
-from stereo_slam_env.datasets.known_recordings import known_by, reference_for
+from stereo_slam_env.datasets.registry import known_by, reference_for
 from stereo_slam_env.datasets.tracks import ASSUMED_SIGMA_PX, PointTracks, frames_of, stated_or_assumed
-from stereo_slam_env.files.paths import is_there
+from stereo_slam_env.files.opening import is_there
 from stereo_slam_env.files.readers import read_poses, read_table, require_rotations, split_poses
 from stereo_slam_env.recording.inertial import samples_of_steps
 from stereo_slam_env.recording.recording import Recording, Reference

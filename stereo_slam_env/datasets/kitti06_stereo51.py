@@ -14,7 +14,7 @@ import numpy as np
 
 from stereo_slam_env.datasets.calibration import rig_of
 from stereo_slam_env.datasets.image_files import numbered_images
-from stereo_slam_env.datasets.known_recordings import POSITION, known_by, reference_for
+from stereo_slam_env.datasets.registry import POSITION, known_by, reference_for
 from stereo_slam_env.datasets.sequence import Choice, ImageFiles, RecordedSequence, poses_of_rows
 from stereo_slam_env.datasets.tracks import camera_velocities
 from stereo_slam_env.files.readers import read_table

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from filters import Pose, StereoCamera, StereoNoise
-from stereo_slam_env.datasets.known_recordings import known_by, reference_for
+from stereo_slam_env.datasets.registry import known_by, reference_for
 from stereo_slam_env.datasets.tracks import (
     ASSUMED_SIGMA_PX,
     camera_velocities,

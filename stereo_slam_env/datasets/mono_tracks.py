@@ -30,9 +30,9 @@ import numpy as np
 from filters import InertialUnit, Pose, StereoCamera, StereoNoise, StereoObservation
 from filters.contract.validation import first_line, positive, require_known
 from filters.geometry.arrays import FloatArray
-from stereo_slam_env.datasets.known_recordings import reference_for
+from stereo_slam_env.datasets.registry import reference_for
 from stereo_slam_env.datasets.restated import pose_at
-from stereo_slam_env.files.paths import require_inside
+from stereo_slam_env.files.opening import require_inside
 from stereo_slam_env.files.readers import parse_toml, read_table, read_text
 from stereo_slam_env.recording.filter_setup import FilterSetup
 from stereo_slam_env.recording.inertial import samples_of_steps

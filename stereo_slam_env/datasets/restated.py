@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from filters import Pose, Start, StereoCamera
 from filters.geometry.arrays import FloatArray
-from stereo_slam_env.datasets.known_recordings import reference_for
 from stereo_slam_env.datasets.rectified_or_raw import as_they_are, sample_of_pairs
+from stereo_slam_env.datasets.registry import reference_for
 from stereo_slam_env.recording.recording import ImageSequence, Reference, StereoPair
 from stereo_slam_env.recording.trajectory import Trajectory
 from stereo_slam_env.recording.trajectory_files import load_trajectory

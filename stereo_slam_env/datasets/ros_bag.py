@@ -20,8 +20,15 @@ from filters import BodyVelocity, InertialSamples, Start, StereoCamera
 from filters.contract.extras import require_module
 from filters.contract.validation import plain
 from filters.geometry.arrays import FloatArray, IntArray
-from stereo_slam_env.datasets.bag_cameras import calibration_of_topics, cameras_of, first_infos
-from stereo_slam_env.datasets.bag_images import grey_of, grey_of_compressed, shift_of_messages, size_of_message
+from stereo_slam_env.datasets.bag_images import (
+    calibration_of_topics,
+    cameras_of,
+    first_infos,
+    grey_of,
+    grey_of_compressed,
+    shift_of_messages,
+    size_of_message,
+)
 from stereo_slam_env.datasets.bag_motion import BagMotion, motion_of_bag
 from stereo_slam_env.datasets.image_files import BrokenPair
 from stereo_slam_env.datasets.rectified_or_raw import as_they_are, sample_of_pairs

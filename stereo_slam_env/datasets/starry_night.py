@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from filters import Pose, StereoCamera, StereoNoise
 from filters.contract.validation import positive
 from filters.geometry.arrays import FloatArray
-from stereo_slam_env.datasets.known_recordings import known_by, reference_for
+from stereo_slam_env.datasets.registry import known_by, reference_for
 from stereo_slam_env.datasets.tracks import camera_velocities, frames_of, stated_or_assumed, tracks_of_pixels
 from stereo_slam_env.files.readers import Shape, read_archive, require_rotations
 from stereo_slam_env.recording.recording import LandmarkTruth, Recording

@@ -27,7 +27,7 @@ from stereo_slam_env.datasets.image_files import MOST_FRAMES
 from stereo_slam_env.datasets.restated import Recalibrated, WithTruth
 from stereo_slam_env.datasets.sequence import Choice, ImageFiles, RecordedSequence
 from stereo_slam_env.evaluation.body_frames import read_body
-from stereo_slam_env.files.paths import require_inside
+from stereo_slam_env.files.opening import require_inside
 from stereo_slam_env.files.readers import parse_toml, read_table, read_text
 from stereo_slam_env.recording.recording import NO_REFERENCE, ImageSequence
 from stereo_slam_env.recording.times import scale_of

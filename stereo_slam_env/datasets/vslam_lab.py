@@ -16,11 +16,11 @@ import numpy as np
 from filters import Pose
 from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray
-from stereo_slam_env.datasets.known_recordings import reference_for
 from stereo_slam_env.datasets.rectified_or_raw import as_they_are, sample_of_files
+from stereo_slam_env.datasets.registry import reference_for
 from stereo_slam_env.datasets.restated import pose_at
 from stereo_slam_env.datasets.sequence import Choice, ImageFiles, RecordedSequence
-from stereo_slam_env.files.paths import require_inside
+from stereo_slam_env.files.opening import require_inside
 from stereo_slam_env.files.readers import parse_table, read_text
 from stereo_slam_env.recording.recording import NO_REFERENCE
 from stereo_slam_env.recording.trajectory import Trajectory

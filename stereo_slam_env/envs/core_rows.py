@@ -18,14 +18,13 @@ from filters.geometry.poses import Pose
 from stereo_slam_env.envs.options import DriveOptions, HeadOptions, StereoOptions
 from stereo_slam_env.envs.pictures import Pictures
 from stereo_slam_env.envs.rows import Arrays, Measured, Rows, Seeds, Step
-from stereo_slam_env.frontend.image_sensor import ImageSensor
-from stereo_slam_env.frontend.recorder import TYPICAL_NOISE
+from stereo_slam_env.frontend.recorder import TYPICAL_NOISE, ImageSensor
 from stereo_slam_env.recording.recording import Frame, LandmarkTruth
 from stereo_slam_env.rendering.images import StereoImages
 from stereo_slam_env.rendering.overlay import annotated_pair
+from stereo_slam_env.sensing.corruptions import NOISE_MODELS
 from stereo_slam_env.sensing.imu import Imu
 from stereo_slam_env.sensing.padding import NO_LANDMARK, padded_extras
-from stereo_slam_env.sensing.pixel_noise import NOISE_MODELS
 from stereo_slam_env.simulator.motion import LOOK_AHEAD
 from stereo_slam_env.simulator.scenes import SceneArrays, scene_arrays
 from stereo_slam_env.simulator.show import MAX_VELOCITY

@@ -12,8 +12,8 @@ from filters.contract.validation import did_you_mean, one_of, positive, require_
 from filters.geometry.camera import StereoCamera
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.rendering.backends import RendererName, image_quality
+from stereo_slam_env.sensing.corruptions import NoiseName
 from stereo_slam_env.sensing.imu import DATA_SHEETS
-from stereo_slam_env.sensing.pixel_noise import NoiseName
 from stereo_slam_env.sensing.rigs import RIGS, Rig, camera_of
 from stereo_slam_env.sensing.tracking import TrackingPolicy
 from stereo_slam_env.simulator.simulator import Physics

@@ -22,7 +22,7 @@ from filters.contract.validation import finite_array
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.geometry.poses import Pose
 from stereo_slam_env.recording.recording import Frame, LandmarkTruth
-from stereo_slam_env.simulator.kept import Kept, State
+from stereo_slam_env.simulator.state import Kept, State
 from stereo_slam_env.world.routes import Route
 
 Arrays = dict[str, Any]

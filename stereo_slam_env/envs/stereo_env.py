@@ -17,11 +17,11 @@ from filters.geometry.arrays import FloatArray, IntArray
 from filters.geometry.camera import StereoCamera
 from filters.geometry.poses import Pose
 from stereo_slam_env.envs.core_rows import CoreRows, keeps_scene
-from stereo_slam_env.envs.display import modes_here, window_for
 from stereo_slam_env.envs.options import StereoOptions
+from stereo_slam_env.envs.pictures import modes_here, window_for
 from stereo_slam_env.frontend.tracks import TrackedPair
 from stereo_slam_env.recording.recording import Frame, LandmarkTruth
-from stereo_slam_env.simulator.kept import Kept
+from stereo_slam_env.simulator.state import Kept
 from stereo_slam_env.world.routes import Route
 from stereo_slam_env.world.vehicle import Head
 

@@ -19,8 +19,7 @@ from stereo_slam_env.envs.core_rows import CoreRows
 from stereo_slam_env.envs.options import StereoOptions
 from stereo_slam_env.envs.rows import Arrays, Rows, TimeLimitRows, checked_actions
 from stereo_slam_env.envs.stereo_env import row_of
-from stereo_slam_env.simulator.kept import Kept
-from stereo_slam_env.simulator.state import Sensed
+from stereo_slam_env.simulator.state import Kept, Sensed
 
 
 class RowsVectorEnv(gym.vector.VectorEnv[Arrays, NDArray[Any], NDArray[Any]], Kept):

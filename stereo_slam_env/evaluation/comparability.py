@@ -19,8 +19,16 @@ from filters.motions.motion_model import POSE_SIZE, POSITION, ROTATION
 from stereo_slam_env.evaluation import trajectory_metrics as metrics
 from stereo_slam_env.evaluation.body_frames import find_body_offset, seen_from, swapped_reading
 from stereo_slam_env.evaluation.claims import PARTS, claimed_numbers, nees_of
-from stereo_slam_env.evaluation.gauge_scores import claimed_through, turned_as
-from stereo_slam_env.evaluation.gauges import UP, Alignment, AlignmentKind, correlation_of, find_alignment, own_gauge
+from stereo_slam_env.evaluation.gauges import (
+    UP,
+    Alignment,
+    AlignmentKind,
+    claimed_through,
+    correlation_of,
+    find_alignment,
+    own_gauge,
+    turned_as,
+)
 from stereo_slam_env.evaluation.results import ConsistencyFigure, FilterRun
 from stereo_slam_env.evaluation.run_trajectories import estimate_of, reference_of
 from stereo_slam_env.evaluation.synchronisation import PosePairs, find_time_offset, paired, share_at_risk, shifted

@@ -29,7 +29,7 @@ from stereo_slam_env.evaluation.comparability import find_obstacles
 from stereo_slam_env.evaluation.drift_model import DRIVERS, DriftModel, LengthCheck, basis
 from stereo_slam_env.evaluation.gauges import UP, find_alignment
 from stereo_slam_env.evaluation.synchronisation import MAX_GAP, PosePairs, paired
-from stereo_slam_env.evaluation.trajectory_windows import LENGTHS, motions
+from stereo_slam_env.evaluation.windows import LENGTHS, motions
 from stereo_slam_env.recording.trajectory import Trajectory, pose_errors
 from stereo_slam_env.recording.trajectory_files import load_trajectory
 

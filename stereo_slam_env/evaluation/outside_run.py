@@ -21,8 +21,7 @@ from stereo_slam_env.evaluation.filter_run import failed_run
 from stereo_slam_env.evaluation.gauges import Alignment, carried, correlation_of, is_zero_at_start
 from stereo_slam_env.evaluation.results import FilterRun
 from stereo_slam_env.evaluation.synchronisation import MAX_GAP
-from stereo_slam_env.evaluation.trajectory_windows import motion_covariances, motions
-from stereo_slam_env.evaluation.windows import WINDOWS, nees_floor, series_of, window_ends
+from stereo_slam_env.evaluation.windows import WINDOWS, motion_covariances, motions, nees_floor, series_of, window_ends
 from stereo_slam_env.recording.recording import Recording
 from stereo_slam_env.recording.trajectory import Trajectory, pose_errors, tangent_jacobian, transformed
 

@@ -20,18 +20,22 @@ from stereo_slam_env.evaluation import trajectory_metrics as metrics
 from stereo_slam_env.evaluation.body_frames import find_body_offset
 from stereo_slam_env.evaluation.claims import ClaimScore, score_claims
 from stereo_slam_env.evaluation.comparability import explanation, find_obstacles, gauge_of, without_fillers
-from stereo_slam_env.evaluation.gauge_scores import GaugeScore, claimed_through, score_gauges, scored_rows, turned_as
 from stereo_slam_env.evaluation.gauges import (
     UP,
     AlignmentKind,
     Correlation,
+    GaugeScore,
+    claimed_through,
     correlation_of,
     find_alignment,
     is_zero_at_start,
+    score_gauges,
+    scored_rows,
+    turned_as,
 )
 from stereo_slam_env.evaluation.intervals import MeanInterval, block_length, mean_interval, stationary_rows
 from stereo_slam_env.evaluation.synchronisation import FEWEST, MAX_GAP, find_time_offset, paired, shifted
-from stereo_slam_env.evaluation.trajectory_windows import LENGTHS, WindowScore, score_windows
+from stereo_slam_env.evaluation.windows import LENGTHS, WindowScore, score_windows
 from stereo_slam_env.recording.trajectory import Trajectory
 from stereo_slam_env.recording.trajectory_files import load_trajectory
 

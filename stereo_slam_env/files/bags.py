@@ -18,10 +18,8 @@ from typing import Any, BinaryIO
 from urllib.parse import quote
 
 from filters.contract.validation import first_line
-from stereo_slam_env.files.bag_records import BagTooLarge, check_mcap, check_ros1
-from stereo_slam_env.files.message_definitions import check_definitions
-from stereo_slam_env.files.opening import open_regular, read_bytes
-from stereo_slam_env.files.packed_sizes import MOST_UNPACKED, require_bounded_zstd, zstandard
+from stereo_slam_env.files.bag_records import BagTooLarge, check_definitions, check_mcap, check_ros1
+from stereo_slam_env.files.opening import MOST_UNPACKED, open_regular, read_bytes, require_bounded_zstd, zstandard
 from stereo_slam_env.files.yaml_files import parse_yaml
 
 MOST_TOPICS = 5_000

@@ -19,7 +19,7 @@ from typing import IO, Any
 
 from filelock import FileLock, Timeout
 
-from stereo_slam_env.files.paths import is_plain_name, require_inside
+from stereo_slam_env.files.opening import is_plain_name, require_inside
 from stereo_slam_env.files.readers import read_json
 
 CLAIM = ".lock"

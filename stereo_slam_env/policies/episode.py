@@ -14,7 +14,7 @@ from filters.contract.validation import error_line
 from filters.geometry.poses import Pose
 from stereo_slam_env.envs.recorder import recording_of
 from stereo_slam_env.envs.stereo_env import StereoEnv
-from stereo_slam_env.policies.interface import Policy
+from stereo_slam_env.policies.registry import Policy
 from stereo_slam_env.recording.recording import Frame, Recording
 
 _STREAM = 6

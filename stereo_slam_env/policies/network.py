@@ -15,7 +15,7 @@ from filters.contract.validation import first_line
 from filters.geometry.arrays import FloatArray
 from stereo_slam_env.files.folders import write_atomically
 from stereo_slam_env.files.readers import read_arrays
-from stereo_slam_env.policies.interface import Action, gaze_action, require_head
+from stereo_slam_env.policies.registry import Action, gaze_action, require_head
 
 CHECKPOINT = Path(__file__).with_name("checkpoints") / "gaze-ppo.npz"
 """The network that comes with the package, made by `stereo-slam train`."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from filters.contract.validation import finite_number, positive
 from filters.geometry.arrays import FloatArray
-from stereo_slam_env.policies.interface import Action, look_towards, require_head
+from stereo_slam_env.policies.registry import Action, look_towards, require_head
 from stereo_slam_env.world.routes import FRAME_PERIOD
 
 

@@ -25,7 +25,7 @@ from stereo_slam_env.policies.foresight import (
     straight_ahead,
     turning_head,
 )
-from stereo_slam_env.policies.interface import Action, look_towards, require_head
+from stereo_slam_env.policies.registry import Action, look_towards, require_head
 from stereo_slam_env.sensing.tracking import TrackingPolicy
 from stereo_slam_env.world.routes import FRAME_PERIOD, Route
 from stereo_slam_env.world.vehicle import Head

@@ -20,8 +20,7 @@ from stereo_slam_env.files.bags import open_bag
 from stereo_slam_env.files.opening import require_regular
 from stereo_slam_env.recording.times import message_times, require_rate
 from stereo_slam_env.recording.trajectory import Trajectory
-from stereo_slam_env.recording.trajectory_rows import assembled
-from stereo_slam_env.recording.trajectory_transforms import Link, links_of, listed, poses_between
+from stereo_slam_env.recording.trajectory_transforms import Link, assembled, links_of, listed, poses_between
 
 _ENDINGS = (".bag", ".db3", ".mcap")
 _Parts = tuple[Any, Any, Any]

@@ -19,7 +19,7 @@ from filters.motions.motion_model import POSE_SIZE, POSITION, ROTATION
 from stereo_slam_env.files.readers import parse_table, require_rotations, split_poses
 from stereo_slam_env.recording.times import seconds_of
 from stereo_slam_env.recording.trajectory import Tangent, Trajectory
-from stereo_slam_env.recording.trajectory_rows import about_fixed_axes, assembled
+from stereo_slam_env.recording.trajectory_transforms import about_fixed_axes, assembled
 
 _LOWER = [(i, j) for i in range(POSE_SIZE) for j in range(i + 1)]
 _POSE = ["t", "tx", "ty", "tz", "qx", "qy", "qz", "qw"]

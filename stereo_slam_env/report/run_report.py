@@ -12,10 +12,15 @@ from markupsafe import Markup
 
 from stereo_slam_env.benchmark.statistics.attribution import Attribution
 from stereo_slam_env.benchmark.statistics.differences import MIN_PAIRS
-from stereo_slam_env.benchmark.statistics.measures import PairwiseTable, compare_all
+from stereo_slam_env.benchmark.statistics.measures import (
+    PairwiseTable,
+    compare_all,
+    compare_systems,
+    run_spread,
+    systems,
+)
 from stereo_slam_env.benchmark.statistics.policy_verdict import Looks, judge_policies
 from stereo_slam_env.benchmark.statistics.remarks import innovation_remarks, motion_remarks, reference_remarks
-from stereo_slam_env.benchmark.statistics.repeats import compare_systems, run_spread, systems
 from stereo_slam_env.benchmark.statistics.verdict import Verdict, judge
 from stereo_slam_env.evaluation.reference_audit import ReferenceAudit
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary

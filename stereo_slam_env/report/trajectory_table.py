@@ -16,7 +16,7 @@ from stereo_slam_env.evaluation.consistency import mean_band
 from stereo_slam_env.evaluation.figures import FIGURES, UNKNOWN, readable
 from stereo_slam_env.evaluation.trajectory_runs import RunsScore
 from stereo_slam_env.evaluation.trajectory_score import TrajectoryScore
-from stereo_slam_env.evaluation.trajectory_windows import WindowScore
+from stereo_slam_env.evaluation.windows import WindowScore
 
 _Row = tuple[str, Callable[[TrajectoryScore], str]]
 

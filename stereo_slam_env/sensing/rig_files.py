@@ -16,8 +16,7 @@ import numpy as np
 from filters import StereoCamera
 from filters.contract.validation import plain
 from filters.geometry.arrays import FloatArray
-from stereo_slam_env.files.opening import open_regular
-from stereo_slam_env.files.paths import is_there
+from stereo_slam_env.files.opening import is_there, open_regular
 from stereo_slam_env.sensing.calibration_entries import (
     Size,
     first_of,

@@ -14,15 +14,14 @@ from filters.contract.validation import unchecked
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.geometry.poses import Pose
 from stereo_slam_env.recording.recording import Frame, Velocity
+from stereo_slam_env.sensing.corruptions import PixelNoise
 from stereo_slam_env.sensing.imu import Imu, UnitErrors
-from stereo_slam_env.sensing.pixel_noise import PixelNoise
 from stereo_slam_env.simulator.bullet import BulletAnswers
 from stereo_slam_env.simulator.frame import FIRST, JUDGE, MOVE, SENSE, STEP, WAIT, run_frame
-from stereo_slam_env.simulator.kept import Kept
 from stereo_slam_env.simulator.rays import traversal
 from stereo_slam_env.simulator.scenes import SceneArrays, put_route, put_scene, with_room
 from stereo_slam_env.simulator.show import Shown, show
-from stereo_slam_env.simulator.state import NO_NOISE, NOISE_KINDS, RIDE_STEPS, Rules, empty_fleet, empty_sensed
+from stereo_slam_env.simulator.state import NO_NOISE, NOISE_KINDS, RIDE_STEPS, Kept, Rules, empty_fleet, empty_sensed
 from stereo_slam_env.simulator.streams import Streams
 from stereo_slam_env.world.routes import Route
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
-from stereo_slam_env.simulator.kept import Kept
 from stereo_slam_env.simulator.motion import CHOICE
-from stereo_slam_env.simulator.state import Fleet
+from stereo_slam_env.simulator.state import Fleet, Kept
 
 
 class Streams(Kept):

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import fields, replace
 from typing import Any
 
+from stereo_slam_env.policies.gaze_task import GazeTask
 from stereo_slam_env.tasks.levels import of_level, of_world
-from stereo_slam_env.training.task import GazeTask
 from stereo_slam_env.wrappers.vectors import vector_of
 
 

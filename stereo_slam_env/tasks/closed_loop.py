@@ -13,8 +13,8 @@ from filters.contract.validation import whole_number
 from filters.geometry.arrays import BoolArray, FloatArray
 from filters.geometry.poses import Pose
 from stereo_slam_env.envs.rows import Arrays, Rows, RowsWrapper, Seeds, Step
-from stereo_slam_env.policies.interface import Action
-from stereo_slam_env.policies.scores import follow_route
+from stereo_slam_env.policies.registry import Action
+from stereo_slam_env.policies.rows import follow_route
 from stereo_slam_env.simulator.motion import nearest_frames, routes_ahead
 from stereo_slam_env.simulator.state import ARENA
 from stereo_slam_env.tasks.levels import inner_environment, of_world

@@ -13,7 +13,7 @@ from gymnasium import spaces
 from filters.contract.validation import positive, whole_number
 from filters.geometry.arrays import BoolArray
 from stereo_slam_env.envs.rows import Rows, RowsWrapper, Step
-from stereo_slam_env.policies.scores import follow_route
+from stereo_slam_env.policies.rows import follow_route
 from stereo_slam_env.wrappers.recorded_wrapper import RowWrapper
 
 

@@ -13,9 +13,9 @@ from gymnasium import spaces
 from filters.contract.validation import positive, whole_number
 from filters.geometry.arrays import BoolArray, FloatArray
 from stereo_slam_env.envs.rows import Arrays, Rows, RowsWrapper, Seeds, Step
+from stereo_slam_env.policies.gaze_task import GAZE_FILTER
 from stereo_slam_env.simulator.state import ODOMETRY_SIGMAS
 from stereo_slam_env.tasks.levels import inner_environment, of_world
-from stereo_slam_env.training.task import GAZE_FILTER
 from stereo_slam_env.world.routes import Route
 from stereo_slam_env.wrappers import BeliefObservation, BeliefPanorama, InformationGain, SelectedKeys
 from stereo_slam_env.wrappers.recorded_wrapper import RowWrapper

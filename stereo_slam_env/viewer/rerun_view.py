@@ -33,11 +33,11 @@ from filters.contract.extras import install_command
 from filters.geometry.arrays import FloatArray
 from filters.geometry.camera import StereoCamera
 from stereo_slam_env.evaluation.consistency import mean_band
-from stereo_slam_env.files.paths import checked_file
+from stereo_slam_env.files.opening import checked_file
 from stereo_slam_env.loop import Moment
 from stereo_slam_env.recording.recording import LandmarkTruth
-from stereo_slam_env.rendering.drawing import disparity_colors
 from stereo_slam_env.rendering.images import Image
+from stereo_slam_env.rendering.overlay import disparity_colors
 from stereo_slam_env.report.charts.style import INK, MUTED, filter_colours
 from stereo_slam_env.viewer.ellipsoids import SIGMAS, ellipsoids
 

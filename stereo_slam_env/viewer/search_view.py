@@ -13,7 +13,8 @@ import numpy as np
 from filters.geometry.arrays import FloatArray
 from stereo_slam_env.frontend.tracks import Outcome, Search, TrackedPair
 from stereo_slam_env.recording.recording import GreyImage, StereoPair
-from stereo_slam_env.rendering.drawing import (
+from stereo_slam_env.rendering.images import Image
+from stereo_slam_env.rendering.overlay import (
     FONT,
     INK,
     PAPER,
@@ -26,8 +27,7 @@ from stereo_slam_env.rendering.drawing import (
     label,
     line_scale,
 )
-from stereo_slam_env.rendering.images import Image
-from stereo_slam_env.viewer.video import Recorder
+from stereo_slam_env.viewer.drive import Recorder
 
 SIGMAS = 3.0
 """Size of the ellipses."""

@@ -12,7 +12,7 @@ from gymnasium.utils import RecordConstructorArgs
 
 from stereo_slam_env.envs.rows import OneRow, Rows, RowsWrapper, checked_actions
 from stereo_slam_env.envs.stereo_env import row_of
-from stereo_slam_env.simulator.kept import Kept
+from stereo_slam_env.simulator.state import Kept
 
 _ALL = np.ones(1, dtype=np.bool_)
 

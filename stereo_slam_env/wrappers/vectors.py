@@ -14,9 +14,8 @@ from stereo_slam_env.envs.vector_env import RowsVectorEnv, core_rows, limited
 from stereo_slam_env.wrappers.belief_observation import BeliefObservation
 from stereo_slam_env.wrappers.belief_panorama import BeliefPanorama
 from stereo_slam_env.wrappers.direction_of_gaze import DirectionOfGaze
-from stereo_slam_env.wrappers.information_gain import InformationGain
+from stereo_slam_env.wrappers.rewards import InformationGain, TrueError
 from stereo_slam_env.wrappers.selected_keys import SelectedKeys
-from stereo_slam_env.wrappers.true_error import TrueError
 
 _KINDS: Mapping[str, type[StereoOptions]] = {
     "StereoSlam/Drive-v0": DriveOptions,

@@ -35,7 +35,7 @@ NOT_ON_IT = {
     "benchmark/scenarios/study.py _presets": "a file of the package",
     "cli/parts.py _table": "the command line",
     "paper/__init__.py _kept": "its own results: what is wrong with one is that it is computed again",
-    "training/ppo.py _load_state": "needs a network, see tests/stereo_slam_env/training/test_ppo.py",
+    "policies/ppo.py _load_state": "needs a network, see tests/stereo_slam_env/policies/test_ppo.py",
     "benchmark/storage/plugin_code.py _digest_of_files": "trajectories that are read before, as `layouts`",
     "benchmark/storage/store.py root_of": "a study that is read before, or no study of ours",
     "datasets/kitti00_stereo_tracks.py _with_samples": "a table, as those of the same folder",

@@ -18,8 +18,8 @@ from filters import BodyVelocity, Pose, Start, StereoCamera, StereoObservation
 from filters.contract.validation import finite_array, positive
 from filters.geometry.arrays import FloatArray, IntArray
 from stereo_slam_env.recording.recording import SIMULATION, Frame, LandmarkTruth, Recording, Velocity
+from stereo_slam_env.sensing.corruptions import NOISE_MODELS
 from stereo_slam_env.sensing.imu import GRAVITY, DataSheet, Imu, Path
-from stereo_slam_env.sensing.pixel_noise import NOISE_MODELS
 from stereo_slam_env.sensing.rigs import Rig, camera_of
 
 PERIOD = 0.1

@@ -96,7 +96,7 @@ def _lasting(noise: StereoNoise, referenced: bool) -> dict[str, str]:
 
 def _audit(recording: Recording) -> dict[str, str]:
     """Whether the images contradict the reference; nothing where there is none, or an exact one."""
-    from stereo_slam_env.frontend.reference_audit import audit_of  # needs OpenCV, which a judge of filters may lack
+    from stereo_slam_env.frontend.doubtful_steps import audit_of  # needs OpenCV, which a judge of filters may lack
 
     found = audit_of(recording)
     return {} if found is None else {"its steps": str(found)}

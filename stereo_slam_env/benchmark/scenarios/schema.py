@@ -21,7 +21,7 @@ from stereo_slam_env.benchmark.scenarios.scenario import Label, Scenario
 from stereo_slam_env.benchmark.scenarios.study import preset_text
 from stereo_slam_env.files.folders import write_atomically
 from stereo_slam_env.files.json_files import write_json
-from stereo_slam_env.files.paths import checked_file
+from stereo_slam_env.files.opening import checked_file
 from stereo_slam_env.sensing.corruptions import CORRUPTIONS
 
 NAME = "scenario.schema.json"

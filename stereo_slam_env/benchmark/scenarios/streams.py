@@ -198,7 +198,7 @@ def description_of(recording: Recording) -> dict[str, Any]:
         "source": dict(recording.source),
     }
     if recording.reference.counts_as_truth and recording.reference.kind != "simulation":
-        from stereo_slam_env.frontend.reference_audit import audit_of  # needs OpenCV, only where it is needed
+        from stereo_slam_env.frontend.doubtful_steps import audit_of  # needs OpenCV, only where it is needed
 
         audit = audit_of(recording)
         description["audit"] = None if audit is None else audit.as_dict()

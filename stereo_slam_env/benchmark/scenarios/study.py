@@ -24,7 +24,7 @@ from msgspec import Meta
 from filters.contract.validation import did_you_mean, require_known
 from stereo_slam_env.benchmark.recordings.source import checked
 from stereo_slam_env.benchmark.scenarios.scenario import KEYS, FilterChoice, Label, Scenario
-from stereo_slam_env.files.paths import is_there, require_inside
+from stereo_slam_env.files.opening import is_there, require_inside
 from stereo_slam_env.files.readers import parse_toml, read_text
 
 MOST_CELLS = 10_000

@@ -1,4 +1,7 @@
-"""Settings of a run in its directory: what is a run, and what may change where it is resumed."""
+"""Settings of a run in its directory: what is a run, and what may change where it is resumed.
+
+Descriptions of the recordings of a run, which its filters were given.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from stereo_slam_env.benchmark.scenarios.streams import seed_description
 from stereo_slam_env.files.folders import is_occupied
 from stereo_slam_env.files.readers import read_json
 
@@ -62,3 +66,20 @@ def refuse_other_settings(out: Path, before: Mapping[str, Any], now: Mapping[str
             f"output {out} holds a run with {key} = {json.dumps(was)}, now it is {json.dumps(is_now)}: "
             f"choose another output directory"
         )
+
+
+Given = dict[int | None, dict[str, dict[str, Any]]]
+"""Descriptions of the recordings, by seed, then label of the filter."""
+
+
+def descriptions(out: Path, given: Given) -> list[dict[str, Any]]:
+    """One description of each recording; a `ValueError` says that they were drawn by different renderers."""
+    recordings = [{"seed": seed, **seed_description(of_seed)} for seed, of_seed in given.items()]
+    # The same renderer of another version or device draws other pictures, too.
+    drawn = {json.dumps(about.get("source", {}).get("renderer"), sort_keys=True) for about in recordings}
+    if len(drawn) > 1:
+        raise ValueError(
+            f"{out}: its recordings were drawn by different renderers, {' and '.join(sorted(drawn))}, and are "
+            f"not to be compared: choose another output directory"
+        )
+    return recordings

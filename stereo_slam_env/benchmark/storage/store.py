@@ -17,7 +17,6 @@ from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, Scenario
 from stereo_slam_env.benchmark.scenarios.streams import as_given, pairing_digest, stream_key
 from stereo_slam_env.benchmark.scenarios.study import Cell, Study
 from stereo_slam_env.benchmark.storage.code_identity import code_digest, versions
-from stereo_slam_env.benchmark.storage.given import Given, descriptions
 from stereo_slam_env.benchmark.storage.plugin_code import digest_of_choice, digest_of_source
 from stereo_slam_env.benchmark.storage.run_archive import (
     StoredRun,
@@ -30,6 +29,8 @@ from stereo_slam_env.benchmark.storage.run_trajectory_files import seed_name, wr
 from stereo_slam_env.benchmark.storage.settings import (
     SETTINGS,
     STUDY,
+    Given,
+    descriptions,
     holds_run,
     refuse_foreign,
     refuse_other_settings,
@@ -45,8 +46,7 @@ from stereo_slam_env.evaluation.run_figures import (
 )
 from stereo_slam_env.files.folders import write_atomically
 from stereo_slam_env.files.json_files import write_json
-from stereo_slam_env.files.opening import read_bytes
-from stereo_slam_env.files.paths import require_links_inside
+from stereo_slam_env.files.opening import read_bytes, require_links_inside
 from stereo_slam_env.files.readers import read_json
 
 VERSION = 2

@@ -14,7 +14,7 @@ from stereo_slam_env.recording.recording import Recording
 
 pytest.importorskip("gtsam", reason="needs the extra gtsam")
 
-from stereo_slam_env.baselines.batch import BatchSmoother
+from stereo_slam_env.baselines.smoothers import BatchSmoother
 
 
 def driven(stereo_filter, recording: Recording):

@@ -11,8 +11,7 @@ from stereo_slam_env.benchmark.recordings.reference_problem import long_drive, s
 
 pytest.importorskip("gtsam", reason="needs the extra gtsam")
 
-from stereo_slam_env.baselines.batch import BatchSmoother
-from stereo_slam_env.baselines.fixed_lag import FixedLagSmoother
+from stereo_slam_env.baselines.smoothers import BatchSmoother, FixedLagSmoother
 from stereo_slam_env.evaluation.filter_run import run_filter
 
 from .test_batch import driven, with_outliers

@@ -35,7 +35,7 @@ def nowhere(tmp_path):
     [
         (["bench", "--out"], "stereo_slam_env.benchmark.preset_study"),
         (["replay", "gtsam", "--out"], "stereo_slam_env.benchmark.scenarios.streams.make_recording"),
-        (["train", "--out"], "stereo_slam_env.training.ppo.train"),
+        (["train", "--out"], "stereo_slam_env.policies.ppo.train"),
         (["report", "a", "b", "--out"], "stereo_slam_env.benchmark.compare"),
         (["scenes", "record", "straight", "--out"], "stereo_slam_env.envs.recorder.RenderedDrive"),
     ],

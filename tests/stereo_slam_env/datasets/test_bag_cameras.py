@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from stereo_slam_env.datasets.bag_cameras import INFO, calibration_of_topics, first_infos
+from stereo_slam_env.datasets.bag_images import INFO, calibration_of_topics, first_infos
 
 SIZE = (640, 480)
 

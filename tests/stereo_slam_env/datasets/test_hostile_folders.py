@@ -13,7 +13,7 @@ import pytest
 from fuzz import seeds
 from stereo_slam_env.datasets import BrokenPair, load, open_image_sequence
 from stereo_slam_env.datasets.image_files import numbered_images, read_grey
-from stereo_slam_env.files.paths import require_inside, require_links_inside
+from stereo_slam_env.files.opening import require_inside, require_links_inside
 from stereo_slam_env.files.readers import read_text
 
 

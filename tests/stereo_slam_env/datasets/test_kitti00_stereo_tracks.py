@@ -6,8 +6,9 @@ from scipy.spatial.transform import Rotation
 
 from filters import StereoObservation
 from stereo_slam_env import evaluate
-from stereo_slam_env.datasets import known_recordings, load
-from stereo_slam_env.datasets.known_recordings import KnownRecording, digest
+from stereo_slam_env.datasets import load
+from stereo_slam_env.datasets import registry as known_recordings
+from stereo_slam_env.datasets.registry import KnownRecording, digest
 from stereo_slam_env.recording.recording import Reference
 
 from ..real_data import real_data

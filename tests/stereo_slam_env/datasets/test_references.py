@@ -6,8 +6,9 @@ import shutil
 import numpy as np
 import pytest
 
-from stereo_slam_env.datasets import known_recordings, load, open_image_sequence
-from stereo_slam_env.datasets.known_recordings import KNOWN, KnownRecording, digest, known_by
+from stereo_slam_env.datasets import load, open_image_sequence
+from stereo_slam_env.datasets import registry as known_recordings
+from stereo_slam_env.datasets.registry import KNOWN, KnownRecording, digest, known_by
 from stereo_slam_env.recording.recording import Reference
 
 from ..real_data import real_data

@@ -14,8 +14,8 @@ import pytest
 pytest.importorskip("rosbags", reason="needs the extra bags")
 
 from fuzz.harness import limited_memory
-from stereo_slam_env.files.message_definitions import check_definitions
-from stereo_slam_env.files.packed_sizes import Unbounded, lz4_bound, zstandard, zstd_bound
+from stereo_slam_env.files.bag_records import check_definitions
+from stereo_slam_env.files.opening import Unbounded, lz4_bound, zstandard, zstd_bound
 from stereo_slam_env.recording.trajectory_bags import opened_bag
 from stereo_slam_env.recording.trajectory_files import load_trajectory
 

@@ -147,7 +147,7 @@ OWN = {
         "archive.open": "a part of an archive that has been opened",
     },
     "stereo_slam_env/datasets/image_files.py": {"Image.open": "of bytes that have been read"},
-    "stereo_slam_env/training/ppo.py": {"torch.load": "of a file that has been opened, without pickles"},
+    "stereo_slam_env/policies/ppo.py": {"torch.load": "of a file that has been opened, without pickles"},
     "stereo_slam_env/world/physics.py": {"os.open": "the null device"},
     "stereo_slam_env/report/page.py": {
         "files(__package__).joinpath(name).read_text": "a file of the package",

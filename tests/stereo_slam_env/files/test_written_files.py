@@ -289,7 +289,7 @@ WHY = {
     "stereo_slam_env/benchmark/storage/tables.py": "an unfinished file of ours, beside which SQLite keeps a journal",
     "stereo_slam_env/benchmark/storage/store.py": "recordings and bounds in a run of ours, by their names",
     "stereo_slam_env/benchmark/running/isolation.py": "an end of a pipe, by its number",
-    "stereo_slam_env/viewer/video.py": "an unfinished file of ours, and the file that was asked for",
+    "stereo_slam_env/viewer/drive.py": "an unfinished file of ours, and the file that was asked for",
     "stereo_slam_env/world/physics.py": "a folder of our own for temporary files, which must not exist before",
     "stereo_slam_env/datasets/kitti_odometry.py": "a new folder, and an empty one; what is there is refused",
     "stereo_slam_env/datasets/bag_writer.py": "out of a temporary folder, to a name that nothing has",

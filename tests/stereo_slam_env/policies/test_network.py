@@ -10,9 +10,9 @@ import pytest
 
 from stereo_slam_env.envs.gaze import StereoGazeEnv
 from stereo_slam_env.policies import make_policy
+from stereo_slam_env.policies.gaze_task import GazeTask
 from stereo_slam_env.policies.network import CHECKPOINT, Network, NetworkPolicy
-from stereo_slam_env.training.settings import PPOSettings
-from stereo_slam_env.training.task import GazeTask
+from stereo_slam_env.policies.registered_task import PPOSettings
 
 
 def small_network(seed=0, hold=1, choices=None):

@@ -6,10 +6,10 @@ import pytest
 
 from stereo_slam_env.policies import make_policy
 from stereo_slam_env.policies.episode import rng_of_policy
-from stereo_slam_env.policies.interface import look_towards
+from stereo_slam_env.policies.gaze_task import GazeTask
 from stereo_slam_env.policies.planning import Greedy
+from stereo_slam_env.policies.registry import look_towards
 from stereo_slam_env.policies.rows import Oracle, RowOfVector, policy_in_rows, true_figures
-from stereo_slam_env.training.task import GazeTask
 
 QUICK = {"route": "right-turn"}
 SEEDS = [11, 12]

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from stereo_slam_env.rendering.drawing import both_views, caption_bar, disparity_colors, fixed_point
+from stereo_slam_env.rendering.overlay import both_views, caption_bar, disparity_colors, fixed_point
 
 
 def test_near_is_red_far_is_blue_and_none_is_none():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from filters.contract.noise import StereoNoise
-from stereo_slam_env.sensing.pixel_noise import (
+from stereo_slam_env.sensing.corruptions import (
     MATCHING_SIGMA,
     NOISE_MODELS,
     HeavyTailedPixels,

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stereo_slam_env.sensing.pixel_noise import IndependentPixels
+from stereo_slam_env.sensing.corruptions import IndependentPixels
 from stereo_slam_env.simulator import Simulator
 from stereo_slam_env.simulator.scenes import scene_arrays
 from stereo_slam_env.world.routes import Route, right_turn, straight

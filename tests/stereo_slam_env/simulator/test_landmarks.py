@@ -5,7 +5,7 @@ import pytest
 
 from filters import StereoNoise
 from filters.geometry import rotations
-from stereo_slam_env.sensing.pixel_noise import IndependentPixels
+from stereo_slam_env.sensing.corruptions import IndependentPixels
 from stereo_slam_env.sensing.rigs import CAMERA_HEIGHT
 from stereo_slam_env.simulator.rays import obstacles, visible
 from stereo_slam_env.world.frames import WorldFrame

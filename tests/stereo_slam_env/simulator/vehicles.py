@@ -3,7 +3,7 @@
 import numpy as np
 
 from stereo_slam_env.recording.recording import LandmarkTruth
-from stereo_slam_env.sensing.pixel_noise import NOISE_MODELS
+from stereo_slam_env.sensing.corruptions import NOISE_MODELS
 from stereo_slam_env.sensing.rigs import CAMERA_HEIGHT, RIGS
 from stereo_slam_env.sensing.tracking import TrackingPolicy
 from stereo_slam_env.simulator import Simulator

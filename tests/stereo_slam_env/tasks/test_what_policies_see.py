@@ -11,7 +11,7 @@ from gymnasium.wrappers.common import PassiveEnvChecker
 import stereo_slam_env  # noqa: F401 (registers the ids)
 from stereo_slam_env.envs.core_rows import CoreRows
 from stereo_slam_env.policies import follow_route, normalised_score
-from stereo_slam_env.policies.scores import REFERENCE_RETURNS
+from stereo_slam_env.policies.rows import REFERENCE_RETURNS
 from stereo_slam_env.tasks import Curriculum
 
 from .test_tasks import QUICK, made

@@ -6,7 +6,7 @@ import pytest
 from filters import StereoNoise
 from filters.engine.batch import RelativeLandmarks
 from filters.geometry import rotations
-from stereo_slam_env.training.task import GazeTask
+from stereo_slam_env.policies.gaze_task import GazeTask
 from stereo_slam_env.wrappers import BeliefObservation, BeliefPanorama
 from stereo_slam_env.wrappers.belief_panorama import panoramas, share_in_view
 

@@ -7,7 +7,7 @@ import pytest
 import stereo_slam_env  # noqa: F401 (registers the ids)
 from filters import StereoNoise, available_filters, make_filter
 from filters.catalogue import presets
-from stereo_slam_env.training.task import GAZE_FILTER, GazeTask
+from stereo_slam_env.policies.gaze_task import GAZE_FILTER, GazeTask
 from stereo_slam_env.wrappers import (
     BeliefObservation,
     BeliefPanorama,

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from stereo_slam_env.benchmark.statistics.differences import Finding
-from stereo_slam_env.benchmark.statistics.measures import POSE_NEES, POSITION
-from stereo_slam_env.benchmark.statistics.repeats import compare_systems, run_spread, systems
+from stereo_slam_env.benchmark.statistics.measures import POSE_NEES, POSITION, compare_systems, run_spread, systems
 from stereo_slam_env.evaluation.run_figures import RunFigures
 
 

@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
+from stereo_slam_env.policies.ppo import merit
 from stereo_slam_env.report.charts.policies import plot_claim_and_truth, plot_gaze, plot_gaze_map, plot_learning
-from stereo_slam_env.training.ppo import merit
 
 from ....synthetic_runs import Behaviour, make_runs
 from ...benchmark.small_recordings import small_recording

@@ -14,10 +14,9 @@ from filters.contract.validation import one_of, positive, whole_number
 from filters.geometry.arrays import BoolArray, FloatArray
 from stereo_slam_env.envs.rows import Rows
 from stereo_slam_env.envs.vector_env import RowsVectorEnv, limited
-from stereo_slam_env.policies.interface import require_head
 from stereo_slam_env.policies.network import Network
-from stereo_slam_env.policies.rows import true_figures
-from stereo_slam_env.policies.scores import normalised_score
+from stereo_slam_env.policies.registry import require_head
+from stereo_slam_env.policies.rows import normalised_score, true_figures
 from stereo_slam_env.wrappers import (
     BeliefObservation,
     BeliefPanorama,
@@ -28,7 +27,7 @@ from stereo_slam_env.wrappers import (
 )
 from stereo_slam_env.wrappers.direction_of_gaze import directions
 from stereo_slam_env.wrappers.information import CRITERIA, Criterion
-from stereo_slam_env.wrappers.information_gain import BeliefOf
+from stereo_slam_env.wrappers.rewards import BeliefOf
 from stereo_slam_env.wrappers.vectors import rows_of
 
 GAZE_FILTER: Mapping[str, Any] = {

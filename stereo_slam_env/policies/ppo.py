@@ -23,14 +23,12 @@ from filters.contract.validation import first_line, positive, require_known, who
 from filters.geometry.arrays import FloatArray
 from stereo_slam_env.files.folders import claimed_folder, is_occupied, write_atomically, write_text
 from stereo_slam_env.files.json_files import json_text, write_json
-from stereo_slam_env.files.opening import open_regular
+from stereo_slam_env.files.opening import open_regular, require_links_inside
 from stereo_slam_env.files.package_versions import commit, version_of
-from stereo_slam_env.files.paths import require_links_inside
 from stereo_slam_env.files.readers import read_json, read_text, require_plain_zip
+from stereo_slam_env.policies.gaze_task import GazeTask, PolicyEvaluation, evaluate
 from stereo_slam_env.policies.network import Network
-from stereo_slam_env.training.registered_task import EpisodeOutcome, RegisteredTask
-from stereo_slam_env.training.settings import VALIDATION_SEEDS, PPOSettings
-from stereo_slam_env.training.task import GazeTask, PolicyEvaluation, evaluate
+from stereo_slam_env.policies.registered_task import VALIDATION_SEEDS, EpisodeOutcome, PPOSettings, RegisteredTask
 
 if TYPE_CHECKING:
     from stable_baselines3 import PPO
@@ -257,7 +255,7 @@ def _learner(task: Task, settings: PPOSettings, out: Path) -> Iterator[tuple[PPO
     from stable_baselines3 import PPO
     from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
-    from stereo_slam_env.training.sb3 import SB3VecEnv
+    from stereo_slam_env.policies.sb3 import SB3VecEnv
 
     vector = task.make_vector(settings.environments, autoreset_mode="SameStep", threads=settings.threads)
     scaling = VecNormalize(VecMonitor(SB3VecEnv(vector)), clip_obs=_OBSERVATION_CLIP, gamma=settings.discount)

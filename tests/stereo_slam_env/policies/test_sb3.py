@@ -13,7 +13,7 @@ sb3 = pytest.importorskip("stable_baselines3", reason="needs the extra rl")
 from stable_baselines3.common.evaluation import evaluate_policy  # noqa: E402
 from stable_baselines3.common.vec_env import VecMonitor, VecNormalize  # noqa: E402
 
-from stereo_slam_env.training import SB3VecEnv  # noqa: E402
+from stereo_slam_env.policies import SB3VecEnv  # noqa: E402
 
 QUICK = {"route": "right-turn", "rig": "qvga", "max_landmarks": 8, "scenes": 2}
 EPISODE = 3
