@@ -25,7 +25,7 @@ from stereo_slam_env.benchmark.statistics.verdict import Verdict, judge
 from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
 from stereo_slam_env.evaluation.run_figures import Figures, figures_of, summarise_all
-from stereo_slam_env.files import notebook_html as html
+from stereo_slam_env.recording import notebook_html as html
 from stereo_slam_env.recording.filter_setup import FilterSetup
 from stereo_slam_env.recording.recording import Recording, require_frames
 from stereo_slam_env.report.console import show_results

@@ -13,7 +13,7 @@ import pytest
 
 import stereo_slam_env as sse
 from filters import check_filter
-from stereo_slam_env.files.notebook_html import lines_chart
+from stereo_slam_env.recording.notebook_html import lines_chart
 
 ROOT = Path(__file__).resolve().parent.parent
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))

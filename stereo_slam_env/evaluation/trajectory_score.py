@@ -127,7 +127,7 @@ class TrajectoryScore:
         return f"{verdict}; but it depends on the alignment, which no header says: NEES / {dof} is {', '.join(others)}"
 
     def _repr_html_(self) -> str:
-        from stereo_slam_env.files import notebook_html as html
+        from stereo_slam_env.recording import notebook_html as html
 
         drift = "" if self.end_drift_percent is None else f", {self.end_drift_percent:.3g} % at the end"
         rows = {

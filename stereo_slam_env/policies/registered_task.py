@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from types import MappingProxyType
 from typing import Any
 
 import gymnasium as gym
@@ -146,8 +145,6 @@ def _vector(
 
 VALIDATION_SEEDS = tuple(range(100_000, 100_256))
 """Episodes on which the best network of a run is chosen; training never sees them, and reports use others."""
-FEW_DECISIONS: Mapping[str, int] = MappingProxyType({"rollout": 512, "minibatch": 64, "validation": 32})
-"""Of `PPOSettings`, for tasks in which a decision takes a second of driving or more."""
 
 
 @dataclass(frozen=True)

@@ -214,7 +214,7 @@ class Recording:
         return len(self.frames)
 
     def _repr_html_(self) -> str:
-        from stereo_slam_env.files import notebook_html as html
+        from stereo_slam_env.recording import notebook_html as html
 
         camera, times = self.camera, np.array([frame.timestamp for frame in self.frames])
         counts = np.array([len(frame.observation) for frame in self.frames], dtype=np.float64)

@@ -11,9 +11,9 @@ from gymnasium import spaces
 
 from filters.contract.validation import positive, whole_number
 from filters.geometry.arrays import BoolArray, FloatArray
+from stereo_slam_env.envs.how_to_learn import FEW_DECISIONS
 from stereo_slam_env.envs.rows import Arrays, Rows, RowsWrapper, Seeds, Step
 from stereo_slam_env.policies.gaze_task import GAZE_FILTER
-from stereo_slam_env.policies.registered_task import FEW_DECISIONS
 from stereo_slam_env.tasks.levels import inner_environment, of_world
 from stereo_slam_env.world.routes import through_streets
 from stereo_slam_env.world.street_grid import LEFT, RIGHT, STRAIGHT, Place, StreetGrid

@@ -12,6 +12,7 @@ import numpy as np
 from filters.contract.validation import whole_number
 from filters.geometry.arrays import BoolArray, FloatArray
 from filters.geometry.poses import Pose
+from stereo_slam_env.envs.how_to_learn import STEERING
 from stereo_slam_env.envs.rows import Arrays, Rows, RowsWrapper, Seeds, Step
 from stereo_slam_env.policies.registry import Action
 from stereo_slam_env.policies.rows import follow_route
@@ -22,7 +23,7 @@ from stereo_slam_env.world.vehicle import Head
 from stereo_slam_env.wrappers import BeliefObservation, BeliefPanorama, SelectedKeys
 from stereo_slam_env.wrappers.filter_rows import FilterRows
 from stereo_slam_env.wrappers.recorded_wrapper import RowWrapper
-from stereo_slam_env.wrappers.vectors import STEERING, vector_of
+from stereo_slam_env.wrappers.vectors import vector_of
 
 KEYS = ("belief_sigmas", "car", "odometry", "progress", "route")
 LATENCIES: Mapping[str, int] = MappingProxyType({"easy": 1, "normal": 3, "hard": 4})

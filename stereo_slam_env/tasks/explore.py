@@ -11,9 +11,9 @@ from gymnasium import spaces
 
 from filters.contract.validation import positive
 from filters.geometry.arrays import BoolArray, FloatArray
+from stereo_slam_env.envs.how_to_learn import FEW_DECISIONS
 from stereo_slam_env.envs.rows import Arrays, Rows, RowsWrapper, Seeds, Step
 from stereo_slam_env.policies.gaze_task import GAZE_FILTER
-from stereo_slam_env.policies.registered_task import FEW_DECISIONS
 from stereo_slam_env.policies.registry import Action
 from stereo_slam_env.tasks.closed_loop import RouteByEstimate, drive_slowly
 from stereo_slam_env.tasks.drive_choices import DriveChoices

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from types import MappingProxyType
 from typing import Any
 
 from gymnasium.vector import AutoresetMode
 
+from stereo_slam_env.envs.how_to_learn import STEERING
 from stereo_slam_env.envs.options import DriveGazeOptions, DriveOptions, GazeOptions, StereoOptions
 from stereo_slam_env.envs.rows import Rows
 from stereo_slam_env.envs.vector_env import RowsVectorEnv, core_rows, limited
@@ -22,15 +22,6 @@ _KINDS: Mapping[str, type[StereoOptions]] = {
     "StereoSlam/Gaze-v0": GazeOptions,
     "StereoSlam/DriveGaze-v0": DriveGazeOptions,
 }
-STEERING: Mapping[str, Any] = MappingProxyType(
-    {
-        **{"environments": 64, "rollout": 4096, "minibatch": 512, "evaluate_every": 65_536, "validation": 32},
-        **{"learning_rate": 1e-3, "discount": 0.995, "entropy": 0.002},
-        **{"initial_log_std": -1.2, "initial_bias": [0.3, 0.0]},
-    }
-)
-"""Settings of `PPOSettings` with which steering is learnt: a car that drives, and hardly swerves, from the beginning.
-Whoever stands, or leaves the lane at once, sees no road."""
 
 
 def rows_of(name: str, num_envs: int, options: Mapping[str, Any], **how: Any) -> Rows:

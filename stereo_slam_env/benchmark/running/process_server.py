@@ -22,10 +22,11 @@ import socket
 import struct
 import sys
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from multiprocessing.connection import Connection
 from pathlib import Path
+from types import ModuleType
 from typing import NoReturn
 
 import cloudpickle
@@ -42,7 +43,8 @@ PRELOADED = (
     "stereo_slam_env.wrappers.belief_panorama",
     "stereo_slam_env.envs.recorder",
 )
-"""Modules that most trials need; importing them once in the server is why a process costs milliseconds."""
+"""Modules that most trials need; importing them once in the server is why a process costs milliseconds. One may have
+`rehearsals()`, functions that run what its machine code is for."""
 STATUS = struct.Struct("q")
 """Of the numbers on the pipe."""
 LOADING, READY = b"l", b"r"
@@ -56,9 +58,10 @@ def serve(descriptor: int, *preloaded: str) -> None:
 
     `preloaded` are modules that are imported before, besides those that most trials need.
     """
-    for module in (*PRELOADED, *preloaded):
+    modules = []
+    for name in (*PRELOADED, *preloaded):
         with suppress(ImportError):  # an extra that is not installed
-            importlib.import_module(module)
+            modules.append(importlib.import_module(name))
     _ask_linux(_ADOPT_ORPHANS, 1)
     wake_up, woken_by = os.pipe()
     for end in (wake_up, woken_by):
@@ -70,7 +73,7 @@ def serve(descriptor: int, *preloaded: str) -> None:
         waiting.register(requests, selectors.EVENT_READ)
         waiting.register(wake_up, selectors.EVENT_READ)
         try:
-            _load_machine_code(lambda: requests.sendall(LOADING))
+            _load_machine_code(modules, lambda: requests.sendall(LOADING))
             requests.sendall(READY)
         except BrokenPipeError:  # the caller was killed meanwhile
             return
@@ -99,18 +102,18 @@ def serve(descriptor: int, *preloaded: str) -> None:
     _end_all(running)
 
 
-def _load_machine_code(tell: Callable[[], None]) -> None:
-    """Run usual trials of two frames, so that each process need not load for itself what they call.
+def _load_machine_code(modules: Sequence[ModuleType], tell: Callable[[], None]) -> None:
+    """Run the rehearsals of modules, so that each process need not load for itself what they call.
 
-    `tell` is called after each, which may have been compiled first. What is wrong is told where a trial meets it.
+    `tell` is called after each, which may have been compiled first. A fault is reported where a trial meets it.
     """
     from numba import config
 
-    tasks = importlib.import_module("stereo_slam_env.benchmark.running.tasks")  # by name: it knows this module
-    for rehearse in () if config.DISABLE_JIT else tasks.rehearsals():
-        with suppress(Exception):
-            rehearse()
-        tell()
+    for module in () if config.DISABLE_JIT else modules:
+        for rehearse in module.rehearsals() if hasattr(module, "rehearsals") else ():
+            with suppress(Exception):
+                rehearse()
+            tell()
 
 
 def end_process(process: int) -> None:

@@ -71,7 +71,7 @@ class Verdict:
     answers: Mapping[str, str] = field(default_factory=dict)
 
     def _repr_html_(self) -> str:
-        from stereo_slam_env.files.notebook_html import paragraph
+        from stereo_slam_env.recording.notebook_html import paragraph
 
         return "".join(paragraph(answer) for answer in self.answers.values()) or paragraph(self.headline)
 
