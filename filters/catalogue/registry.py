@@ -1,13 +1,12 @@
-"""Registry of filters: the named ones of this package, and those of third parties.
+"""Registry of filters: the named ones and those of third parties, and the common options of a comparison.
 
 A third party adds a filter with an entry point in the group `stereo_slam.filters`::
 
     [project.entry-points."stereo_slam.filters"]
     my-filter = "my_package:MyFilter"
 
-The object is called as `MyFilter(camera, noise, **options)` and returns a `StereoFilter`.
-
-Common options of the filters of a comparison, such as gate and motion model, for those that leave them open.
+The object is called as `MyFilter(camera, noise, **options)` and returns a `StereoFilter`. Common options, such as gate
+and motion model, go to the filters that leave them open.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""Normalised estimation error squared (NEES), its quantiles, and the test whether what is claimed is a covariance.
-
-Error of a filter's pose against a truth that the filter is not shown.
-"""
+"""NEES of poses and its quantiles, pose errors against a truth, and the test whether a claim is a covariance."""
 
 from __future__ import annotations
 

@@ -1,9 +1,4 @@
-"""Measurements of the stereo camera in one frame, as filters take them.
-
-Inertial samples, as filters take them, and the unit that they are of.
-
-Start state of a filter and its covariance.
-"""
+"""Inputs of a filter: stereo measurements, inertial samples with their unit, and the start state."""
 
 from __future__ import annotations
 

@@ -1,13 +1,11 @@
-"""Errors of stereo measurements (u, v, d): their covariance, and what of them lasts from frame to frame.
-
-Derivation: docs/derivations/camera.md.
-
-Landmark drift: process noise of landmarks, for tracked points that walk on the surface they were found on.
+"""Errors of stereo measurements (u, v, d): their covariance, what of them lasts, and the drift of tracked landmarks.
 
 A tracker follows a patch, and what it follows changes from frame to frame: its errors last. A filter with white noise
-alone averages them away on paper and becomes too sure. Here every landmark that is measured moves a little before,
-with a covariance given in the image, where it is known. It is carried back to the landmark's own numbers by the
-Jacobian of (u, v, d).
+alone averages them away on paper and becomes too sure. With a `LandmarkDrift` every landmark that is measured moves a
+little before, with a covariance given in the image, where it is known, which the Jacobian of (u, v, d) carries back to
+the landmark's own numbers.
+
+Derivation: docs/derivations/camera.md, docs/derivations/drift.md.
 """
 
 from __future__ import annotations

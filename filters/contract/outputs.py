@@ -1,7 +1,4 @@
-"""Beliefs of a filter: pose, velocity, landmarks, and the measurements that it predicts.
-
-Outcome of an update: what became of each measurement.
-"""
+"""Outputs of a filter: beliefs, predicted measurements, and the outcome of an update."""
 
 from __future__ import annotations
 

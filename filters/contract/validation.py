@@ -1,11 +1,8 @@
-"""Checks of arguments: each raises one `ValueError` that names the argument, the value and the remedy.
+"""Checks of arguments and names, and texts of strangers made fit to print.
 
-Refusal of unknown names, with the nearest known one.
-
-Texts of strangers, made fit for a line of a terminal, a page or a table: control characters are written out.
-
-Names, messages and fields of files may hold what a terminal obeys, and an exception of somebody's code may raise even
-when it is asked for its message. Whatever is shown or stored of them goes through here.
+A check raises one `ValueError` that names the argument, the value and the remedy; an unknown name gets the nearest
+known one. Names, messages and fields of files may hold what a terminal obeys, and an exception of somebody's code may
+raise even when it is asked for its message: whatever is shown or stored of them goes through here.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
-"""Frames of many filters in plain arrays: measurements and odometry going in, outcomes coming out.
+"""Frames of many filters in plain arrays, and the places of variables in the arrays of the engine.
 
-Places of the values of the named variables in the arrays of the engine.
-
-The value of a variable has as many numbers as its error, but for orientations and the like: that of the pose stands in
-front, with one number more than rows; others of that kind stand at the end.
+Measurements and odometry go in, outcomes come out. The value of a variable has as many numbers as its error, but for
+orientations and the like: that of the pose stands in front, with one number more than rows; others of that kind stand
+at the end.
 """
 
 from __future__ import annotations

@@ -1,18 +1,11 @@
-"""Base class of error definitions: the retraction of the joint state, and the points at which Jacobians are evaluated.
+"""Error definitions: the retraction of the joint state, and the points at which Jacobians are evaluated.
 
 P is always kept in the standard coordinates (position, rotation on the right, velocity, other variables, landmarks).
 What sets the definitions apart is how they move the state, how P is carried along, and where they linearise. The base
-class corrects all parts one by one.
-
-Derivation: docs/derivations/errors.md.
-
-Errors that are corrected one by one: with the paper's additive quaternion, or on SO(3).
-
-First-estimates Jacobians: a rotation of the world stays unobservable (Huang et al. 2010).
-
-H is taken at the predicted variables, corrected by odometry where there is any, and at each landmark's first estimate;
-F, the step that odometry adds, and the Jacobians of new landmarks are constrained to agree with that. It rests on
-Gamma, the effect of a rotation of the world, `JointState.world_rotation`.
+class corrects all parts one by one; the paper's quaternion adds. With first estimates H is taken at the predicted
+variables, corrected by odometry where there is any, and at each landmark's first estimate; F, the step that odometry
+adds, and the Jacobians of new landmarks are constrained to agree with that, so that a rotation of the world stays
+unobservable. It rests on Gamma, the effect of a rotation of the world, `JointState.world_rotation`.
 
 Derivation: docs/derivations/errors.md.
 

@@ -1,7 +1,4 @@
-"""Kernels of the step: the leading variables with P, and odometry as a measurement after it.
-
-Kernels of what changes in landmarks by itself: the steps of `LandmarkDrift`, and numbers that fade.
-"""
+"""Kernels of the step: the leading variables with P, odometry as a measurement, and landmarks that walk or fade."""
 
 from __future__ import annotations
 

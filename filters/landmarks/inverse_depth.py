@@ -1,14 +1,11 @@
-"""Six-dimensional inverse depth: y = (x, y, z, theta, phi, rho) of Eq. 3, each landmark with an anchor of its own.
+"""Six-dimensional inverse depth: y = (x, y, z, theta, phi, rho) of Eq. 3, with own or shared anchors.
 
 rho is inverse *distance* along the ray (Eq. 22). It may be zero or negative: a measurement with d <= 0 is kept as
 the forward ray with rho <= 0, which has the same projection as the literal Eq. 21-24 (a point behind the camera).
 
-Derivation: docs/derivations/inverse_depth.md.
-
-Inverse depth with shared anchors: landmarks that enter the map in one frame keep one anchor between them.
-
-They would all copy the same camera position, so their anchor rows of P are equal and stay equal under every
-Kalman update: the estimate is the one of six-dimensional inverse depth, in 3 n + 3 k instead of 6 n numbers.
+Landmarks that enter the map in one frame would all copy the same camera position, so their anchor rows of P are equal
+and stay equal under every Kalman update: with one shared anchor the estimate is that of six-dimensional inverse depth,
+in 3 n + 3 k instead of 6 n numbers.
 
 Derivation: docs/derivations/inverse_depth.md.
 """

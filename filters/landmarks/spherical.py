@@ -1,6 +1,7 @@
-"""Bearing on the sphere with inverse distance, S^2 x R: inverse depth without a singular direction.
+"""Bearings on the sphere: with inverse distance (`Spherical`), or with log-distance (`Polar`).
 
-Bearing with log-distance: a landmark is moved by the group SOT(3) of rotations and scalings about its anchor.
+Inverse distance is inverse depth without a singular direction, S^2 x R. With log-distance a landmark is moved by the
+group SOT(3) of rotations and scalings about its anchor.
 """
 
 from __future__ import annotations

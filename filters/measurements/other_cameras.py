@@ -1,8 +1,7 @@
-"""An unrectified pair: two pinhole cameras, each with intrinsics and a pose of its own.
+"""Measurements of other cameras: an unrectified pair, a depth camera, and a pair of fisheye cameras.
 
-A depth camera: the pixel and the depth of a point, (u, v, z).
-
-A pair of equidistant fisheye cameras, r = f theta, with parallel axes; they see beyond 90 degrees.
+The unrectified pair has intrinsics and a pose for each camera; the depth camera gives (u, v, z); the fisheye cameras
+are equidistant, r = f theta, with parallel axes, and see beyond 90 degrees.
 """
 
 from __future__ import annotations

@@ -1,8 +1,6 @@
-"""Dead reckoning: the odometry is the motion.
+"""Motion by odometry: dead reckoning, and odometry as a measurement of the pose after a step relative to that before.
 
 Derivation: docs/derivations/motion.md.
-
-Odometry of a step as a measurement of the pose after it relative to the pose before it.
 """
 
 from __future__ import annotations

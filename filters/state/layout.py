@@ -1,11 +1,8 @@
-"""Rows of the named variables at the head of the error state.
+"""Layout of the error state, measurements that are linear in it, and the transport of its covariance.
 
 The pose comes first, then the variables of the measurement model, so that what a measurement depends on besides its
-landmark is one block of leading rows; then velocity and the variables of the motion model; then the map.
-
-Measurements linear in the error state: what the Kalman update works on.
-
-Transport of the covariance: the Jacobian that takes errors at a state to errors at the corrected one.
+landmark is one block of leading rows; then velocity and the variables of the motion model; then the map. The transport
+is the Jacobian that takes errors at a state to errors at the corrected one.
 
 Derivation: docs/derivations/errors.md.
 """

@@ -1,8 +1,6 @@
-"""Linearisation by Jacobians: Eq. 8-10 and 13-14 for many landmarks at once.
+"""Linearisation: its base class, and that by Jacobians, Eq. 8-10 and 13-14 for many landmarks at once.
 
 Derivation: docs/derivations/measurements.md.
-
-Base class of linearisations: how H and R of a stage come about, and the prediction of measurements.
 """
 
 from __future__ import annotations

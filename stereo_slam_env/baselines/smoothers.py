@@ -1,7 +1,4 @@
-"""Fixed-lag smoothing with GTSAM: a window of poses and its landmarks, solved every frame.
-
-Full smoothing with GTSAM as a filter: what the data allow, for those who compare with it.
-"""
+"""Smoothing with GTSAM as filters: a window of poses and its landmarks solved every frame, or all of them."""
 
 from __future__ import annotations
 

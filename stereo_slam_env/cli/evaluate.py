@@ -1,7 +1,4 @@
-"""The command `stereo-slam evaluate`: anybody's trajectory against a reference.
-
-The commands `stereo-slam calibrate` and `stereo-slam claim`: a covariance for systems that have none.
-"""
+"""The commands `evaluate`, anybody's trajectory against a reference, and `calibrate` and `claim`, its covariance."""
 
 from __future__ import annotations
 

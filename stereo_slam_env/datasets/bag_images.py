@@ -1,7 +1,4 @@
-"""Grey values of the messages Image and CompressedImage, in whatever encoding, with one scale for a recording.
-
-The pair of cameras of a bag: topics of its images, and what all their messages CameraInfo say.
-"""
+"""Images of a bag: grey values of its messages, in whatever encoding, and the pair of cameras that took them."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Pictures of a row: its scene through a renderer, with the faults of its cameras.
+"""Pictures of a row: its scene through a renderer with the faults of its cameras, and the window that shows them.
 
-`render_mode="human"`: a window with the picture of `render()`, or a clear error where none can be opened.
+`render_mode="human"` opens the window, or gives a clear error where none can be opened.
 """
 
 from __future__ import annotations

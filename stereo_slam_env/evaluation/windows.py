@@ -1,8 +1,7 @@
-"""Windows of a run: the motion over some seconds, whose error does not hang on one early heading error.
+"""Windows of a run or trajectory: the motion over some seconds, whose error does not hang on one early heading error.
 
 A window needs the correlation of two poses. Filters that keep clones of the pose have it; the others are not scored.
-
-Motion over windows of any trajectory: how its error grows with their length.
+Of any trajectory the error of motion grows with the length of its windows.
 """
 
 from __future__ import annotations

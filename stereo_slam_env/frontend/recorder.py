@@ -1,7 +1,4 @@
-"""Measurements from image sequences: recorded once for every filter, or by active search of one.
-
-Image sensor of the environment: landmarks measured in rendered pairs by the front end.
-"""
+"""Measurements of the front end: recorded from image sequences, by active search of a filter, or in an environment."""
 
 from __future__ import annotations
 

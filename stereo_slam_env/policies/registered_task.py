@@ -1,7 +1,4 @@
-"""A registered environment as a training task: its own reward, and how well a network does in it.
-
-Settings of a training by proximal policy optimisation.
-"""
+"""A registered environment as a training task with its own reward, and the settings of proximal policy optimisation."""
 
 from __future__ import annotations
 

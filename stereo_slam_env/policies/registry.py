@@ -1,9 +1,7 @@
-"""Policies by name, those of this package and third-party ones.
+"""Policies by name, those of this package and third-party ones, and their interface.
 
 A third party adds a policy with an entry point in the group `stereo_slam.policies`; the object is called with the
 options of the policy and returns a `Policy`.
-
-The interface of policies, and actions that turn the head.
 """
 
 from __future__ import annotations

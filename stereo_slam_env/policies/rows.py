@@ -1,7 +1,4 @@
-"""Policies in all rows of a vector at once, and their figures by the truth.
-
-Normalised scores of the tasks, and the driver that has 100 in those in which the agent drives.
-"""
+"""Policies in all rows of a vector at once, their figures by the truth, and normalised scores of the tasks."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""The picture of `render()`: both views, the observed landmarks, a caption and maps.
-
-Drawing on stereo pictures: colours of disparities, labels, captions, two views in one.
-"""
+"""The picture of `render()`, and what it is drawn with: both views, landmarks, labels, captions and maps."""
 
 from __future__ import annotations
 

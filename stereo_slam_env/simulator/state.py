@@ -1,7 +1,4 @@
-"""State of B vehicles in arrays, and what is the same for all of them.
-
-`Kept`: what can be copied while it runs, and set back.
-"""
+"""State of B vehicles in arrays that can be copied while it runs, and what is the same for all of them."""
 
 from __future__ import annotations
 

@@ -1,8 +1,6 @@
-"""A drive to watch: a filter over a recording, or over that of a finished run.
+"""A drive to watch: a filter over a recording, or over that of a finished run, and the video file it becomes.
 
 A run keeps recordings and poses, not maps; filters are deterministic, so they are run again.
-
-Writer of pictures to a video file.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""Filters in the loop of B rows, one for each: in lock-step where they can, else one after the other.
-
-`Belief`: pose and map of a filter after a frame.
-"""
+"""Filters in the loop of B rows, one for each, in lock-step where they can, and the `Belief` they leave."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""`InformationGain`: the reward is the information that the step gained.
-
-`TrueError`: the reward is the true error of the filter's position.
-"""
+"""Rewards of what a filter learns: the information gained in the step (`InformationGain`), or its true error."""
 
 from __future__ import annotations
 

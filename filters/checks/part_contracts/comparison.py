@@ -1,7 +1,4 @@
-"""Comparison of arrays, and what all checks of parts use.
-
-The compiled functions of a part say what its NumPy form says, and can be compiled.
-"""
+"""Comparison of arrays, and of the compiled functions of a part with its NumPy form."""
 
 from __future__ import annotations
 

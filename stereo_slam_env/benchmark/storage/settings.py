@@ -1,6 +1,6 @@
-"""Settings of a run in its directory: what is a run, and what may change where it is resumed.
+"""Settings of a run in its directory, and descriptions of the recordings that its filters were given.
 
-Descriptions of the recordings of a run, which its filters were given.
+They tell what is a run, and what may change where it is resumed.
 """
 
 from __future__ import annotations
