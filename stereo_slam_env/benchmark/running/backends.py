@@ -123,7 +123,9 @@ class Backend:
 
     def _in_threads(self, function: Callable[[Task], Result], tasks: Iterable[Task]) -> Iterator[Result]:
         with waiting_threads(self.jobs) as submit:
-            yield from _as_completed(lambda function, task: submit(partial(function, task)), self.jobs, function, tasks)
+            yield from _as_completed(
+                lambda function, task: submit(partial(function, task)), lambda: self.jobs, function, tasks
+            )
 
     def _apart(self, function: Callable[[Task], Result], tasks: Iterable[Task]) -> Iterator[Result]:
         return self._in_threads(partial(_in_own_process, function), tasks)
@@ -141,13 +143,13 @@ class Backend:
 
 
 def _as_completed(
-    submit: Submit, at_a_time: int, function: Callable[[Task], Result], tasks: Iterable[Task]
+    submit: Submit, at_a_time: Callable[[], int], function: Callable[[Task], Result], tasks: Iterable[Task]
 ) -> Iterator[Result]:
-    """Results of what is submitted, so many tasks at a time."""
+    """Results of what is submitted, so many tasks at a time as there are workers now."""
     waiting, running = iter(tasks), set[Future[Result]]()
     try:
         while True:
-            for task in itertools.islice(waiting, at_a_time - len(running)):
+            for task in itertools.islice(waiting, max(0, at_a_time() - len(running))):
                 running.add(submit(function, task))
             if not running:
                 return
@@ -194,8 +196,10 @@ def _numbered(function: Callable[[Task], Result], task: tuple[int, Task]) -> tup
 
 
 @contextmanager
-def _dask(jobs: int, address: str | None) -> Iterator[tuple[Submit, int]]:
-    """Yield a function that submits work to Dask, and how many tasks it does at a time.
+def _dask(jobs: int, address: str | None) -> Iterator[tuple[Submit, Callable[[], int]]]:
+    """Yield a function that submits work to Dask, and one that tells how many tasks it does at a time.
+
+    Workers may come late, as those of a queue do.
 
     Not through joblib, whose callers wait for ever for a task that Dask gives up because it ends its workers (1.6.0).
     """
@@ -223,4 +227,4 @@ def _dask(jobs: int, address: str | None) -> Iterator[tuple[Submit, int]]:
             raise ValueError(f"the Dask cluster has no worker within {SECONDS_TO_ANSWER} s") from error
         executor = client.get_executor(pure=False)
         stack.callback(executor.shutdown, wait=False)
-        yield executor.submit, sum(client.ncores().values())
+        yield executor.submit, lambda: max(1, sum(client.ncores().values()))

@@ -1,5 +1,6 @@
 """Where trials run makes no difference to what comes out: real local clusters of several processes (40 s)."""
 
+import itertools
 import os
 import time
 from dataclasses import replace
@@ -125,6 +126,26 @@ def test_what_a_lost_worker_of_a_cluster_had_is_done_once_more(tmp_path, caplog)
             ChildProcessError, match=r"\Aworkers were lost twice \([^\n]*\): what is finished is kept\Z"
         ):
             list(run_all(lost_always, range(4)))
+
+
+def interval(seconds):
+    began = time.time()
+    time.sleep(seconds)
+    return began, time.time()
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(120)
+def test_workers_that_come_late_are_used():
+    """As those of a queue: with one worker no two tasks overlap."""
+    distributed = pytest.importorskip("dask.distributed", reason="needs the extra dask")
+    cluster = distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=":0")
+    with cluster, Backend("dask", address=cluster.scheduler_address).started() as run_all:
+        results = run_all(interval, [0.2] * 3 + [0.5] * 40)
+        first = next(results)
+        cluster.scale(3)
+        intervals = sorted([first, *results])
+    assert any(later[0] < earlier[1] for earlier, later in itertools.pairwise(intervals))
 
 
 @pytest.mark.slow
