@@ -31,7 +31,6 @@ ENTRY_POINT_GROUP = "stereo_slam.filters"
 NOT_AVAILABLE = "not available"
 """Begins the line of a filter that is there and cannot be used."""
 FilterFactory = Callable[..., StereoFilter]
-_OURS = {**PRESETS, **UNLISTED}
 
 
 def make_filter(name: str | FilterFactory, *, camera: StereoCamera, noise: StereoNoise, **options: Any) -> StereoFilter:
@@ -65,7 +64,7 @@ def available_filters() -> dict[str, str]:
     """Names and one line on each; a third-party filter that cannot be loaded, or is hidden, says so instead."""
     lines = {name: _first_line(factory) for name, factory in PRESETS.items()}
     for entry_point in entry_points(group=ENTRY_POINT_GROUP):
-        if entry_point.name in _OURS:
+        if entry_point.name in _ours():
             lines[f"{entry_point.name} of {entry_point.module}"] = NOT_AVAILABLE + ": hidden by the built-in one"
             continue
         try:
@@ -95,14 +94,14 @@ def filter_factory(name: str | FilterFactory) -> FilterFactory:
     """
     if not isinstance(name, str):
         return name
-    if name in _OURS:
-        return _OURS[name]
+    if name in (ours := _ours()):
+        return ours[name]
     entry_point = plugin_of(name)
     if entry_point is not None:
         loaded: FilterFactory = load_factory("filter", entry_point)
         return loaded
     names = sorted({*PRESETS, *_plugins()})
-    raise ValueError(f"filter must be one of {', '.join(names)}, got {name!r}{did_you_mean(name, names)}")
+    raise ValueError(f"filter must be one of {', '.join(names)}, got {name!r}{did_you_mean(name, [*names, *UNLISTED])}")
 
 
 def require_filter(name: str | FilterFactory, options: Mapping[str, Any]) -> None:
@@ -122,8 +121,13 @@ def require_filter(name: str | FilterFactory, options: Mapping[str, Any]) -> Non
     _refuse_unknown_options(label_of(name), factory, options)
 
 
+def _ours() -> dict[str, type[StereoFilter]]:
+    """The named filters by all names that resolve."""
+    return {**UNLISTED, **PRESETS}
+
+
 def _plugins() -> dict[str, EntryPoint]:
-    return {point.name: point for point in entry_points(group=ENTRY_POINT_GROUP) if point.name not in _OURS}
+    return {point.name: point for point in entry_points(group=ENTRY_POINT_GROUP) if point.name not in _ours()}
 
 
 def load_factory(kind: str, entry_point: EntryPoint) -> Any:

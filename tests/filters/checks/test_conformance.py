@@ -33,8 +33,6 @@ from ..delayed import DelayedEKF
         "inverse-depth",
         "dual-bearing",
         "euclidean",
-        "shared-anchor",
-        "hybrid",
         "right-invariant",
         "unscented",
         "monocular",
