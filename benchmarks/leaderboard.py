@@ -77,9 +77,14 @@ def interval(logarithms):
     return f"{np.exp(middle):.2f} ({np.exp(middle - half):.2f} to {np.exp(middle + half):.2f})"
 
 
-if __name__ == "__main__":
+def main():
+    """Write the page."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("packets", nargs="*", type=Path, default=PACKETS, help="what `stereo-slam submit` wrote")
     parser.add_argument("--out", type=Path, default=PAGE)
     options = parser.parse_args()
     write_text(options.out, leaderboard(map(read_packet, options.packets)))
+
+
+if __name__ == "__main__":
+    main()
