@@ -16,7 +16,6 @@ import typer
 
 from stereo_slam_env.cli import bench as cli_bench
 from stereo_slam_env.cli import convert as cli_convert
-from stereo_slam_env.cli import evaluate as cli_claim
 from stereo_slam_env.cli import evaluate as cli_evaluate
 from stereo_slam_env.cli import paper as cli_paper
 from stereo_slam_env.cli import results as cli_results
@@ -53,8 +52,8 @@ app.add_typer(cli_scenes.app, name="scenes")
 app.command()(cli_bench.bench)
 app.command()(cli_bench.replay)
 app.command(cls=TakesTruths)(cli_evaluate.evaluate)
-app.command(cls=TakesTruths)(cli_claim.calibrate)
-app.command()(cli_claim.claim)
+app.command(cls=TakesTruths)(cli_evaluate.calibrate)
+app.command()(cli_evaluate.claim)
 app.command()(cli_results.report)
 app.command()(cli_results.submit)
 app.command()(cli_results.verify)

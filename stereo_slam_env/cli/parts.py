@@ -300,14 +300,18 @@ def show_groups(lines: Mapping[str, str], groups: Mapping[str, tuple[str, ...]],
     if as_json:
         show_json(lines)
         return
+    lists = {title: {name: lines[name] for name in names if name in lines} for title, names in groups.items()}
     grouped = {name for names in groups.values() for name in names}
-    rest = tuple(name for name in lines if name not in grouped)
-    width = max(map(len, lines))
-    for title, names in {**groups, "installed": rest}.items():
-        present = {name: lines[name] for name in names if name in lines}
-        if present:
+    show_lists({**lists, "installed": {name: line for name, line in lines.items() if name not in grouped}})
+
+
+def show_lists(lists: Mapping[str, Mapping[str, str]]) -> None:
+    """Names and one line on each, in lists under their titles; an empty list has none."""
+    width = 2 + max(len(name) for entries in lists.values() for name in entries)
+    for title, entries in lists.items():
+        if entries:
             typer.echo(f"{title}:")
-            show_lines({f"  {name}": line for name, line in present.items()}, width + 2)
+            show_lines({f"  {name}": line for name, line in entries.items()}, width)
 
 
 def new_directory(name: str) -> Path:

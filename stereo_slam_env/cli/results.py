@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from stereo_slam_env.cli.parts import JobsOption, JsonOption, console, show_json, show_place
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
 
 
 def report(
@@ -35,9 +33,9 @@ def report(
         ),
     ] = False,
     limit: Annotated[
-        float,
-        typer.Option("--limit", help="With it: percent that is worse where runs are too few for a test.", min=0.0),
-    ] = 5.0,
+        float | None,
+        typer.Option("--limit", help="With it: percent that is worse if runs are too few.", min=0.0, show_default="5"),
+    ] = None,
     time: Annotated[
         bool, typer.Option("--time", help="With it: judge the time, too, which depends on the machine.")
     ] = False,
@@ -53,8 +51,12 @@ def report(
     from stereo_slam_env.report.console import show_cells
 
     if fail_if_worse:
-        _fail_if_worse(directory, after or (), limit, time, markdown)
+        if out is not None or trajectories:
+            raise ValueError("--fail-if-worse writes no report: leave --out and --trajectories out")
+        _fail_if_worse(directory, after or (), 5.0 if limit is None else limit, time, markdown)
         return
+    if limit is not None or time or markdown is not None:
+        raise ValueError("--limit, --time and --markdown need --fail-if-worse: give it, too, or leave them out")
     if after:
         if len(after) > 1:
             raise ValueError(f"one second run can be compared, got {len(after)}: several need --fail-if-worse")

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from stereo_slam_env.cli.parts import JsonOption, console, group, rig_from, show_json, with_options
+from stereo_slam_env.cli.parts import JsonOption, console, group, rig_from, show_json, show_lists, with_options
 
 app = group("The simulated scenes: list, render, record, noise.")
 
@@ -65,10 +65,7 @@ def list_scenes(as_json: JsonOption = False) -> None:
     if as_json:
         show_json({title.split()[0]: entries for title, entries in lists.items()})
         return
-    for title, entries in lists.items():
-        typer.echo(f"{title}:")
-        for name, text in entries.items():
-            typer.echo(f"  {name:<16} {text}")
+    show_lists(lists)
 
 
 @app.command("render")
