@@ -62,9 +62,9 @@ def make_filter(name: str | FilterFactory, *, camera: StereoCamera, noise: Stere
 
 def available_filters() -> dict[str, str]:
     """Names and one line on each; a third-party filter that cannot be loaded, or is hidden, says so instead."""
-    lines = {name: _first_line(factory) for name, factory in PRESETS.items()}
+    lines, ours = {name: _first_line(factory) for name, factory in PRESETS.items()}, named_filters()
     for entry_point in entry_points(group=ENTRY_POINT_GROUP):
-        if entry_point.name in _ours():
+        if entry_point.name in ours:
             lines[f"{entry_point.name} of {entry_point.module}"] = NOT_AVAILABLE + ": hidden by the built-in one"
             continue
         try:
@@ -94,7 +94,7 @@ def filter_factory(name: str | FilterFactory) -> FilterFactory:
     """
     if not isinstance(name, str):
         return name
-    if name in (ours := _ours()):
+    if name in (ours := named_filters()):
         return ours[name]
     entry_point = plugin_of(name)
     if entry_point is not None:
@@ -121,13 +121,13 @@ def require_filter(name: str | FilterFactory, options: Mapping[str, Any]) -> Non
     _refuse_unknown_options(label_of(name), factory, options)
 
 
-def _ours() -> dict[str, type[StereoFilter]]:
-    """The named filters by all names that resolve."""
+def named_filters() -> dict[str, type[StereoFilter]]:
+    """Filters of this package by all names that resolve, listed or not."""
     return {**UNLISTED, **PRESETS}
 
 
 def _plugins() -> dict[str, EntryPoint]:
-    return {point.name: point for point in entry_points(group=ENTRY_POINT_GROUP) if point.name not in _ours()}
+    return {point.name: point for point in entry_points(group=ENTRY_POINT_GROUP) if point.name not in named_filters()}
 
 
 def load_factory(kind: str, entry_point: EntryPoint) -> Any:

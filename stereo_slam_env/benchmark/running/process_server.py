@@ -110,7 +110,7 @@ def _load_machine_code(modules: Sequence[ModuleType], tell: Callable[[], None]) 
     from numba import config
 
     for module in () if config.DISABLE_JIT else modules:
-        for rehearse in module.rehearsals() if hasattr(module, "rehearsals") else ():
+        for rehearse in getattr(module, "rehearsals", tuple)():
             with suppress(Exception):
                 rehearse()
             tell()

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from filters import ConstantVelocity
-from filters.catalogue.presets import PRESETS, UNLISTED
+from filters.catalogue.registry import named_filters
 from filters.contract.validation import first_line
 from stereo_slam_env.benchmark.recordings.source import OpenedImages
 from stereo_slam_env.benchmark.recordings.sources import StreetSource
@@ -112,7 +112,7 @@ def goes_in_a_batch(task: Task) -> bool:
     if choice is None:
         return True
     alone = task.timed or scenario.search == "forecast" or "windows" in scenario.metrics
-    return not alone and choice.policy is None and choice.name in {*PRESETS, *UNLISTED}
+    return not alone and choice.policy is None and choice.name in named_filters()
 
 
 def batches(tasks: Iterable[Task]) -> Iterator[list[Task]]:

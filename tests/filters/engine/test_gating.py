@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from filters.contract import gate_limit as gating
+from filters.contract.gate_limit import gate_limit
 
 
 @pytest.mark.parametrize(("dof", "limit"), [(2, 9.210), (3, 11.345), (4, 13.277)])
 def test_limits_are_the_tabulated_ones(dof: int, limit: float) -> None:
-    assert gating.gate_limit(0.99, dof) == pytest.approx(limit, abs=1e-3)
+    assert gate_limit(0.99, dof) == pytest.approx(limit, abs=1e-3)

@@ -22,7 +22,7 @@ from filters import (
     VelocityDriven,
     make_filter,
 )
-from filters.catalogue.presets import PRESETS as NAMED
+from filters.catalogue.registry import named_filters
 from filters.checks.conformance import assert_healthy as assert_contract
 from filters.checks.conformance import shown_arrays
 
@@ -205,7 +205,7 @@ def test_random_sequences_of_calls(options: dict, dead_reckoning: bool, sequence
     Drive(StereoEKF(CAMERA, INDEPENDENT_PIXELS, motion=motion, **options), dead_reckoning).run(sequence)
 
 
-@pytest.mark.parametrize("name", sorted(NAMED))
+@pytest.mark.parametrize("name", sorted(named_filters()))
 @settings(drawn, max_examples=30)
 @given(options=common_options, sequence=sequences)
 def test_random_sequences_of_calls_to_named_filters(name: str, options: dict, sequence: list[tuple]) -> None:

@@ -6,8 +6,7 @@ from scipy.spatial.transform import Rotation
 
 from filters import StereoObservation
 from stereo_slam_env import evaluate
-from stereo_slam_env.datasets import load
-from stereo_slam_env.datasets import registry as known_recordings
+from stereo_slam_env.datasets import load, registry
 from stereo_slam_env.datasets.registry import KnownRecording, digest
 from stereo_slam_env.recording.recording import Reference
 
@@ -32,7 +31,7 @@ def test_frames_whose_ground_truth_is_known_to_be_wrong_have_none(tmp_path, monk
     folder = kitti00(tmp_path)
     made = KnownRecording(Reference("ins", "By the makers."), 16)
     positions = np.loadtxt(folder / "poses.txt")[:, 3::4]
-    monkeypatch.setattr(known_recordings, "KNOWN", {digest(positions): made})
+    monkeypatch.setattr(registry, "KNOWN", {digest(positions): made})
     recording = load(folder)
     assert [frame.truth is None for frame in recording.frames] == [True] * 16 + [False] * 4
     first, *_, last = [frame.truth for frame in recording.frames[16:]]

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from filters.catalogue.registry import named_filters
 from stereo_slam_env.benchmark import Scenario, preset_study, run_benchmark
 from stereo_slam_env.benchmark.recordings.sources import ReferenceSource, StreetSource
 from stereo_slam_env.benchmark.running import tasks
@@ -19,7 +20,7 @@ from stereo_slam_env.recording.archive import packed_recording
 
 from ...evaluation.test_batch_run import plain
 
-OURS = sorted(name for name in tasks.PRESETS if name != "inertial")  # whose samples no scenario has
+OURS = sorted(name for name in named_filters() if name != "inertial")  # whose samples no scenario has
 SHORT = Scenario("short", ReferenceSource("short_turn"), seeds=tuple(range(5)), frames=5, gate=None, metrics=("map",))
 
 
