@@ -22,7 +22,8 @@ from scipy.spatial.transform import Rotation
 from filters.catalogue.registry import make_with_common_options
 from harness import arguments, show
 from stereo_slam_env.datasets import load
-from stereo_slam_env.datasets.starry_night import SHAPES, step_velocities
+from stereo_slam_env.datasets.single_data_sets import GYRO_DELAY, STARRY_NIGHT
+from stereo_slam_env.datasets.tracks import step_velocities
 from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.files.readers import read_archive
 from stereo_slam_env.recording.recording import Recording
@@ -62,7 +63,7 @@ def readings(arrays: dict[str, np.ndarray]) -> None:
     """Print which reading belongs to which step."""
     times, v, w = arrays["t"].reshape(-1), arrays["v_vk_vk_i"].T, arrays["w_vk_vk_i"].T
     late = np.vstack([v[:1], v[:-1]])
-    ours = step_velocities(times, v, w)
+    ours = step_velocities(times, v, w, GYRO_DELAY)
     choices = [
         ("of the end of the step", v, "as stored, of its beginning", np.vstack([w[:1], w[:-1]])),
         ("of its beginning (used)", late, "sign turned", -np.vstack([w[:1], w[:-1]])),
@@ -173,7 +174,7 @@ def main() -> None:
     """Run and print."""
     folder = arguments(__doc__, "folder", folder=Path).folder
     recording = load(folder)
-    readings(read_archive(folder / "starry_night.npz", SHAPES))
+    readings(read_archive(folder / "starry_night.npz", STARRY_NIGHT.arrays))
     print(
         f"dead reckoning ends {dead_reckoning(recording):.2f} m off, "
         f"{dead_reckoning(recording, -1.0):.2f} m with the sign as stored"

@@ -26,6 +26,7 @@ READ = [
     for path in ((ROOT / folder).rglob("*") if folder != "." else ROOT.glob("*.md"))
     if path.suffix in (".md", ".py", ".html", ".js")
 ]
+COMMAND = re.compile(r"(?:install_command\(|require_module\(['\"]\w+['\"], )['\"](\w+)['\"]\)")
 HINT = re.compile(r"(?:pip install|PIP\))[^\n`]*\[[a-z,]+\][^\n`]{,2}")
 KEEPS = re.compile(rf'pip install "{DISTRIBUTION}\[([a-z]+)\]"|pip install --editable ')
 
@@ -43,7 +44,7 @@ def test_every_hint_names_an_extra_of_the_installed_distribution():
 
 def test_every_message_has_the_command_from_one_place():
     ours = [path for path in READ if path.suffix == ".py" and path.relative_to(ROOT).parts[0] in PROJECT_PACKAGES]
-    messages = {path.name: re.findall(r"install_command\(['\"](\w+)['\"]\)", path.read_text()) for path in ours}
+    messages = {path.name: COMMAND.findall(path.read_text(encoding="utf-8")) for path in ours}
     named = [extra for found in messages.values() for extra in found]
     assert len(named) >= 6
     assert set(named) <= set(PROJECT["optional-dependencies"])

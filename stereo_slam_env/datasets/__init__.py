@@ -13,7 +13,6 @@ from typing import Any
 
 from filters.contract.noise import ColouredNoise
 from filters.contract.validation import require_known
-from stereo_slam_env.datasets import kitti00_stereo_tracks
 from stereo_slam_env.datasets.bag_images import grey_of
 from stereo_slam_env.datasets.bag_writer import write_mcap
 from stereo_slam_env.datasets.image_files import BrokenPair
@@ -27,6 +26,7 @@ from stereo_slam_env.datasets.registry import (
 )
 from stereo_slam_env.datasets.restated import Recalibrated, WithTruth
 from stereo_slam_env.datasets.sequence import Choice, OnBroken
+from stereo_slam_env.datasets.single_data_sets import read_gtsam
 from stereo_slam_env.evaluation.body_frames import read_body
 from stereo_slam_env.files.opening import is_there, require_inside, require_links_inside
 from stereo_slam_env.frontend.calibration import calibrated
@@ -86,8 +86,8 @@ def load(source: str | Path, **options: Any) -> Recording:
     """
     path = Path(source)
     if source == EXAMPLE and not is_there(path):
-        _require_options(EXAMPLE, kitti00_stereo_tracks.read_example, options)
-        return set_up_for_tracks(_with_its_noise(kitti00_stereo_tracks.read_example(**options)))
+        _require_options(EXAMPLE, read_gtsam, options)
+        return set_up_for_tracks(_with_its_noise(read_gtsam(**options)))
     if path.suffix == ".npz" and is_there(path) and path.is_file():
         require_known("a recording in one file has no option", options, [])
         return _with_its_noise(load_recording(path))

@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import hashlib
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib.metadata import EntryPoint, entry_points
@@ -44,6 +44,8 @@ _OURS = (
     *("kitti06_stereo51", "kitti_odometry", "kitti_raw", "karlsruhe", "euroc", "tartanair", "vslam_lab"),
     *("stereo_folder", "ros_bag"),
 )
+_SINGLE = ("kitti07_tracks", "kitti00_stereo_tracks", "starry_night", "kitti06_stereo51", "karlsruhe")
+"""Rows of the table in `single_data_sets`; the others are modules."""
 
 _log = logging.getLogger(__name__)
 
@@ -53,6 +55,28 @@ class FolderLayout(Protocol):
 
     NAME: str
     FILES: Sequence[Sequence[str]]
+
+
+@dataclass(frozen=True, eq=False)
+class LayoutRow:
+    """A layout that is a row of a table: where its truth stands, and its reader, whose first line describes it."""
+
+    NAME: str
+    FILES: tuple[tuple[str, ...], ...]
+    truth: str
+    reader: Callable[..., Any]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "__doc__", self.reader.__doc__)
+
+
+class ImagesRow(LayoutRow):
+    """A layout of stereo images that is a row of a table."""
+
+    @property
+    def open_sequence(self) -> Callable[..., Any]:
+        """The reader, by the name that layouts have it under."""
+        return self.reader
 
 
 def track_layouts() -> tuple[Any, ...]:
@@ -80,7 +104,8 @@ def file_layout(path: Path) -> Any | None:
 
 
 def _points() -> list[EntryPoint]:
-    ours = [EntryPoint(name, f"stereo_slam_env.datasets.{name}", ENTRY_POINT_GROUP) for name in _OURS]
+    places = {name: f"single_data_sets:{name.upper()}" if name in _SINGLE else name for name in _OURS}
+    ours = [EntryPoint(name, f"stereo_slam_env.datasets.{place}", ENTRY_POINT_GROUP) for name, place in places.items()]
     return [*ours, *(point for point in entry_points(group=ENTRY_POINT_GROUP) if point.name not in _OURS)]
 
 

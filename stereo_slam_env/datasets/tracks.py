@@ -1,21 +1,25 @@
-"""Feature tracks and odometry of data sets, and the frames of a recording made of them."""
+"""Feature tracks and odometry of data sets, and the recording made of them."""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import wraps
+from inspect import Parameter, signature
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from filters import BodyVelocity, Pose, StereoObservation
+from filters import BodyVelocity, InertialSamples, Pose, Start, StereoCamera, StereoNoise, StereoObservation
 from filters.contract.validation import positive, whole_number
 from filters.geometry import rotations
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
-from stereo_slam_env.recording.recording import Frame
+from stereo_slam_env.datasets.registry import LayoutRow, known_by, reference_for
+from stereo_slam_env.files.readers import Shape
+from stereo_slam_env.recording.recording import Frame, LandmarkTruth, Recording
 
 ASSUMED_SIGMA_PX = 2.0
 """Standard deviation to assume for the pixels of real tracks. Their core is sharper (0.2 to 0.6 px), but they drift:
@@ -30,6 +34,9 @@ ASSUMED: Mapping[str, float] = {
     "sigma_linear": ASSUMED_SIGMA_LINEAR,
     "sigma_angular": ASSUMED_SIGMA_ANGULAR,
 }
+
+SPEEDS = {"sigma_linear": "sigma_linear_m_s", "sigma_angular": "sigma_angular_rad_s"}
+"""Deviation of a velocity -> its name in the source of a recording."""
 
 _log = logging.getLogger(__name__)
 
@@ -82,6 +89,88 @@ class PointTracks:
             best = waiting[np.lexsort((waiting, -last[waiting]))]
             joined[best[: max(places, 0)]] = frame
         return self.select(self.frame >= joined[landmark])
+
+
+@dataclass(frozen=True, eq=False)
+class TrackFiles:
+    """Contents of the files of a recording of tracks: K frames, SI units and px."""
+
+    positions: FloatArray  # (N, 3): all of the truth as they are stored, which tell its maker
+    timestamps: FloatArray  # (K,)
+    truth: Sequence[Pose | None]  # K poses
+    rig: Sequence[float]  # fx, fy, cx, cy, baseline
+    tracks: PointTracks
+    used: PointTracks
+    settings: Mapping[str, Any]  # at the end of the recording's `source`
+    origin: Mapping[str, Any] = field(default_factory=dict)  # there behind the path
+    velocities: tuple[FloatArray, ...] = ()  # (K, 3) linear and angular ones of the unit; R_ci, p_i of the camera on it
+    samples: Sequence[InertialSamples | None] | None = None  # K
+    first: int = 0  # frame that the recording begins with
+    start: Start = field(default_factory=Start)
+    landmarks: LandmarkTruth | None = None
+    note: str = ""  # on the truth
+
+
+def recording_of(
+    files: TrackFiles, path: Path, name: str, truth: str, facts: Mapping[str, Any], stated: Mapping[str, Any]
+) -> Recording:
+    """Recording of the contents of files in `path`.
+
+    If it is the public one, known by its positions, it has the `name` and the `facts`; a stranger's has the name of its
+    folder, a reference that `truth` describes, and options that are assumed where they are not `stated`.
+    """
+    public = facts if known_by(files.positions) is not None else None
+    sigmas, size = stated_or_assumed(path, files.tracks, public, **stated)
+    speeds = {key: sigmas.pop(key) for key in SPEEDS if files.velocities}
+    odometry = camera_velocities(*files.velocities, **speeds) if files.velocities else None
+    if "sigma_px" in sigmas:
+        noise = StereoNoise.independent_pixels(sigmas["sigma_px"])
+        pixels: dict[str, Any] = {"sigma_px": float(sigmas["sigma_px"])}
+    else:
+        noise, pixels = StereoNoise.diagonal(**sigmas), {"sigma_uvd_px": [float(sigma) for sigma in sigmas.values()]}
+    fx, fy, cx, cy, baseline = map(float, files.rig)
+    reference = reference_for(files.positions, truth)
+    recording = Recording(
+        path.resolve().name if public is None else name,
+        StereoCamera(fx, fy, cx, cy, baseline, *size),
+        frames_of(files.used, files.timestamps, files.truth, odometry, files.samples),
+        noise,
+        files.start,
+        files.landmarks,
+        source={
+            **{"reader": name, "path": str(path), **files.origin, **pixels},
+            **{SPEEDS[key]: float(sigma) for key, sigma in speeds.items()},
+            **files.settings,
+        },
+        truth_from=replace(reference, description=f"{reference.description} {files.note}".strip()),
+    )
+    return recording[files.first :]
+
+
+@dataclass(frozen=True, eq=False)
+class TracksRow(LayoutRow):
+    """A layout of tracks that is a row of a table.
+
+    Its reader gives `TrackFiles`. `facts` are options that its files do not hold, as they are of its public recording,
+    and `arrays` the shapes of those in its archive, see `read_archive`.
+    """
+
+    facts: Mapping[str, Any]
+    arrays: Mapping[str, Shape] = field(default_factory=dict)
+
+    @property
+    def read(self) -> Callable[..., Recording]:
+        """Reader of recordings, with the options of `facts`, None by default, and those of the row's reader."""
+
+        @wraps(self.reader)
+        def read(path: Path, **options: Any) -> Recording:
+            stated = {name: options.pop(name, None) for name in self.facts}
+            return recording_of(self.reader(path, **options), path, self.NAME, self.truth, self.facts, stated)
+
+        path, *options = signature(self.reader).parameters.values()
+        of_facts = (Parameter(name, Parameter.KEYWORD_ONLY, default=None) for name in self.facts)
+        vars(read)["__signature__"] = signature(self.reader).replace(parameters=[path, *of_facts, *options])
+        return read
 
 
 def stated_or_assumed(
@@ -148,18 +237,14 @@ def frames_of(
     timestamps: FloatArray,
     truth: Sequence[Pose | None],
     odometry: Sequence[BodyVelocity | None] | None = None,
+    samples: Sequence[InertialSamples | None] | None = None,
 ) -> tuple[Frame, ...]:
     """Frames in time order, each with its observations in ascending order of ids.
 
-    Frame indices of the tracks refer to `timestamps` (K,), s; `truth` and `odometry` have an entry for each frame, or
-    None.
+    Frame indices of the tracks refer to `timestamps` (K,), s; `truth`, `odometry` and `samples` have an entry for each
+    frame, or None.
     """
-    stuck = np.flatnonzero(~(np.diff(timestamps) > 0))
-    if stuck.size:
-        raise ValueError(
-            f"timestamps must increase: frame {stuck[0] + 1} at {timestamps[stuck[0] + 1]:.6f} s does not follow "
-            f"frame {stuck[0]} at {timestamps[stuck[0]]:.6f} s: sort the rows by time"
-        )
+    require_increasing(timestamps)
     if len(tracks) and not (tracks.frame.min() >= 0 and tracks.frame.max() < len(timestamps)):
         raise ValueError(
             f"observations refer to frames {tracks.frame.min()} to {tracks.frame.max()}, "
@@ -173,8 +258,19 @@ def frames_of(
         v_right = None if ordered.v_right is None else ordered.v_right[start:end]
         observation = StereoObservation(ordered.ids[start:end], ordered.uvd[start:end], v_right)
         step = None if odometry is None else odometry[k]
-        frames.append(Frame(float(timestamps[k]), observation, step, truth[k]))
+        inertial = None if samples is None else samples[k]
+        frames.append(Frame(float(timestamps[k]), observation, step, truth[k], inertial=inertial))
     return tuple(frames)
+
+
+def require_increasing(timestamps: FloatArray) -> None:
+    """Raise a `ValueError` that names the first of the times (K,), s, that does not follow the one before."""
+    stuck = np.flatnonzero(~(np.diff(timestamps) > 0))
+    if stuck.size:
+        raise ValueError(
+            f"timestamps must increase: frame {stuck[0] + 1} at {timestamps[stuck[0] + 1]:.6f} s does not follow "
+            f"frame {stuck[0]} at {timestamps[stuck[0]]:.6f} s: sort the rows by time"
+        )
 
 
 def camera_velocities(
@@ -205,3 +301,21 @@ def camera_velocities(
     covariance = (J * np.repeat([sigmas[0] ** 2, sigmas[1] ** 2], 3)) @ J.T
     covariance = 0.5 * (covariance + covariance.T)
     return [None, *(BodyVelocity(v, w, covariance) for v, w in zip(linear[1:], angular[1:], strict=True))]
+
+
+def step_velocities(
+    timestamps: FloatArray, linear_v: FloatArray, angular_v: FloatArray, delay: float
+) -> tuple[FloatArray, FloatArray]:
+    """Mean velocities (K, 3) over each step, out of the readings (K, 3) in the vehicle frame; row 0, of no step, is 0.
+
+    Found out by residuals against motion capture (steps 100 to 1199): a linear reading describes the step that begins
+    with it (over 20 steps 8 to 17 mm, taken with the attitude of motion capture; the reading at the end of the step
+    24 to 38 mm). The angular readings have the opposite sign of the rotation (variance of the residual 0.003 to 0.009
+    after turning it, 0.06 to 0.09 (rad/s)^2 before, which is where the published `w_var` comes from), and are
+    `delay` late (the same in both halves).
+    """
+    late = np.stack([np.interp(timestamps + delay, timestamps, column) for column in angular_v.T], axis=1)
+    linear, angular = np.zeros_like(linear_v), np.zeros_like(angular_v)
+    linear[1:] = linear_v[:-1]
+    angular[1:] = -0.5 * (late[:-1] + late[1:])
+    return linear, angular

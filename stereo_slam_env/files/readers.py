@@ -181,23 +181,20 @@ def finite_rows(table: FloatArray) -> BoolArray:
 
 def read_poses(path: Path) -> tuple[FloatArray, FloatArray]:
     """Read KITTI poses, 12 numbers a row: positions (K, 3) r^WC, m, and orientations (K, 4) q^WC, xyzw."""
-    matrices = read_table(path, 12).reshape(-1, 3, 4)
-    require_rotations(path, matrices)
-    return split_poses(matrices)
+    return split_poses(path, read_table(path, 12).reshape(-1, 3, 4))
 
 
-def split_poses(matrices: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Positions (K, 3) and unit quaternions xyzw (K, 4) of K matrices whose upper 3x4 part is [R | t]."""
-    return matrices[:, :3, 3].copy(), Rotation.from_matrix(matrices[:, :3, :3]).as_quat()
+def split_poses(path: Path, matrices: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Positions (K, 3) and unit quaternions xyzw (K, 4) of K matrices whose upper 3x4 part is [R | t].
 
-
-def require_rotations(path: Path, matrices: FloatArray) -> None:
-    """Raise a `ValueError` naming the first of K matrices whose upper 3x3 part has no nearest rotation."""
+    A `ValueError` names the file and the first matrix whose upper 3x3 part has no nearest rotation.
+    """
     with np.errstate(all="ignore"):
         volume = np.linalg.det(matrices[:, :3, :3])
         bad = np.flatnonzero(~((volume > _LEAST_VOLUME) & np.isfinite(volume)))
     if bad.size:
         raise ValueError(f"{path} holds no rotation in pose {bad[0]}: correct it")
+    return matrices[:, :3, 3].copy(), Rotation.from_matrix(matrices[:, :3, :3]).as_quat()
 
 
 def read_archive(path: Path, shapes: Mapping[str, Shape]) -> dict[str, FloatArray]:

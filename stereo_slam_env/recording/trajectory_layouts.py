@@ -16,7 +16,7 @@ import numpy as np
 
 from filters.geometry.arrays import BoolArray, FloatArray
 from filters.motions.motion_model import POSE_SIZE, POSITION, ROTATION
-from stereo_slam_env.files.readers import parse_table, require_rotations, split_poses
+from stereo_slam_env.files.readers import parse_table, split_poses
 from stereo_slam_env.recording.times import seconds_of
 from stereo_slam_env.recording.trajectory import Tangent, Trajectory
 from stereo_slam_env.recording.trajectory_transforms import about_fixed_axes, assembled
@@ -156,9 +156,8 @@ def trajectory_of(columns: Columns, about: Mapping[str, Any]) -> Trajectory:
     if "m00" in values:
         matrices = columns.block("m", 3, 4)
         data: BoolArray = np.asarray(np.isfinite(matrices).all(axis=(1, 2)))
-        require_rotations(path, matrices[data])
         positions, orientations = np.full((len(data), 3), np.nan), np.zeros((len(data), 4))
-        positions[data], orientations[data] = split_poses(matrices[data])
+        positions[data], orientations[data] = split_poses(path, matrices[data])
     else:
         positions = np.stack([values[f"t{a}"] for a in "xyz"], axis=1)
         if "qx" in values:

@@ -128,7 +128,7 @@ def readers_make_inertial_samples():
     assert "inertial" in inspect.signature(StereoFilter.predict).parameters
     assert "inertial" in fields(Frame) & fields(StereoPair)
     reads = {path.name for path in SOURCES if re.search(r"samples_of_steps\(", path.read_text(encoding="utf-8"))}
-    tracks = {"kitti00_stereo_tracks.py", "mono_tracks.py"}
+    tracks = {"single_data_sets.py", "mono_tracks.py"}
     assert reads == {"inertial.py", "euroc.py", "kitti_raw.py", "bag_motion.py"} | tracks
 
 
@@ -149,7 +149,7 @@ def the_front_end_measures_uvd():
     "already be rectified."
 )
 def some_readers_rectify():
-    sources = {layout.NAME: inspect.getsource(layout) for layout in image_layouts()}
+    sources = {layout.NAME: inspect.getsource(inspect.getmodule(layout.open_sequence)) for layout in image_layouts()}
     that_do = [name for name, source in sources.items() if "Rectification" in source or "Recalibrated" in source]
     assert that_do == ["euroc", "vslam_lab", "stereo_folder", "ros_bag"]
 

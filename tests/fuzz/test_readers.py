@@ -38,7 +38,6 @@ NOT_ON_IT = {
     "policies/ppo.py _load_state": "needs a network, see tests/stereo_slam_env/policies/test_ppo.py",
     "benchmark/storage/plugin_code.py _digest_of_files": "trajectories that are read before, as `layouts`",
     "benchmark/storage/store.py root_of": "a study that is read before, or no study of ours",
-    "datasets/kitti00_stereo_tracks.py _with_samples": "a table, as those of the same folder",
     "sensing/rig_files.py _png_size": "the size in the header of a picture, as `datasets.image_files` has it",
     "datasets/image_files.py _content": "of every layout of images",
 }

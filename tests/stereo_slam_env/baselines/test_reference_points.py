@@ -13,7 +13,8 @@ from filters import check_filter, make_filter
 from filters.catalogue.registry import ENTRY_POINT_GROUP
 from stereo_slam_env import baselines
 from stereo_slam_env.benchmark.recordings.reference_problem import short_turn
-from stereo_slam_env.datasets import kitti07_tracks, load
+from stereo_slam_env.datasets import load
+from stereo_slam_env.datasets.single_data_sets import KITTI07_TRACKS
 from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.evaluation.results import FilterRun
 from stereo_slam_env.evaluation.trajectory_metrics import ate_rigid
@@ -51,7 +52,7 @@ def test_every_baseline_and_the_causal_filter_have_an_entry_point() -> None:
 
 
 def test_dead_reckoning_on_kitti_07_is_as_far_off_as_published_with_the_data() -> None:
-    run = run_filter(kitti07_tracks.read(real_data("kitti07_tracks")), "dead-reckoning")
+    run = run_filter(KITTI07_TRACKS.read(real_data("kitti07_tracks")), "dead-reckoning")
     assert ate(run) == pytest.approx(15.7, abs=0.3)
 
 
