@@ -12,6 +12,7 @@ from __future__ import annotations
 import logging
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -33,6 +34,7 @@ from stereo_slam_env.recording.recording import LandmarkTruth, Recording, Refere
 from stereo_slam_env.sensing.projections import projections
 
 _log = logging.getLogger(__name__)
+_Factors = tuple[tuple[float, ...], PointTracks, PointTracks, dict[str, Any]]
 
 
 def _kitti07_tracks(path: Path, *, max_per_frame: int | None = None) -> TrackFiles:
@@ -78,14 +80,15 @@ def _kitti00_stereo_tracks(
         raise ValueError(f"{path}: vo_poses.txt has frame {frame_ids[-1]}, times.txt and poses.txt end at {count - 1}")
     maker = known_by(positions)
     first = int(np.searchsorted(frame_ids, 0 if maker is None else maker.first_scored))
-    files = _stereo_factors(path / "stereo_factors.txt", path / "calibration.txt", frame_ids, max_per_frame)
-    files = replace(files, positions=positions, timestamps=times[frame_ids], truth=[None] * len(frame_ids))
+    truth: list[Pose | None] = [None] * len(frame_ids)
+    note = ""
     if first < len(frame_ids):
         places, turns = positions[frame_ids[first:]], Rotation.from_quat(orientations[frame_ids[first:]])
         turn = Rotation.from_matrix(matrices[first, :3, :3]) * turns[0].inv()
-        moved = _poses(turn.apply(places - places[0]) + matrices[first, :3, 3], (turn * turns).as_quat())
+        truth[first:] = _poses(turn.apply(places - places[0]) + matrices[first, :3, 3], (turn * turns).as_quat())
         note = _MOVED.format(frame_ids[first])
-        files = replace(files, truth=[*files.truth[:first], *moved], note=note)
+    factors = _stereo_factors(path / "stereo_factors.txt", path / "calibration.txt", frame_ids, max_per_frame)
+    files = TrackFiles(positions, times[frame_ids], truth, *factors, note=note)
     if not inertial:
         return files
     point_tracks.require_increasing(files.timestamps)
@@ -115,10 +118,10 @@ def read_gtsam(*, sigma_px: float = ASSUMED["sigma_px"], max_per_frame: int | No
         except (FileNotFoundError, RuntimeError) as error:
             raise ValueError(f"the installed gtsam has no example file {name}: install gtsam 4.3 or newer") from error
     factors, calibration, poses = paths
-    frame_ids, _, truth = _numbered_poses(poses)
-    files = _stereo_factors(factors, calibration, frame_ids, max_per_frame)
-    origin, times = {"frame_interval_s": EXAMPLE_INTERVAL}, EXAMPLE_INTERVAL * frame_ids.astype(np.float64)
-    files = replace(files, timestamps=times, truth=truth, origin=origin)
+    frame_ids, matrices, truth = _numbered_poses(poses)
+    content = _stereo_factors(factors, calibration, frame_ids, max_per_frame)
+    times, origin = EXAMPLE_INTERVAL * frame_ids.astype(np.float64), {"frame_interval_s": EXAMPLE_INTERVAL}
+    files = TrackFiles(matrices[:, :3, 3], times, truth, *content, origin)
     stated = {"sigma_px": sigma_px, "image_size": KITTI00_STEREO_TRACKS.facts["image_size"]}
     recording = point_tracks.recording_of(files, poses, "gtsam:kitti00", "", {}, stated)
     source = {name: value for name, value in recording.source.items() if name != "path"}
@@ -150,8 +153,8 @@ def _times(path: Path, rate: float | None, count: int) -> FloatArray:
     return np.arange(count) / positive("rate", rate)
 
 
-def _stereo_factors(path: Path, calibration: Path, frame_ids: IntArray, max_per_frame: int | None) -> TrackFiles:
-    """Rig and tracks in two files; one common row v was stored. Truth and times are to be filled in."""
+def _stereo_factors(path: Path, calibration: Path, frame_ids: IntArray, max_per_frame: int | None) -> _Factors:
+    """Rig, tracks, those used, and settings of two files; one common row v was stored."""
     fx, fy, _, cx, cy, baseline = read_table(calibration, 6)[0].tolist()
     table = read_table(path, 8)
     ids, landmarks = table[:, :2].astype(np.int64).T
@@ -166,7 +169,7 @@ def _stereo_factors(path: Path, calibration: Path, frame_ids: IntArray, max_per_
         **{"max_per_frame": max_per_frame, "dropped_non_positive_disparity": len(tracks) - len(usable)},
         **{"observations_used": len(used), "observations_in_file": len(tracks)},
     }
-    return TrackFiles(uvd, uvd, (), (fx, fy, cx, cy, baseline), tracks, used, settings)
+    return (fx, fy, cx, cy, baseline), tracks, used, settings
 
 
 def _starry_night(
@@ -342,14 +345,14 @@ _YAW = {
     "from north, counter-clockwise": (1.0, 0.5 * np.pi),
     "from north, clockwise": (-1.0, 0.5 * np.pi),
 }
-_KITTI = {name: ASSUMED[name] for name in ("sigma_px", "sigma_linear", "sigma_angular")}
 
 KITTI07_TRACKS = TracksRow(
     "kitti07_tracks",
     (("tracks.npz", "poses.txt"),),
     "poses.txt of the recording.",
     _kitti07_tracks,
-    {**_KITTI, "image_size": (1226, 370)},  # rectified images of the drives of 2011_09_30
+    # Rectified images of the drives of 2011_09_30.
+    {**{name: ASSUMED[name] for name in ("sigma_px", "sigma_linear", "sigma_angular")}, "image_size": (1226, 370)},
     {
         **{"time_stamps": "k", "features": (4, "n", "k"), "K": (3, 3), "b": 1, "cam_T_imu": (4, 4)},
         **dict.fromkeys(("linear_velocity", "rotational_velocity"), (3, "k")),
@@ -377,8 +380,8 @@ STARRY_NIGHT = TracksRow(
         "image_size": (646, 480),
     },
     {
-        **{"t": "k", "rho_i_pj_i": (3, "n"), "y_k_j": (4, "k", "n"), "C_c_v": (3, 3), "rho_v_c_v": 3},
-        **dict.fromkeys(("r_i_vk_i", "theta_vk_i", "v_vk_vk_i", "w_vk_vk_i"), (3, "k")),
+        **{"t": "k", **dict.fromkeys(("r_i_vk_i", "theta_vk_i", "v_vk_vk_i", "w_vk_vk_i"), (3, "k"))},
+        **{"rho_i_pj_i": (3, "n"), "y_k_j": (4, "k", "n"), "C_c_v": (3, 3), "rho_v_c_v": 3},
         **dict.fromkeys(("fu", "fv", "cu", "cv", "b"), 1),
     },
 )
