@@ -15,7 +15,6 @@ WORLD_SIDE = ("world", "rendering", "sensing", "envs")
 
 MAX_LINES = 400
 LONGER_FOR_A_REASON = {
-    "filters/kernels/frame.py": "the order of a whole frame, from top to bottom",
     "filters/checks/conformance.py": "the contract of a filter as one list of checks, read from top to bottom",
     "stereo_slam_env/evaluation/figures.py": "the one table of figures, an entry each",
 }
@@ -74,13 +73,13 @@ def test_the_world_knows_no_filter_and_no_evaluation(path):
     named = ("make_filter", "available_filters", "InverseDepthStereoEKF", "DualBearingEKF", "EuclideanEKF")
     forbidden = (*evaluation, *(f"filters.{part}" for part in (*concrete, *named)))
     # how machine code is made and kept, no estimation
-    kept = {f"filters.kernels.disk_cache.{name}" for name in ("KEPT", "LINKED")}
+    kept = {f"filters.kernels.compilation.{name}" for name in ("entry", "kernel")}
     assert [name for name in imported_under(path, *forbidden) if name not in kept] == []
 
 
 def test_machine_code_is_kept_on_disk_with_the_digest_of_its_sources_only():
     users = [name_of(path) for path in MODULES if re.search(r'cache=True|"cache": True', path.read_text("utf-8"))]
-    assert users == ["filters/kernels/disk_cache.py"]
+    assert users == ["filters/kernels/compilation.py"]
 
 
 @pytest.mark.parametrize("path", modules_of("stereo_slam_env/report", "stereo_slam_env/viewer"), ids=name_of)

@@ -28,8 +28,7 @@ from filters.engine.frames import FrameOutcome, Observations, Odometry
 from filters.engine.row import Row, report
 from filters.engine.stereo_ekf import StereoEKF
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
-from filters.kernels.readout import points_at, relative_landmarks
-from filters.kernels.units import of_part
+from filters.kernels.readout import relative_landmarks
 from filters.motions.motion_model import input_of
 
 
@@ -216,7 +215,7 @@ class FilterBatch(Sequence[StereoEKF]):
         own = storage.own[np.arange(storage.own.shape[1]) < counts[:, None]]
         values = storage.blocks[filters, own, : model.value_size]
         points, by_own = np.zeros((total, model.seen_size)), np.zeros((total, model.seen_size, model.size))
-        points_at(of_part(self._engine.recipe.landmark, "point"), plan.landmark, values, points, by_own)
+        self._engine.points(values, points, by_own)
         state = storage.P, storage.x, storage.blocks, storage.own, storage.anchor, storage.counts
         how = plan.leading, plan.anchors > 0, in_world
         relative_landmarks(*state, *how, points, by_own, offsets, places, covariances, located)

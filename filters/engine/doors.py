@@ -23,8 +23,9 @@ from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray, IntArray
 from filters.geometry.camera import StereoCamera
 from filters.kernels.blas import PLAIN
-from filters.kernels.frame import FIRST, MOVED, SETTLED
+from filters.kernels.linearisation import FIRST, MOVED
 from filters.kernels.recipe import MOST_ROWS, MOST_STAGES, Recipe
+from filters.kernels.retraction import SETTLED
 from filters.kernels.scratch import Scratch
 from filters.kernels.storage import CLONE_POSITION, POINT, REJECTED, STARTED, FrameArrays, Storage
 from filters.measurements.measurement_model import Stage
@@ -33,7 +34,7 @@ from filters.state.joint_state import Clone, JointState, world_rotation_of_varia
 from filters.state.layout import LinearisedMeasurements, Transport
 from filters.updates.extended import Extended, points_in_camera
 
-_DOOR = ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * 5)
+_DOOR = ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * 7)
 
 
 class Room(Protocol):
@@ -94,10 +95,10 @@ class Doors:
         self._entry = None if PLAIN else _DOOR(self._answer)
         self.address: Any = self._answer if PLAIN else ctypes.cast(self._entry, ctypes.c_void_p).value  # type: ignore[arg-type]
 
-    def _answer(self, door: int, b: int, thread: int, what: int, count: int) -> None:
+    def _answer(self, what: int, b: int, thread: int, *numbers: int) -> None:
         room = self._room.scratch(thread)
         try:
-            self._answers[door](b, room, what, count)
+            self._answers[what](b, room, *numbers)
         except BaseException as error:  # whatever is raised must wait until the kernels have ended
             self.failure = error
             room.door[1] = 1
@@ -174,10 +175,8 @@ class Doors:
 
     # --- in the frame ---
 
-    def _linearise(self, b: int, room: Scratch, what: int, count: int) -> None:
+    def _linearise(self, b: int, room: Scratch, count: int, where: int, variant: int, number: int) -> None:
         """Innovation, H and R of the selected measurements."""
-        where, place = divmod(what, 16)
-        variant, number = divmod(place, 8)
         options, frame = self._options, self._room.frame
         moved_here = where == MOVED and self._room.recipe.plan.moves_by_numbers
         state = self._after[int(room.door[0])][0] if moved_here else self.view(b, room if where == MOVED else None)
@@ -209,7 +208,7 @@ class Doors:
         room.base[selected, 2 - anchors : 2] = linear.map_rows[:, :own:3]
         room.base[selected, 2] = linear.map_rows[:, own]
 
-    def _move(self, b: int, room: Scratch, what: int, count: int) -> None:
+    def _move(self, b: int, room: Scratch, what: int, *_: int) -> None:
         """The state corrected by delta, and the Jacobian that carries P along."""
         state, error = self.view(b), self._options.error
         n, size = len(state.P), self._options.layout.size
@@ -236,10 +235,10 @@ class Doors:
             room.W[:size] = 0.0
             room.W[size:n] = np.linalg.solve(step.leading[ROTATION, ROTATION].T, step.by_rotation.T).T
 
-    def _start(self, b: int, room: Scratch, first: int, last: int) -> None:
-        """Measurements first to last - 1 of unknown landmarks that these can start from, or the -last in `place`."""
+    def _start(self, b: int, room: Scratch, first: int, last: int, count: int, _: int) -> None:
+        """Landmarks at the `count` measurements in `place`, or, for 0, at those of first to last - 1 that can start."""
         state, frame, options = self.view(b), self._room.frame, self._options
-        if last >= 0:
+        if count == 0:
             unknown = first + np.flatnonzero(room.where[: last - first] < 0)
             least = -np.inf if options.min_disparity is None else options.min_disparity
             able = can_start(options.measurement, self._rig, state, frame.uvd[unknown], least)
@@ -247,7 +246,7 @@ class Doors:
             chosen = unknown[able]
             room.place[: len(chosen)] = chosen - first
         else:
-            chosen = first + room.place[:-last]
+            chosen = first + room.place[:count]
         room.result[0] = count = len(chosen)
         if count == 0:
             return
@@ -267,9 +266,8 @@ class Doors:
         room.anchored[:count] = anchored
         room.by_anchor[:] = by_anchor
 
-    def _select(self, b: int, room: Scratch, first: int, counts: int) -> None:
+    def _select(self, b: int, room: Scratch, first: int, known: int, new: int, _: int) -> None:
         """Of the landmarks in view, the most informative stay in the map or start."""
-        known, new = divmod(counts, 65536)
         frame, options, most = self._room.frame, self._options, self._options.max_landmarks
         assert most is not None
         chosen = first + room.place[:new]
@@ -289,7 +287,7 @@ class Doors:
         room.result[0] = count = int(starts.sum())
         room.place[:count] = room.place[:new][starts]
 
-    def _change(self, b: int, room: Scratch, what: int, count: int) -> None:
+    def _change(self, b: int, room: Scratch, *_: int) -> None:
         """Landmarks that are practically Gaussian in XYZ become XYZ (Eq. 4)."""
         S, state = self._room.storage, self.view(b)
         if len(state) == 0:
@@ -305,7 +303,7 @@ class Doors:
         S.kind[b, state.parameter_block[index]] = POINT
         state.become_points(index, self._options.error.linearisation_point(state) or state)
 
-    def _walk(self, b: int, room: Scratch, what: int, count: int) -> None:
+    def _walk(self, b: int, room: Scratch, *_: int) -> None:
         """Landmarks as seen from the camera, in W, and the directions that vision cannot see, in `HP`."""
         state = self.view(b)
         at, count = self._options.error.linearisation_point(state) or state, len(state)
@@ -318,7 +316,7 @@ class Doors:
                 B[at.block_rows(clone.blocks)] = 0.0
         room.HP[:6, : len(B)] = B.T
 
-    def _drift(self, b: int, room: Scratch, part: int, count: int) -> None:
+    def _drift(self, b: int, room: Scratch, count: int, *_: int) -> None:
         """H of (u, v, d) of the selected landmarks."""
         sensor, state, selected = self._options.measurement, self.view(b), room.select[:count]
         stage = Stage(np.zeros((count, 3)), np.eye(3, sensor.size), room.noise[selected])

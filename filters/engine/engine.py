@@ -11,8 +11,11 @@ import numpy as np
 from filters.engine.doors import Doors, Parts
 from filters.engine.frames import FrameOutcome, Observations, Odometry
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
-from filters.kernels.frame import CLONE, CLOSE_GAPS, FORGET, advance, change, correct_by, kernels
-from filters.kernels.readout import compile_forecasts, forecasts
+from filters.kernels.between_frames import CLONE, CLOSE_GAPS, FORGET, change, correct_by
+from filters.kernels.calls import Packed
+from filters.kernels.frame import run_frames
+from filters.kernels.needed import compiled_calls
+from filters.kernels.readout import compile_forecasts, forecasts, points_at
 from filters.kernels.recipe import Recipe
 from filters.kernels.scratch import Scratch, scratch
 from filters.kernels.storage import (
@@ -27,7 +30,6 @@ from filters.kernels.storage import (
     grown,
     load,
 )
-from filters.kernels.units import Packed
 from filters.motions.motion_model import MotionModel
 
 _ROOM = 32  # blocks, at first
@@ -64,7 +66,7 @@ class Engine:
         motion = None if parts is None else parts.options.motion
         own = motion is not None and type(motion).odometry_numbers is not MotionModel.odometry_numbers
         self._steps_by_odometry = recipe.motion is None or own
-        self._kernels = self._addresses()
+        self._calls = self._compiled()
         self._plan = Packed(recipe.plan)
         self._storage = Packed(empty_storage(recipe, count, _ROOM))
         self._frame = Packed(empty_frame(recipe, count, _ROOM, 1))
@@ -78,7 +80,7 @@ class Engine:
         self.recipe, self.parts, self._asks = recipe, parts, recipe.asks
         if self._doors is not None:
             self._doors = Doors(parts, weakref.proxy(self))
-        self._kernels = self._addresses()
+        self._calls = self._compiled()
         self._plan = Packed(recipe.plan)
 
     def __getstate__(self) -> dict[str, Any]:
@@ -110,6 +112,10 @@ class Engine:
         """Room of a thread."""
         room: Scratch = self._scratch[thread].value
         return room
+
+    def points(self, values: FloatArray, points: FloatArray, by_own: FloatArray) -> None:
+        """Write homogeneous points of landmarks, from their anchors, and the Jacobians by their errors, zero before."""
+        points_at(self._calls.address, self.recipe.plan.landmark, values, points, by_own)
 
     def reset(self, index: int, x: FloatArray, P: FloatArray) -> None:
         """Start filter `index` again with leading values x (values,) and covariance P (leading, leading)."""
@@ -173,8 +179,8 @@ class Engine:
         self._make_room(0, 1, *H.shape)
         before = self._kept(np.arange(self.count) == index)
         given = np.array(H, order="C"), np.array(innovation), np.array(R, order="C")
-        at = self._plan.address, self._storage.address, self._scratch[0].address
-        correct_by(self._kernels, *at, index, rows, *given, limit)
+        at = self._calls.address, self._plan.address, self._storage.address, self._scratch[0].address
+        correct_by(*at, index, rows, *given, limit)
         self._raise_failure(before)
         nis, used = self.scratch(0).result.tolist()
         return nis, bool(used)
@@ -190,8 +196,8 @@ class Engine:
         offsets = np.concatenate([[0], np.cumsum(counts)])
         total = int(offsets[-1])
         uvd, S, in_front = np.empty((total, 3)), np.empty((total, 3, 3)), np.empty(total, dtype=np.bool_)
-        at = self._plan.address, self._storage.address, self._scratch[0].address
-        forecasts(self._kernels, *at, which.start, offsets, np.array(noise, order="C"), uvd, S, in_front)
+        at = self._calls.address, self._plan.address, self._storage.address, self._scratch[0].address
+        forecasts(*at, which.start, offsets, np.array(noise, order="C"), uvd, S, in_front)
         return uvd, S, in_front
 
     def step(
@@ -248,7 +254,7 @@ class Engine:
         if odometry is not None:
             if not self._fuses:  # the first odometry
                 self._fuses = True
-                self._kernels = self._addresses()
+                self._calls = self._compiled()
             frame.fused[:] = odometry.fused
         if self.recipe.motion is not None or self._doors is None:
             self._put_odometry_numbers(odometry)
@@ -299,11 +305,11 @@ class Engine:
         self._frame = Packed(larger)
         return larger
 
-    def _addresses(self) -> tuple[Any, ...]:
-        """What the kernels call: LAPACK, units, doors."""
+    def _compiled(self) -> Packed:
+        """Addresses of what the frame calls: units, parts, LAPACK, doors."""
         plan = self.recipe.plan
         fuses = self._fuses and (plan.driven_by_numbers or plan.odometry_rows > 0)
-        return (*kernels(self.recipe, fuses), 0 if self._doors is None else self._doors.address)
+        return Packed(compiled_calls(self.recipe, fuses, 0 if self._doors is None else self._doors.address))
 
     def _kept(self, which: BoolArray) -> list[tuple[int, FilterState]]:
         """States to go back to where a part fails; none where none can."""
@@ -322,18 +328,18 @@ class Engine:
         raise failure
 
     def _change(self, index: int, what: int) -> None:
-        change(self._kernels, self._plan.address, self._storage.address, self._scratch[0].address, index, what)
+        change(self._plan.address, self._storage.address, self._scratch[0].address, index, what)
 
     def _run(self) -> None:
-        plan, storage, frame = self._plan.address, self._storage.address, self._frame.address
+        calls, plan, storage, frame = (one.address for one in (self._calls, self._plan, self._storage, self._frame))
         if self.threads == 1:
-            advance(self._kernels, plan, storage, self._scratch[0].address, frame, 0, self.count)
+            run_frames(calls, plan, storage, self._scratch[0].address, frame, 0, self.count)
             return
         if self._pool is None:
             self._pool = ThreadPoolExecutor(self.threads)
         edges = [self.count * i // self.threads for i in range(self.threads + 1)]
         runs = [
-            self._pool.submit(advance, self._kernels, plan, storage, room.address, frame, first, last)
+            self._pool.submit(run_frames, calls, plan, storage, room.address, frame, first, last)
             for room, first, last in zip(self._scratch, edges[:-1], edges[1:], strict=True)
         ]
         for run in runs:

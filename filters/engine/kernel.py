@@ -19,7 +19,7 @@ def kernel(function: _Function) -> _Function:
     @cache
     def machine_code() -> Any:
         from filters.kernels.blas import entry
-        from filters.kernels.disk_cache import include
+        from filters.kernels.compilation import include
 
         include(function.__module__)
         return entry(function)

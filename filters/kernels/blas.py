@@ -6,41 +6,39 @@ With `NUMBA_DISABLE_JIT=1` all kernels run as plain Python, and what is written 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
 from llvmlite import ir
 from llvmlite.binding import get_host_cpu_features
-from numba import config, njit, types
+from numba import config, types
 from numba.core import cgutils
 from numba.extending import get_cython_function_address, intrinsic
 
 from filters.geometry.machine_code import compile_with
-from filters.kernels.disk_cache import KEPT, LINKED
+from filters.kernels import compilation
 
 PLAIN = bool(config.DISABLE_JIT)
 """Whether kernels are Python functions: their addresses are the functions themselves."""
-Routines = tuple[int, ...]
-"""Addresses of what kernels call."""
-ROUTINES = (get_cython_function_address("scipy.linalg.cython_lapack", "dpotrf"),)
-"""Where this process has what LAPACK does: an argument of the kernels, so that these can be cached on disk."""
-ENTRY: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract"}, "nogil": True}
-"""IEEE arithmetic with fused multiply-add, without Python's lock."""
-UNIT: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract"}, "_nrt": False}
-"""For units."""
-KERNEL: dict[str, Any] = {**ENTRY, **LINKED, "_nrt": False}
-"""For functions that only kernels call: no counting of references either."""
-compile_with(njit(**KERNEL))
+CHOLESKY = get_cython_function_address("scipy.linalg.cython_lapack", "dpotrf")
+"""Address of LAPACK's Cholesky factorisation in this process: an argument, so that kernels can be kept on disk."""
+entry = partial(compilation.entry, fastmath={"contract"})
+"""Decorator of functions that Python calls: IEEE arithmetic with fused multiply-add, without Python's lock."""
+kernel = partial(compilation.kernel, fastmath={"contract"}, _nrt=False)
+"""Decorator of functions that only kernels call; they count no references."""
+compile_with(kernel)
 
 
-def entry(function: Callable[..., Any]) -> Any:
-    """Machine code of a function that Python calls, kept on disk."""
-    return njit(**KEPT, **ENTRY)(function)
+@kernel(inline="always")
+def at(array: Any) -> int:
+    """Address of an array's first number."""
+    address: int = np.intp(array.ctypes.data)  # type: ignore[assignment]
+    return address
 
 
 @intrinsic
-def _call(typing_context: Any, address: Any, arguments: Any) -> Any:
+def call_fortran(typing_context: Any, address: Any, arguments: Any) -> Any:
     """Call the Fortran subroutine at `address` with pointers to its arguments."""
 
     def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
@@ -51,19 +49,6 @@ def _call(typing_context: Any, address: Any, arguments: Any) -> Any:
 
     return types.void(address, arguments), generate
 
-
-@njit(inline="always", **KERNEL)
-def at(array: Any) -> int:
-    """Address of an array's first number."""
-    address: int = np.intp(array.ctypes.data)  # type: ignore[assignment]
-    return address
-
-
-def _call_plainly(address: Any, arguments: Any) -> None:
-    address(*arguments)
-
-
-call = _call_plainly if PLAIN else _call
 
 LANES = 8  # columns of a vector
 WIDE = not PLAIN and bool(get_host_cpu_features().get("avx512f"))
@@ -152,7 +137,7 @@ _less_product = _panel(PANEL, -1)
 _less_square, _more_square = _panel(TALL, -1), _panel(TALL, 1)
 
 
-@njit(**KERNEL)
+@kernel
 def multiply_panel(
     target: Any, first: int, H: Any, rows: int, source: Any, top: int, left: int, depth: int, columns: int
 ) -> None:
@@ -173,7 +158,7 @@ def multiply_panel(
         _one_row(goal, below, start, below_H, origin, below_source, depth, columns)
 
 
-@njit(**KERNEL)
+@kernel
 def solve_triangular(S: Any, HP: Any, rows: int, columns: int) -> None:
     """HP <- L^-1 HP, with the factor L^T in the upper triangle of S; `rows` rows, columns rounded up to vectors."""
     for top in range(0, rows, PANEL):
@@ -194,7 +179,7 @@ def solve_triangular(S: Any, HP: Any, rows: int, columns: int) -> None:
 def _change_by_square(product: Any) -> Any:
     """Kernel that changes the upper triangle of the first n rows of P by HP^T HP."""
 
-    @njit(**KERNEL)
+    @kernel
     def change(P: Any, HP: Any, rows: int, n: int) -> None:
         for top in range(0, n, TALL):
             left = top - top % LANES
@@ -216,12 +201,12 @@ subtract_square, add_square = _change_by_square(_less_square), _change_by_square
 """P -= HP^T HP and P += HP^T HP: below the triangle, and in the padding behind row and column n, they write, too."""
 
 
-@njit(**KERNEL)
-def cholesky(routines: Routines, S: Any, rows: int, letters: Any, sizes: Any) -> bool:
+@kernel
+def cholesky(routine: Any, S: Any, rows: int, letters: Any, sizes: Any) -> bool:
     """Cholesky factor of the first rows of S, its transpose in the upper triangle; whether LAPACK found one."""
     first = at(sizes)
     sizes[0], sizes[1], sizes[2] = rows, S.shape[1], 0
-    call(routines[0], (at(letters), first, at(S), first + 4, first + 8))
+    call_fortran(routine, (at(letters), first, at(S), first + 4, first + 8))
     return sizes[2] == 0
 
 
@@ -246,7 +231,7 @@ if PLAIN:
         """P += HP^T HP by NumPy."""
         P[:n, :n] += HP[:rows, :n].T @ HP[:rows, :n]
 
-    def cholesky(routines: Any, S: Any, rows: int, letters: Any, sizes: Any) -> bool:
+    def cholesky(routine: Any, S: Any, rows: int, letters: Any, sizes: Any) -> bool:
         """The same by NumPy."""
         try:
             S[:rows, :rows] = np.linalg.cholesky(np.triu(S[:rows, :rows]).T + np.triu(S[:rows, :rows], 1)).T

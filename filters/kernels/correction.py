@@ -9,20 +9,19 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, types
 
 from filters.geometry.arrays import FloatArray, IntArray
-from filters.kernels.blas import KERNEL, Routines, cholesky, multiply_panel, solve_triangular, subtract_square
+from filters.kernels.blas import cholesky, kernel, multiply_panel, solve_triangular, subtract_square
+from filters.kernels.calls import Calls, unit
 from filters.kernels.covariance import take_leading, take_row, take_rows
 from filters.kernels.recipe import Plan
 from filters.kernels.scratch import CHUNK_ROWS, Scratch
-from filters.kernels.units import ADDRESSES, INDEX, MATRIX, PLAN, SCRATCH, unit
 
 DROWNED = 1e12
 """Times R: a landmark as good as in the image plane has an S so large that R is lost in its rounding."""
 
 
-@njit(**KERNEL)
+@kernel
 def times_covariance(
     plan: Plan, P: FloatArray, n: int, s: Scratch, select: IntArray, first: int, last: int, size: int
 ) -> None:
@@ -41,7 +40,7 @@ def times_covariance(
         multiply_panel(s.HP[(i - first) * size :], 0, s.H[m], size, s.lead, 0, 0, width, n)
 
 
-@njit(**KERNEL)
+@kernel
 def take_columns(plan: Plan, s: Scratch, m: int, top: int, rows: int, held: int) -> int:
     """Columns of HP that belong to a landmark, transposed, below those of the leading rows in `shared`.
 
@@ -62,7 +61,7 @@ def take_columns(plan: Plan, s: Scratch, m: int, top: int, rows: int, held: int)
     return int(s.base[m, 1])
 
 
-@njit(**KERNEL)
+@kernel
 def take_leading_columns(plan: Plan, s: Scratch, rows: int) -> None:
     """The first columns of HP, transposed, in `shared`."""
     for row in range(rows):
@@ -70,7 +69,7 @@ def take_leading_columns(plan: Plan, s: Scratch, rows: int) -> None:
             s.shared[c, row] = s.HP[row, c]
 
 
-@njit(**KERNEL)
+@kernel
 def innovation_covariance(plan: Plan, s: Scratch, select: IntArray, first: int, last: int, size: int) -> bool:
     """Upper triangle of S = (H P) H^T + R of these measurements; whether R is left in it."""
     S, rows, held = s.S, (last - first) * size, np.int64(-1)
@@ -88,17 +87,17 @@ def innovation_covariance(plan: Plan, s: Scratch, select: IntArray, first: int, 
     return True
 
 
-@njit(**KERNEL)
-def factorise(routines: Routines, s: Scratch, rows: int) -> bool:
+@kernel
+def factorise(calls: Calls, s: Scratch, rows: int) -> bool:
     """Cholesky factor of S in place; whether there is one."""
-    return cholesky(routines, s.S, rows, s.letters, s.sizes) and math.isfinite(s.S[rows - 1, rows - 1])
+    return cholesky(calls.cholesky, s.S, rows, s.letters, s.sizes) and math.isfinite(s.S[rows - 1, rows - 1])
 
 
-@njit(**KERNEL)
-def absorb(routines: Routines, P: FloatArray, n: int, s: Scratch, rows: int) -> float:
+@kernel
+def absorb(calls: Calls, P: FloatArray, n: int, s: Scratch, rows: int) -> float:
     """Correct P and delta by HP, its last column the innovation, and S; the NIS, or -1 without a Cholesky factor."""
     HP = s.HP
-    if not factorise(routines, s, rows):
+    if not factorise(calls, s, rows):
         return -1.0
     solve_triangular(s.S, HP, rows, n + 1)
     nis = 0.0
@@ -111,7 +110,7 @@ def absorb(routines: Routines, P: FloatArray, n: int, s: Scratch, rows: int) -> 
     return nis
 
 
-@njit(**KERNEL)
+@kernel
 def explained(plan: Plan, s: Scratch, m: int, k: int) -> float:
     """What delta says of one row of a measurement, H delta."""
     H, delta, measured = s.H[m, k], s.delta, plan.measured
@@ -127,9 +126,9 @@ def explained(plan: Plan, s: Scratch, m: int, k: int) -> float:
     return total
 
 
-@njit(**KERNEL)
+@kernel
 def _take(
-    routines: Routines,
+    calls: Calls,
     plan: Plan,
     P: FloatArray,
     n: int,
@@ -147,12 +146,12 @@ def _take(
         m = select[i]
         for k in range(size):
             s.HP[(i - first) * size + k, n] = s.nu[m, k] - explained(plan, s, m, k)
-    return absorb(routines, P, n, s, (last - first) * size)
+    return absorb(calls, P, n, s, (last - first) * size)
 
 
-@unit(ADDRESSES, PLAN, MATRIX, types.int64, SCRATCH, INDEX, types.int64, types.int64)
+@unit("correct")
 def correct(
-    routines: Routines, plan: Plan, P: FloatArray, n: int, s: Scratch, select: IntArray, count: int, size: int
+    calls: Calls, plan: Plan, P: FloatArray, n: int, s: Scratch, select: IntArray, count: int, size: int
 ) -> None:
     """Kalman update with the selected measurements: P in place; delta, `used` and the NIS (`result`) written."""
     for j in range(n):
@@ -161,23 +160,23 @@ def correct(
     chunks = -(-count // chunk)
     for i in range(chunks):
         first, last = count * i // chunks, count * (i + 1) // chunks
-        gained = _take(routines, plan, P, n, s, select, first, last, size)
+        gained = _take(calls, plan, P, n, s, select, first, last, size)
         for j in range(first, last):
             s.used[select[j]] = gained >= 0.0
         if gained >= 0.0:
             nis += gained
         elif last - first > 1:
             for j in range(first, last):
-                gained = _take(routines, plan, P, n, s, select, j, j + 1, size)
+                gained = _take(calls, plan, P, n, s, select, j, j + 1, size)
                 s.used[select[j]] = gained >= 0.0
                 if gained >= 0.0:
                     nis += gained
     s.result[0] = nis
 
 
-@njit(**KERNEL)
+@kernel
 def correct_rows(
-    routines: Routines,
+    calls: Calls,
     P: FloatArray,
     n: int,
     rows: IntArray,
@@ -205,7 +204,7 @@ def correct_rows(
         s.HP[a, n] = nu[a]
     for j in range(n):
         s.delta[j] = 0.0
-    if not factorise(routines, s, size):
+    if not factorise(calls, s, size):
         return -1.0
     solve_triangular(s.S, s.HP, size, n + 1)
     nis = 0.0

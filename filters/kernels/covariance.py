@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from numba import njit
-
 from filters.geometry.arrays import FloatArray, IntArray
-from filters.kernels.blas import KERNEL
+from filters.kernels.blas import kernel
+from filters.kernels.calls import unit
+from filters.kernels.recipe import Plan
 from filters.kernels.scratch import Scratch
 
 LOST = 1e-10
 """Share of a variance of the pose that rounding may have made up."""
 
 
-@njit(**KERNEL)
+@kernel
 def take_row(P: FloatArray, n: int, row: int, taken: FloatArray) -> None:
     """A whole row of the symmetric P, (n,)."""
     for i in range(row):
@@ -21,7 +21,7 @@ def take_row(P: FloatArray, n: int, row: int, taken: FloatArray) -> None:
         taken[i] = P[row, i]
 
 
-@njit(**KERNEL)
+@kernel
 def take_rows(P: FloatArray, n: int, first: int, count: int, rows: FloatArray) -> None:
     """Whole rows first to first + count - 1 >= first + 2 of the symmetric P, (count, n)."""
     for j in range(first):
@@ -35,7 +35,7 @@ def take_rows(P: FloatArray, n: int, first: int, count: int, rows: FloatArray) -
         take_row(P, n, first + i, rows[i])
 
 
-@njit(**KERNEL)
+@kernel
 def take_leading(P: FloatArray, n: int, count: int, rows: FloatArray) -> None:
     """The first whole rows of the symmetric P, (count, n)."""
     for i in range(count):
@@ -45,7 +45,7 @@ def take_leading(P: FloatArray, n: int, count: int, rows: FloatArray) -> None:
             rows[i, j] = P[i, j]
 
 
-@njit(**KERNEL)
+@kernel
 def identity(F: FloatArray) -> None:
     """F = I."""
     for i in range(len(F)):
@@ -53,7 +53,7 @@ def identity(F: FloatArray) -> None:
             F[i, j] = 1.0 if i == j else 0.0
 
 
-@njit(**KERNEL)
+@kernel
 def transform_leading(P: FloatArray, n: int, s: Scratch) -> None:
     """P <- blockdiag(F, I) P blockdiag(F, I)^T, with F of the scratch."""
     F, old, half, changed, lead = s.F, s.old, s.half, s.changed, s.lead
@@ -107,7 +107,7 @@ def transform_leading(P: FloatArray, n: int, s: Scratch) -> None:
                     P[i, j] = 0.0
 
 
-@njit(**KERNEL)
+@kernel
 def add_rank_six(P: FloatArray, n: int, G: FloatArray) -> None:
     """P += U V^T + V U^T, with U^T and V^T one above the other in G (6, n)."""
     for i in range(n):
@@ -118,27 +118,27 @@ def add_rank_six(P: FloatArray, n: int, G: FloatArray) -> None:
             P[i, j] += u0 * G[3, j] + u1 * G[4, j] + u2 * G[5, j] + v0 * G[0, j] + v1 * G[1, j] + v2 * G[2, j]
 
 
-@njit(**KERNEL)
-def shear(P: FloatArray, n: int, first: int, W: FloatArray, s: Scratch) -> None:
-    """P <- (I + W E^T) P (I + W E^T)^T, E selecting the rows first to first + 2; W (n, 3)."""
-    G, rows = s.G, s.block
-    take_rows(P, n, first, 3, rows)
+@unit("shear")
+def shear(P: FloatArray, n: int, s: Scratch) -> None:
+    """P <- (I + W E^T) P (I + W E^T)^T, E selecting the rotation; W (n, 3) of the scratch."""
+    G, W, rows = s.G, s.W, s.block
+    take_rows(P, n, 3, 3, rows)
     for j in range(n):
         for a in range(3):
             G[a, j] = W[j, a]
             G[3 + a, j] = rows[a, j] + 0.5 * (
-                W[j, 0] * rows[0, first + a] + W[j, 1] * rows[1, first + a] + W[j, 2] * rows[2, first + a]
+                W[j, 0] * rows[0, 3 + a] + W[j, 1] * rows[1, 3 + a] + W[j, 2] * rows[2, 3 + a]
             )
     add_rank_six(P, n, G)
 
 
-@njit(**KERNEL)
-def scale_blocks(P: FloatArray, n: int, leading: int, D: FloatArray, s: Scratch) -> None:
-    """P <- blockdiag(I, D) P blockdiag(I, D)^T, with D (C, s, s) on the blocks behind the leading rows.
+@unit("scale_blocks")
+def scale_blocks(plan: Plan, P: FloatArray, n: int, s: Scratch) -> None:
+    """P <- blockdiag(I, D) P blockdiag(I, D)^T, with D (C, s, s) of the scratch on the blocks behind the leading rows.
 
     Rows take the diagonals of D^T as vectors, which a loop over blocks of three could not do.
     """
-    size = D.shape[1]
+    D, size, leading = s.D, plan.size, plan.leading
     diagonals, rows, turned = s.G, s.lead[:size], s.lead[size : 2 * size]
     diagonals[: 2 * size - 1, leading:n] = 0.0
     for left in range(leading, n, size):
@@ -164,7 +164,7 @@ def scale_blocks(P: FloatArray, n: int, leading: int, D: FloatArray, s: Scratch)
                     target[j] += A[i, k] * turned[k, j]
 
 
-@njit(**KERNEL)
+@kernel
 def scale_block(P: FloatArray, n: int, first: int, D: tuple[float, ...], rows: FloatArray) -> None:
     """P <- blockdiag(I, D, I) P blockdiag(I, D, I)^T, with D (row by row) on the rows first to first + 2."""
     take_rows(P, n, first, 3, rows)
@@ -183,7 +183,7 @@ def scale_block(P: FloatArray, n: int, first: int, D: tuple[float, ...], rows: F
             P[first + i, j] = rows[i, j]
 
 
-@njit(**KERNEL)
+@kernel
 def _times_diagonals(
     row: FloatArray, first: int, n: int, diagonals: FloatArray, size: int, copied: FloatArray, target: FloatArray
 ) -> None:
@@ -205,7 +205,7 @@ def _times_diagonals(
             target[j] += diagonals[m + d, j] * copied[j + d]
 
 
-@njit(**KERNEL)
+@kernel
 def move_block(P: FloatArray, origin: int, target: int, size: int) -> None:
     """The rows of the block at row target become those of the last one, at row origin > target."""
     for j in range(target):
@@ -219,7 +219,7 @@ def move_block(P: FloatArray, origin: int, target: int, size: int) -> None:
             P[target + c, j] = P[j, origin + c]
 
 
-@njit(**KERNEL)
+@kernel
 def keep_considered(P: FloatArray, considered: IntArray, kept: FloatArray) -> None:
     """Remember what the considered rows have among themselves."""
     for a in range(len(considered)):
@@ -228,7 +228,7 @@ def keep_considered(P: FloatArray, considered: IntArray, kept: FloatArray) -> No
             kept[a, b] = P[min(i, j), max(i, j)]
 
 
-@njit(**KERNEL)
+@kernel
 def restore_considered(P: FloatArray, considered: IntArray, kept: FloatArray, delta: FloatArray) -> None:
     """Undo what a correction did to the considered rows among themselves, and to their values (Schmidt-Kalman).
 
@@ -241,13 +241,13 @@ def restore_considered(P: FloatArray, considered: IntArray, kept: FloatArray, de
             P[min(i, j), max(i, j)] = kept[a, b]
 
 
-@njit(**KERNEL)
+@kernel
 def pose_variances(P: FloatArray) -> tuple[float, ...]:
     """Variances of the pose."""
     return P[0, 0], P[1, 1], P[2, 2], P[3, 3], P[4, 4], P[5, 5]
 
 
-@njit(**KERNEL)
+@kernel
 def keep_definite(P: FloatArray, before: tuple[float, ...], factor: FloatArray) -> None:
     """Give the pose a Cholesky factor again where rounding has taken it: the smallest diagonal that will do is added.
 
@@ -262,7 +262,7 @@ def keep_definite(P: FloatArray, before: tuple[float, ...], factor: FloatArray) 
         share *= 10.0
 
 
-@njit(**KERNEL)
+@kernel
 def _has_factor(P: FloatArray, before: tuple[float, ...], L: FloatArray) -> bool:
     """Whether the pose less what rounding makes up of each variance has a factor.
 

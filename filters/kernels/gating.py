@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, types
 
 from filters.geometry.arrays import FloatArray, IntArray
-from filters.kernels.blas import KERNEL, multiply_panel
+from filters.kernels.blas import kernel, multiply_panel
+from filters.kernels.calls import unit
 from filters.kernels.correction import take_columns, take_leading_columns, times_covariance
-from filters.kernels.prediction import step_covariance
+from filters.kernels.landmark_drift import step_covariance
 from filters.kernels.recipe import Plan
 from filters.kernels.scratch import Scratch
-from filters.kernels.units import INDEX, MATRIX, PLAN, SCRATCH, unit
 
 
-@njit(**KERNEL)
+@kernel
 def solve(S: FloatArray, x: FloatArray, size: int) -> float:
     """x^T S^-1 x by S = L D L^T of the lower triangle, which becomes the factors; x becomes L^-1 x."""
     total = 0.0
@@ -28,7 +27,7 @@ def solve(S: FloatArray, x: FloatArray, size: int) -> float:
     return total
 
 
-@unit(PLAN, MATRIX, SCRATCH, INDEX, types.int64, types.int64)
+@unit("gate")
 def squared_distances(plan: Plan, P: FloatArray, s: Scratch, select: IntArray, count: int, size: int) -> None:
     """nu^T S^-1 nu of each selected measurement on its own, in the scratch."""
     measured = plan.measured
@@ -66,7 +65,7 @@ def squared_distances(plan: Plan, P: FloatArray, s: Scratch, select: IntArray, c
         s.distances[m] = solve(S, x, size)
 
 
-@njit(**KERNEL)
+@kernel
 def reweight(plan: Plan, s: Scratch, select: IntArray, count: int, size: int) -> None:
     """R divided by the weights of Student's t, (dof + k) / (dof + d^2) up to 1, from the distances in the scratch.
 
@@ -82,7 +81,7 @@ def reweight(plan: Plan, s: Scratch, select: IntArray, count: int, size: int) ->
                     s.added[m, a, b] /= weight
 
 
-@njit(**KERNEL)
+@kernel
 def _invert(S: FloatArray, inverse: FloatArray, factors: FloatArray, size: int) -> None:
     """Inverse of a symmetric positive definite matrix, column by column."""
     for column in range(size):
@@ -93,7 +92,7 @@ def _invert(S: FloatArray, inverse: FloatArray, factors: FloatArray, size: int) 
         _solve_whole(factors, inverse[column], size)
 
 
-@njit(**KERNEL)
+@kernel
 def _solve_whole(S: FloatArray, x: FloatArray, size: int) -> None:
     """x <- S^-1 x with a symmetric positive definite S, whose lower triangle becomes its factors."""
     solve(S, x, size)
@@ -103,7 +102,7 @@ def _solve_whole(S: FloatArray, x: FloatArray, size: int) -> None:
             x[a] -= S[b, a] / S[a, a] * x[b]
 
 
-@unit(PLAN, MATRIX, types.int64, SCRATCH, INDEX, types.int64, types.int64, types.float64, MATRIX, types.int64)
+@unit("agree")
 def largest_agreement(
     plan: Plan,
     P: FloatArray,

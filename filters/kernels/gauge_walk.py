@@ -10,18 +10,16 @@ from __future__ import annotations
 
 import math
 
-from numba import njit, types
-
 from filters.geometry.arrays import FloatArray
 from filters.geometry.rotations import Nine, product_of
 from filters.geometry.three_by_three import IDENTITY, cross_matrix, transposed
-from filters.kernels.blas import KERNEL, Routines, add_square, call
+from filters.kernels.blas import add_square, kernel
+from filters.kernels.calls import Calls, call, unit
 from filters.kernels.linearisation import clear_all, from_camera, take_points
 from filters.kernels.prediction import orientation
 from filters.kernels.recipe import Plan
 from filters.kernels.scratch import Scratch
 from filters.kernels.storage import BLOCKS, LANDMARKS, OWN, POINT, Storage
-from filters.kernels.units import ADDRESSES, EFFECT, PLAN, SCRATCH, STORAGE, VECTOR, unit
 
 TURN_WEIGHT = 5.0
 """Of the flow that a turn makes. It moves all points in the same direction, and so do the errors that it brings; ahead,
@@ -30,17 +28,15 @@ FARTHEST = 1000.0
 """Mean distance of landmarks, m, beyond which the walk of the position grows no further."""
 
 
-@njit(**KERNEL)
+@kernel
 def _put_columns(B: FloatArray, first: int, column: int, nine: Nine, sign: float) -> None:
     """B^T[column:, first:] (3, 3) = a matrix, row by row, up to its sign; B is stored with its columns as rows."""
     for i, number in enumerate(nine):
         B[first + i % 3, column + i // 3] = sign * number
 
 
-@njit(**KERNEL)
-def _image_motion(
-    routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch, before: FloatArray
-) -> tuple[float, float]:
+@kernel
+def _image_motion(calls: Calls, plan: Plan, S: Storage, b: int, s: Scratch, before: FloatArray) -> tuple[float, float]:
     """How far the landmarks move on the sphere of bearings since the camera was at `before`, and their distance.
 
     `TURN_WEIGHT` times the turn + mean |step x p| / |p|^2, rad; 1 / mean (1 / |p|), at most `FARTHEST`, m.
@@ -55,7 +51,7 @@ def _image_motion(
     if not plan.walks_by_numbers:  # otherwise the door has written them, from the camera
         for i in range(count):
             s.taken[i] = own[i]
-        take_points(routines, plan, blocks, S.kind[b], s, count)
+        take_points(calls, plan, blocks, S.kind[b], s, count)
     for i in range(count):
         h0, h1, h2, scale = s.points[i, 0], s.points[i, 1], s.points[i, 2], s.points[i, 3]
         if not plan.walks_by_numbers:
@@ -68,8 +64,8 @@ def _image_motion(
     return TURN_WEIGHT * turn + by_step / count, 1.0 / max(inverse / count, 1.0 / FARTHEST)
 
 
-@njit(**KERNEL)
-def _find_directions(routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch, n: int) -> None:
+@kernel
+def _find_directions(calls: Calls, plan: Plan, S: Storage, b: int, s: Scratch, n: int) -> None:
     """Effects of a rotation of the world about the camera, and of a shift of the world, at the first estimates or now.
 
     In the first six rows of HP.
@@ -99,7 +95,7 @@ def _find_directions(routines: Routines, plan: Plan, S: Storage, b: int, s: Scra
             _put_columns(B, 3, column, IDENTITY, 1.0)
     if turning > 0:
         clear_all(s.effect, turning)
-        call(routines[EFFECT], (plan.landmark, s.values_taken[:turning], s.effect[:turning]))
+        call(calls.rotation, (plan.landmark, s.values_taken[:turning], s.effect[:turning]))
     for i in range(turning):
         column = plan.leading + plan.size * s.taken[i]
         for k in range(3):
@@ -107,13 +103,13 @@ def _find_directions(routines: Routines, plan: Plan, S: Storage, b: int, s: Scra
                 B[k, column + a] = s.effect[i, a, k]
 
 
-@unit(ADDRESSES, PLAN, STORAGE, types.int64, SCRATCH, VECTOR)
-def walk_gauge(routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch, before: FloatArray) -> None:
+@unit("walk_gauge")
+def walk_gauge(calls: Calls, plan: Plan, S: Storage, b: int, s: Scratch, before: FloatArray) -> None:
     """P += B B^T for the way from the pose `before`: rotation about the camera, then a shift as large in the image."""
     P, n, B = S.P[b], plan.leading + plan.size * S.counts[b, BLOCKS], s.HP
-    motion, distance = _image_motion(routines, plan, S, b, s, before)
+    motion, distance = _image_motion(calls, plan, S, b, s, before)
     if not plan.walks_by_numbers:
-        _find_directions(routines, plan, S, b, s, n)
+        _find_directions(calls, plan, S, b, s, n)
     sigma = plan.gauge_walk * math.sqrt(motion)
     for k in range(6):
         scale = sigma if k < 3 else sigma * distance

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 
-from numba import njit, types
-
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.geometry.three_by_three import cross_matrix, put, times, transposed
-from filters.kernels.blas import KERNEL, Routines, call, multiply_panel
+from filters.kernels.blas import kernel, multiply_panel
+from filters.kernels.calls import Calls, call, unit
 from filters.kernels.covariance import move_block, take_leading
 from filters.kernels.linearisation import by_velocity, clear_all, sense, take_variables
 from filters.kernels.prediction import clear, constrain, orientation, world_rotation
@@ -25,24 +24,12 @@ from filters.kernels.storage import (
     FrameArrays,
     Storage,
 )
-from filters.kernels.units import (
-    ADDRESSES,
-    BACKPROJECT,
-    EFFECT,
-    FRAME,
-    PLAN,
-    POINTS,
-    SCRATCH,
-    START,
-    STORAGE,
-    unit,
-)
 
 FARTHEST = 1e6
 """No camera measures a pixel or a disparity as large, px; squares of what would come of 1e300 overflow."""
 
 
-@njit(**KERNEL)
+@kernel
 def find(ids: IntArray, landmarks: int, wanted: IntArray, where: IntArray) -> int:
     """Landmark of each of the ascending ids, -1 where it is not in the map; how many are."""
     i, found = 0, 0
@@ -57,8 +44,8 @@ def find(ids: IntArray, landmarks: int, wanted: IntArray, where: IntArray) -> in
     return found
 
 
-@njit(**KERNEL)
-def leave(
+@kernel
+def marginalise(
     ids: IntArray,
     own: IntArray,
     anchor: IntArray,
@@ -84,7 +71,7 @@ def leave(
     counts[LANDMARKS] = kept
 
 
-@njit(**KERNEL)
+@kernel
 def close_gaps(plan: Plan, S: Storage, b: int) -> None:
     """Move the last blocks into those that nobody uses."""
     users, own, anchor, held = S.users[b], S.own[b], S.anchor[b], S.held[b]
@@ -117,20 +104,20 @@ def close_gaps(plan: Plan, S: Storage, b: int) -> None:
     S.counts[b, BLOCKS] = count
 
 
-@njit(**KERNEL)
-def _see_new(routines: Routines, plan: Plan, x: FloatArray, s: Scratch, count: int) -> None:
+@kernel
+def _see_new(calls: Calls, plan: Plan, x: FloatArray, s: Scratch, count: int) -> None:
     """New landmarks, with the values that they start with, in the camera frame (`points`), and the sensor's numbers."""
     clear_all(s.by_own, count)
     clear(s.points[:count])
-    call(routines[POINTS], (plan.landmark, s.values[:count], s.points[:count], s.by_own[:count]))
+    call(calls.point, (plan.landmark, s.values[:count], s.points[:count], s.by_own[:count]))
     R_cw = transposed(orientation(x))
     for i in range(count):
         p, scale = s.points[i], 0.0 if plan.anchors > 0 else s.points[i, 3]
         p[0], p[1], p[2] = times(R_cw, p[0] - scale * x[0], p[1] - scale * x[1], p[2] - scale * x[2])
-    sense(routines, plan, s, s.points, count)
+    sense(calls, plan, s, s.points, count)
 
 
-@njit(**KERNEL)
+@kernel
 def _add_prior(plan: Plan, x: FloatArray, s: Scratch, i: int, kept: int) -> None:
     """(I - G H) prior (I - G H)^T, G d numbers / d (u, v, d) of `small[0]` and H its inverse (`start_landmarks`)."""
     G, H, by_open, J, by_own = s.small[0], s.small[1], s.small[2], s.by_point[i], s.by_own[i]
@@ -155,9 +142,9 @@ def _add_prior(plan: Plan, x: FloatArray, s: Scratch, i: int, kept: int) -> None
                     s.values_noise[kept, a, c] += by_open[a, p] * plan.prior[p, q] * by_open[c, q]
 
 
-@unit(ADDRESSES, PLAN, STORAGE, types.int64, SCRATCH, FRAME, types.int64, types.int64)
-def start(
-    routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch, frame: FrameArrays, first: int, count: int
+@unit("initialise")
+def initialise(
+    calls: Calls, plan: Plan, S: Storage, b: int, s: Scratch, frame: FrameArrays, first: int, count: int
 ) -> None:
     """Landmarks at the `count` measurements in `place` (Eq. 19-25); those that can start stay, `result` counts them."""
     x, measured = S.x[b], plan.measured
@@ -170,7 +157,7 @@ def start(
     clear_all(s.back_by_values, count)
     clear(s.points_c[:count])
     given = plan.sensor, plan.camera, s.uvd[:count], s.sensed
-    call(routines[BACKPROJECT], (*given, s.points_c[:count], s.by_uvd[:count], s.back_by_values[:count]))
+    call(calls.backproject, (*given, s.points_c[:count], s.by_uvd[:count], s.back_by_values[:count]))
     R = orientation(x)
     for i in range(count):
         scale = s.points_c[i, 3]
@@ -184,9 +171,9 @@ def start(
     clear(s.values[:count])
     for i in range(count):
         s.possible[i] = False
-    call(routines[START], (plan.landmark, s.points[:count], s.values[:count], s.by_start[:count], s.possible[:count]))
+    call(calls.start, (plan.landmark, s.points[:count], s.values[:count], s.by_start[:count], s.possible[:count]))
     if plan.size > 3:
-        _see_new(routines, plan, x, s, count)
+        _see_new(calls, plan, x, s, count)
     kept = 0
     for i in range(count):
         able = s.possible[i]
@@ -240,7 +227,7 @@ def start(
         world_rotation(plan, S.predicted[b], source)
         clear_all(s.effect, kept)
         if not plan.points:
-            call(routines[EFFECT], (plan.landmark, s.values[:kept], s.effect[:kept]))
+            call(calls.rotation, (plan.landmark, s.values[:kept], s.effect[:kept]))
         for i in range(kept):
             if plan.points:
                 put(s.effect[i], 0, 0, cross_matrix(s.values[i, 0], s.values[i, 1], s.values[i, 2]), -1.0)
@@ -255,7 +242,7 @@ def start(
     s.result[0] = kept
 
 
-@njit(**KERNEL)
+@kernel
 def _add_block(plan: Plan, s: Scratch, row: int, J: FloatArray) -> None:
     """Columns of the block at row `row` of the whole leading rows: P J^T; zero behind the rows of J."""
     for i in range(plan.measured):
@@ -268,7 +255,7 @@ def _add_block(plan: Plan, s: Scratch, row: int, J: FloatArray) -> None:
             s.lead[i, row + c] = 0.0
 
 
-@njit(**KERNEL)
+@kernel
 def _write_rows(plan: Plan, P: FloatArray, n: int, row: int, J: FloatArray, s: Scratch) -> None:
     """Rows of the block at row `row` of P: J times the leading rows, whole; zero behind the rows of J."""
     block = s.block
@@ -285,7 +272,7 @@ def _write_rows(plan: Plan, P: FloatArray, n: int, row: int, J: FloatArray, s: S
             P[row + c, j] = block[c, j]
 
 
-@njit(**KERNEL)
+@kernel
 def _merge(
     all_ids: IntArray,
     own: IntArray,
@@ -313,8 +300,8 @@ def _merge(
     counts[LANDMARKS] += count
 
 
-@unit(PLAN, STORAGE, types.int64, SCRATCH, FRAME, types.int64, types.int64)
-def enter(plan: Plan, S: Storage, b: int, s: Scratch, frame: FrameArrays, first: int, count: int) -> None:
+@unit("augment")
+def augment(plan: Plan, S: Storage, b: int, s: Scratch, frame: FrameArrays, first: int, count: int) -> None:
     """Add the `count` landmarks that have started (`JointState.augment`); there is room for them."""
     P, x, blocks, users, counts = S.P[b], S.x[b], S.blocks[b], S.users[b], S.counts[b]
     measured, leading = plan.measured, plan.leading
@@ -370,7 +357,7 @@ def enter(plan: Plan, S: Storage, b: int, s: Scratch, frame: FrameArrays, first:
     _merge(S.ids[b], S.own[b], S.anchor[b], counts, s, frame.ids, first, count)
 
 
-@njit(**KERNEL)
+@kernel
 def clone_pose(plan: Plan, S: Storage, b: int, s: Scratch) -> None:
     """Keep the present pose as two held blocks; there is room for them."""
     P, x, counts, held = S.P[b], S.x[b], S.counts[b], S.held[b]

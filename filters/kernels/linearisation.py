@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from numba import njit, types
-
 from filters.geometry.arrays import FloatArray, IntArray
 from filters.geometry.three_by_three import times, transposed
-from filters.kernels.blas import KERNEL, Routines, call
+from filters.kernels.blas import kernel
+from filters.kernels.calls import TO_LINEARISE, Calls, ask, call, unit
 from filters.kernels.prediction import clear, orientation
 from filters.kernels.recipe import Plan
 from filters.kernels.scratch import Scratch
 from filters.kernels.storage import BLOCKS, LANDMARKS, OWN, POINT, Storage
-from filters.kernels.units import ADDRESSES, MATRIX, PLAN, POINTS, SCRATCH, SENSE, STORAGE, VECTOR, unit
+
+FIRST, AGAIN, MOVED = range(3)
+"""Where to linearise: at the state for the first time in a stage, there again, or where a correction leads."""
 
 
-@njit(**KERNEL)
+@kernel
 def clear_all(arrays: FloatArray, count: int) -> None:
     """The first `count` matrices are zero."""
     for i in range(count):
@@ -23,7 +24,7 @@ def clear_all(arrays: FloatArray, count: int) -> None:
                 arrays[i, j, k] = 0.0
 
 
-@njit(**KERNEL)
+@kernel
 def take_variables(plan: Plan, x: FloatArray, s: Scratch) -> None:
     """Values that the sensor depends on: of its variables, then perhaps the velocity as the camera feels it."""
     count = len(plan.sensed)
@@ -37,7 +38,7 @@ def take_variables(plan: Plan, x: FloatArray, s: Scratch) -> None:
             s.sensed[count + 3 + i] = x[v + 3 + i]
 
 
-@njit(**KERNEL)
+@kernel
 def by_velocity(plan: Plan, x: FloatArray, H: FloatArray) -> None:
     """A row by rotation and velocity, where H has the Jacobian by the velocity as the camera feels it."""
     v = plan.velocity
@@ -50,15 +51,15 @@ def by_velocity(plan: Plan, x: FloatArray, H: FloatArray) -> None:
     H[v], H[v + 1], H[v + 2] = times(R, g0, g1, g2)
 
 
-@njit(**KERNEL)
-def take_points(routines: Routines, plan: Plan, blocks: FloatArray, kind: IntArray, s: Scratch, count: int) -> None:
+@kernel
+def take_points(calls: Calls, plan: Plan, blocks: FloatArray, kind: IntArray, s: Scratch, count: int) -> None:
     """Homogeneous points and Jacobians of the landmarks whose blocks are in `taken`."""
     for i in range(count):
         for a in range(s.values_taken.shape[1]):
             s.values_taken[i, a] = blocks[s.taken[i], a]
     clear_all(s.by_own, count)
     clear(s.points[:count])
-    call(routines[POINTS], (plan.landmark, s.values_taken[:count], s.points[:count], s.by_own[:count]))
+    call(calls.point, (plan.landmark, s.values_taken[:count], s.points[:count], s.by_own[:count]))
     if plan.changes:  # some have become points of W
         for i in range(count):
             if kind[s.taken[i]] == POINT:
@@ -69,8 +70,8 @@ def take_points(routines: Routines, plan: Plan, blocks: FloatArray, kind: IntArr
                         J[a, k] = 1.0 if a == k else 0.0
 
 
-@njit(**KERNEL)
-def sense(routines: Routines, plan: Plan, s: Scratch, points: FloatArray, count: int) -> None:
+@kernel
+def sense(calls: Calls, plan: Plan, s: Scratch, points: FloatArray, count: int) -> None:
     """Numbers of the sensor at points in the camera frame, and their Jacobians."""
     clear_all(s.by_point, count)
     clear_all(s.by_values, count)
@@ -78,10 +79,10 @@ def sense(routines: Routines, plan: Plan, s: Scratch, points: FloatArray, count:
     for i in range(count):
         s.in_front[i] = False
     written = s.numbers[:count], s.by_point[:count], s.by_values[:count], s.in_front[:count]
-    call(routines[SENSE], (plan.sensor, plan.camera, points[:count], s.sensed, *written))
+    call(calls.project, (plan.sensor, plan.camera, points[:count], s.sensed, *written))
 
 
-@njit(**KERNEL)
+@kernel
 def from_camera(plan: Plan, x: FloatArray, blocks: FloatArray, anchor: int) -> tuple[float, float, float]:
     """From the camera to the anchor, or to the origin of W."""
     if anchor < 0:
@@ -89,15 +90,15 @@ def from_camera(plan: Plan, x: FloatArray, blocks: FloatArray, anchor: int) -> t
     return blocks[anchor, 0] - x[0], blocks[anchor, 1] - x[1], blocks[anchor, 2] - x[2]
 
 
-@njit(**KERNEL)
+@kernel
 def see(
-    routines: Routines, plan: Plan, x: FloatArray, blocks: FloatArray, S: Storage, b: int, s: Scratch, count: int
+    calls: Calls, plan: Plan, x: FloatArray, blocks: FloatArray, S: Storage, b: int, s: Scratch, count: int
 ) -> None:
     """The selected landmarks in the camera frame, and the numbers of the sensor there."""
     own, anchor = S.own[b], S.anchor[b]
     for i in range(count):
         s.taken[i] = own[s.land[s.select[i]]]
-    take_points(routines, plan, blocks, S.kind[b], s, count)
+    take_points(calls, plan, blocks, S.kind[b], s, count)
     R_cw = transposed(orientation(x))
     for i in range(count):
         scale = s.points[i, 3]
@@ -107,10 +108,10 @@ def see(
         for a in range(3, s.points.shape[1]):
             s.points_c[i, a] = s.points[i, a]
     take_variables(plan, x, s)
-    sense(routines, plan, s, s.points_c, count)
+    sense(calls, plan, s, s.points_c, count)
 
 
-@njit(**KERNEL)
+@kernel
 def compare(T: FloatArray, s: Scratch, count: int, size: int) -> None:
     """Innovations of the selected measurements, and whether they can be seen at all."""
     for i in range(count):
@@ -124,7 +125,7 @@ def compare(T: FloatArray, s: Scratch, count: int, size: int) -> None:
             s.nu[m, k] = s.z[m, k] - expected
 
 
-@njit(**KERNEL)
+@kernel
 def chain(
     plan: Plan, T: FloatArray, x: FloatArray, blocks: FloatArray, S: Storage, b: int, s: Scratch, count: int, size: int
 ) -> None:
@@ -173,9 +174,9 @@ def chain(
                     H[k, first + a] += along * by_own[e, a]
 
 
-@unit(*(ADDRESSES, PLAN, types.int64, types.int64, STORAGE, types.int64, VECTOR, MATRIX, SCRATCH, types.int64))
+@unit("linearise")
 def linearise(
-    routines: Routines,
+    calls: Calls,
     plan: Plan,
     variant: int,
     stage: int,
@@ -197,25 +198,25 @@ def linearise(
             if S.kind[b, S.own[b, i]] == OWN:
                 for a in plan.follows:
                     at[S.own[b, i], a] = blocks[S.own[b, i], a]
-        see(routines, plan, point, at, S, b, s, count)
+        see(calls, plan, point, at, S, b, s, count)
         chain(plan, T, point, at, S, b, s, count, size)
-    see(routines, plan, x, blocks, S, b, s, count)
+    see(calls, plan, x, blocks, S, b, s, count)
     compare(T, s, count, size)
     if not plan.first_estimates:
         chain(plan, T, x, blocks, S, b, s, count, size)
 
 
-@njit(**KERNEL)
-def expect(routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch, count: int) -> None:
+@kernel
+def expect(calls: Calls, plan: Plan, S: Storage, b: int, s: Scratch, count: int) -> None:
     """Predicted numbers of the first `count` landmarks of a map, and H of (u, v, d) at the state."""
     for i in range(count):
         s.land[i] = s.select[i] = i
     x, blocks = S.x[b], S.blocks[b]
-    see(routines, plan, x, blocks, S, b, s, count)
+    see(calls, plan, x, blocks, S, b, s, count)
     chain(plan, plan.T[0, -1], x, blocks, S, b, s, count, 3)
 
 
-@njit(**KERNEL)
+@kernel
 def prepare(
     plan: Plan,
     variant: int,
@@ -252,7 +253,7 @@ def prepare(
             s.R[m, apart, apart] = own
 
 
-@njit(**KERNEL)
+@kernel
 def take_numbers(z: FloatArray, R: FloatArray, first: int, s: Scratch, count: int) -> None:
     """z and its noise of a stage that is given by numbers."""
     for m in range(count):
@@ -261,3 +262,24 @@ def take_numbers(z: FloatArray, R: FloatArray, first: int, s: Scratch, count: in
             s.z[m, a] = z[i, a]
             for b in range(z.shape[1]):
                 s.R[m, a, b] = R[i, a, b]
+
+
+@kernel
+def linearise_selected(
+    calls: Calls,
+    plan: Plan,
+    variant: int,
+    stage: int,
+    S: Storage,
+    b: int,
+    x: FloatArray,
+    blocks: FloatArray,
+    s: Scratch,
+    count: int,
+    where: int,
+) -> bool:
+    """Innovation, H and first rows of the selected measurements; whether the parts could give them."""
+    if plan.by_numbers:
+        return ask(calls, TO_LINEARISE, b, s, count, where, variant, stage)
+    call(calls.linearise, (calls, plan, variant, stage, S, b, x, blocks, s, count))
+    return True

@@ -1,31 +1,28 @@
-"""Kernels of the step: the leading variables with P, odometry as a measurement, and landmarks that walk or fade."""
+"""Kernels of the step: the leading variables with P, and odometry as a measurement."""
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
-from numba import njit, types
 
-from filters.geometry.arrays import FloatArray, IntArray
+from filters.geometry.arrays import FloatArray
 from filters.geometry.rotations import Nine, matrix_of
 from filters.geometry.three_by_three import cross_matrix, put, transposed
-from filters.kernels.blas import KERNEL, Routines, call
+from filters.kernels.blas import kernel
+from filters.kernels.calls import Calls, call, unit
 from filters.kernels.correction import correct_rows
 from filters.kernels.covariance import identity, transform_leading
 from filters.kernels.recipe import Plan
 from filters.kernels.scratch import Scratch
-from filters.kernels.storage import BLOCKS, OWN, POINT, FrameArrays, Storage
-from filters.kernels.units import ADDRESSES, FRAME, MATRIX, MEASURE, PLAN, SCRATCH, STEP, VECTOR, unit
+from filters.kernels.storage import FrameArrays
 
 
-@njit(**KERNEL)
+@kernel
 def orientation(x: FloatArray) -> Nine:
     """R_wc, row by row."""
     return matrix_of(x[3], x[4], x[5], x[6])
 
 
-@njit(**KERNEL)
+@kernel
 def world_rotation(plan: Plan, x: FloatArray, effect: FloatArray) -> None:
     """`joint_state.world_rotation_of_variables` in the leading rows of `effect`, zero in the other ones."""
     v = plan.velocity
@@ -39,7 +36,7 @@ def world_rotation(plan: Plan, x: FloatArray, effect: FloatArray) -> None:
         put(effect, row, 0, cross_matrix(x[row + 1], x[row + 2], x[row + 3]), -1.0)
 
 
-@njit(**KERNEL)
+@kernel
 def constrain(J: FloatArray, rows: int, columns: int, image: FloatArray, source: FloatArray, R: Nine) -> None:
     """`FirstEstimates.constrained`: J[:, 3:6] += (image - J source) R_wc."""
     for i in range(rows):
@@ -52,7 +49,7 @@ def constrain(J: FloatArray, rows: int, columns: int, image: FloatArray, source:
             J[i, 3 + a] += m0 * R[a] + m1 * R[3 + a] + m2 * R[6 + a]
 
 
-@njit(**KERNEL)
+@kernel
 def constrain_step(plan: Plan, before: FloatArray, after: FloatArray, F: FloatArray, s: Scratch) -> None:
     """F of a step takes a rotation of the world before it to that after it."""
     leading = plan.leading
@@ -62,18 +59,15 @@ def constrain_step(plan: Plan, before: FloatArray, after: FloatArray, F: FloatAr
     constrain(F, leading, leading, image, source, orientation(before))
 
 
-@njit(**KERNEL)
+@unit("settle")
 def settle(plan: Plan, P: FloatArray, n: int, x: FloatArray, predicted: FloatArray, s: Scratch) -> None:
-    """The first estimate is the state as it is now, as after a step of no length."""
-    if plan.first_estimates and not plan.moves_by_numbers:  # otherwise the door has done so
-        identity(s.F)
-        constrain_step(plan, predicted, x, s.F, s)
-        transform_leading(P, n, s)
-    for i in range(len(x)):
-        predicted[i] = x[i]
+    """P in the tangent space at the state as it is now, as after a step of no length: that is the first estimate."""
+    identity(s.F)
+    constrain_step(plan, predicted, x, s.F, s)
+    transform_leading(P, n, s)
 
 
-@njit(**KERNEL)
+@kernel
 def clear(matrix: FloatArray) -> None:
     """All zero."""
     for i in range(matrix.shape[0]):
@@ -81,9 +75,9 @@ def clear(matrix: FloatArray) -> None:
             matrix[i, j] = 0.0
 
 
-@unit(ADDRESSES, PLAN, MATRIX, types.int64, VECTOR, VECTOR, FRAME, types.int64, SCRATCH)
+@unit("predict")
 def predict(
-    routines: Routines,
+    calls: Calls,
     plan: Plan,
     P: FloatArray,
     n: int,
@@ -111,7 +105,7 @@ def predict(
     clear(s.F_part)
     clear(Q)
     odometry = frame.odometry[b, : frame.odometry_rows[b]]
-    call(routines[STEP], (plan.motion, s.state, frame.dt[b], odometry, s.after, s.F_part, Q))
+    call(calls.step, (plan.motion, s.state, frame.dt[b], odometry, s.after, s.F_part, Q))
     identity(F)
     for i in range(len(x)):
         moved[i] = x[i]
@@ -134,16 +128,16 @@ def predict(
         x[i] = predicted[i] = moved[i]
 
 
-@unit(ADDRESSES, PLAN, MATRIX, types.int64, VECTOR, FRAME, types.int64, SCRATCH)
-def fuse(
-    routines: Routines, plan: Plan, P: FloatArray, n: int, x: FloatArray, frame: FrameArrays, b: int, s: Scratch
+@unit("fuse_odometry")
+def fuse_odometry(
+    calls: Calls, plan: Plan, P: FloatArray, n: int, x: FloatArray, frame: FrameArrays, b: int, s: Scratch
 ) -> None:
     """Odometry as a measurement after the step: P in place, delta; `result` is 1 where it was used."""
     rows, limit = plan.moved_rows, np.inf
     if plan.driven_by_numbers:
         r, leading = frame.measured[b], s.leading
         nis = correct_rows(
-            routines, P, n, leading, frame.measured_H[b, :r], frame.measured_nu[b], frame.measured_R[b], limit, s
+            calls, P, n, leading, frame.measured_H[b, :r], frame.measured_nu[b], frame.measured_R[b], limit, s
         )
     else:
         for i in range(len(plan.moved)):
@@ -152,74 +146,6 @@ def fuse(
         clear(s.odometry_R)
         odometry = frame.odometry[b, : frame.odometry_rows[b]]
         given = plan.motion, s.after, frame.dt[b], odometry, s.odometry_nu, s.odometry_H, s.odometry_R
-        call(routines[MEASURE], given)
-        nis = correct_rows(routines, P, n, rows, s.odometry_H, s.odometry_nu, s.odometry_R, limit, s)
+        call(calls.measure, given)
+        nis = correct_rows(calls, P, n, rows, s.odometry_H, s.odometry_nu, s.odometry_R, limit, s)
     s.result[0] = 1.0 if nis >= 0.0 else 0.0
-
-
-SMALLEST_DETERMINANT = 1e-3
-"""Of d(u, v, d) / d(own numbers): below, a landmark is so far that a step in the image has no place in the map."""
-
-
-@njit(**KERNEL)
-def step_covariance(part: FloatArray, R: FloatArray, Q: FloatArray) -> None:
-    """Covariance of a step in (u, v, d): Q = share^2 R + diag(pixels^2)."""
-    for a in range(3):
-        for b in range(3):
-            Q[a, b] = part[0] * R[a, b]
-        Q[a, a] += part[1 + a]
-
-
-@njit(**KERNEL)
-def take_steps(plan: Plan, part: FloatArray, P: FloatArray, s: Scratch, select: IntArray, count: int) -> None:
-    """P_own += J^-1 Q J^-T of the selected landmarks, linearised, J = d(u, v, d) / d(own numbers)."""
-    first = plan.measured + 3 * plan.anchors
-    Q, inverse, half = s.small[0], s.small[1], s.small[2]
-    for i in range(count):
-        m = select[i]
-        J, own = s.H[m], s.base[m, 2]
-        for a in range(3):  # cofactors
-            b, c = (a + 1) % 3, (a + 2) % 3
-            for k in range(3):
-                p, q = (k + 1) % 3, (k + 2) % 3
-                inverse[k, a] = J[b, first + p] * J[c, first + q] - J[b, first + q] * J[c, first + p]
-        determinant = 0.0
-        for k in range(3):
-            determinant += J[0, first + k] * inverse[k, 0]
-        if not abs(determinant) >= SMALLEST_DETERMINANT:
-            continue
-        step_covariance(part, s.noise[m], Q)
-        for a in range(3):
-            for b in range(3):
-                half[a, b] = 0.0
-                for k in range(3):
-                    half[a, b] += inverse[a, k] * Q[k, b] / determinant
-        for a in range(3):
-            for b in range(a, 3):
-                total = 0.0
-                for k in range(3):
-                    total += half[a, k] * inverse[b, k]
-                P[own + a, own + b] += total / determinant
-
-
-@njit(**KERNEL)
-def fade(plan: Plan, S: Storage, b: int, s: Scratch, dt: float) -> None:
-    """Numbers of landmarks behind the third go back to zero, their covariance to `prior`, in a step of dt."""
-    P, blocks, kept = S.P[b], S.blocks[b], math.exp(-dt / plan.memory)
-    n, factors = plan.leading + plan.size * S.counts[b, BLOCKS], s.G[0]
-    for i in range(n):
-        factors[i] = 1.0
-    for k in range(S.counts[b, BLOCKS]):
-        if S.kind[b, k] == OWN or S.kind[b, k] == POINT:
-            for a in range(3, plan.size):
-                factors[plan.leading + plan.size * k + a] = kept
-                blocks[k, a] *= kept
-    for i in range(n):
-        for j in range(i, n):
-            P[i, j] *= factors[i] * factors[j]
-    for k in range(S.counts[b, BLOCKS]):
-        first = plan.leading + plan.size * k
-        if factors[first + 3] == kept:
-            for a in range(3, plan.size):
-                for c in range(a, plan.size):
-                    P[first + a, first + c] += (1.0 - kept * kept) * plan.prior[a - 3, c - 3]

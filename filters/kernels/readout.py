@@ -5,35 +5,35 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, types
+from numba import types
 
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.geometry.three_by_three import cross_matrix, put, times, transposed
-from filters.kernels.blas import ENTRY, PLAIN, Routines, call
-from filters.kernels.disk_cache import KEPT
-from filters.kernels.linearisation import expect
-from filters.kernels.prediction import orientation
-from filters.kernels.storage import LANDMARKS
-from filters.kernels.units import (
-    ADDRESSES,
+from filters.kernels.blas import PLAIN, entry
+from filters.kernels.calls import (
     FLAGS,
     INDEX,
     MATRICES,
     MATRIX,
+    call,
+    read_calls,
     read_plan,
     read_scratch,
     read_storage,
 )
+from filters.kernels.linearisation import expect
+from filters.kernels.prediction import orientation
+from filters.kernels.storage import LANDMARKS
 from filters.motions.motion_model import POSE_SIZE
 
 
-@njit(**KEPT, **ENTRY)
-def points_at(address: int, settings: FloatArray, values: FloatArray, points: FloatArray, J: FloatArray) -> None:
+@entry
+def points_at(calls_at: int, settings: FloatArray, values: FloatArray, points: FloatArray, J: FloatArray) -> None:
     """Homogeneous points of landmarks by the kernel of their parametrisation."""
-    call(address, (settings, values, points, J))
+    call(read_calls(calls_at).point, (settings, values, points, J))
 
 
-@njit(**KEPT, **ENTRY)
+@entry
 def relative_landmarks(
     P: FloatArray,
     x: FloatArray,
@@ -124,9 +124,9 @@ def relative_landmarks(
             located[m] = ahead and finite
 
 
-@njit(_nrt=False, **KEPT, **ENTRY)
+@entry(_nrt=False)
 def forecasts(
-    routines: Routines,
+    calls_at: int,
     plan_at: int,
     storage_at: int,
     scratch_at: int,
@@ -142,11 +142,12 @@ def forecasts(
     Landmarks of filter first + f are at offsets[f] to offsets[f + 1] - 1 of the last three, which are written; its
     noise is noise[f].
     """
-    plan, storage, s = read_plan(plan_at), read_storage(storage_at), read_scratch(scratch_at)
+    calls, plan, storage = read_calls(calls_at), read_plan(plan_at), read_storage(storage_at)
+    s = read_scratch(scratch_at)
     measured, width = plan.measured, plan.measured + 3 * plan.anchors + plan.size
     for f in range(len(offsets) - 1):
         b, begin, count = first + f, offsets[f], offsets[f + 1] - offsets[f]
-        expect(routines, plan, storage, b, s, count)
+        expect(calls, plan, storage, b, s, count)
         P = storage.P[b]
         for i in range(count):
             m, H = begin + i, s.H[i]
@@ -181,4 +182,4 @@ def compile_forecasts() -> None:
     """Compile `forecasts`, or load it from the disk, before it is called."""
     if not PLAIN and not forecasts.signatures:
         arrays = INDEX, MATRICES, MATRIX, MATRICES, FLAGS
-        forecasts.compile(types.void(ADDRESSES, *[types.intp] * 3, types.int64, *arrays))
+        forecasts.compile(types.void(*[types.intp] * 4, types.int64, *arrays))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from numba import njit, types
-
 from filters.geometry.arrays import FloatArray
 from filters.geometry.retractions import additive_transport_of
 from filters.geometry.rotations import (
@@ -16,17 +14,20 @@ from filters.geometry.rotations import (
     right_jacobian_of,
 )
 from filters.geometry.three_by_three import IDENTITY, cross_matrix, multiply, put, times, transposed
-from filters.kernels.blas import KERNEL, Routines, call
-from filters.kernels.covariance import identity, scale_block, scale_blocks, shear, transform_leading
+from filters.kernels.blas import kernel
+from filters.kernels.calls import TO_MOVE, Calls, ask, call, unit
+from filters.kernels.covariance import identity, scale_block, transform_leading
 from filters.kernels.linearisation import clear_all
 from filters.kernels.prediction import clear, orientation
 from filters.kernels.recipe import Plan
 from filters.kernels.scratch import Scratch
 from filters.kernels.storage import BLOCKS, CLONE_ROTATION, OWN, POINT, Storage
-from filters.kernels.units import ADDRESSES, EFFECT, PLAN, SCRATCH, STORAGE, TURN, unit
+
+CORRECTED, SETTLED = range(2)
+"""What a correction does to first estimates: landmarks leave them, odometry and other measurements move them along."""
 
 
-@njit(**KERNEL)
+@kernel
 def _rotated(plan: Plan, q: FloatArray, x: float, y: float, z: float) -> Four:
     """Retraction of an orientation."""
     if plan.additive_quaternion:
@@ -35,20 +36,20 @@ def _rotated(plan: Plan, q: FloatArray, x: float, y: float, z: float) -> Four:
     return product_of(q[0], q[1], q[2], q[3], e0, e1, e2, e3)
 
 
-@njit(**KERNEL)
+@kernel
 def _rotation_transport(plan: Plan, x: float, y: float, z: float) -> Nine:
     """Its `Retraction.transport`, row by row."""
     return additive_transport_of(x, y, z) if plan.additive_quaternion else right_jacobian_of(x, y, z)
 
 
-@njit(**KERNEL)
+@kernel
 def _orientation(blocks: FloatArray, k: int) -> Nine:
     """Rotation matrix of a block of a clone, row by row."""
     return matrix_of(blocks[k, 0], blocks[k, 1], blocks[k, 2], blocks[k, 3])
 
 
-@njit(**KERNEL)
-def _turn_own(routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch) -> None:
+@unit("turn_own")
+def turn_own(calls: Calls, plan: Plan, S: Storage, b: int, s: Scratch) -> None:
     """The landmarks' own values corrected by delta in `moved_blocks`, and their rows of the Jacobian in D and W.
 
     Where camera and map turn together that is a turn by `theta` after a correction less what the turn does.
@@ -71,7 +72,7 @@ def _turn_own(routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch) ->
         return
     clear_all(s.effect, count)
     if plan.turns:
-        call(routines[EFFECT], (plan.landmark, s.values_taken[:count], s.effect[:count]))
+        call(calls.rotation, (plan.landmark, s.values_taken[:count], s.effect[:count]))
         for i in range(count):
             for a in range(plan.size):
                 for c in range(3):
@@ -80,7 +81,7 @@ def _turn_own(routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch) ->
     clear_all(s.by_theta, count)
     clear(s.values_moved[:count])
     given = plan.landmark, s.values_taken[:count], theta, s.correction[:count], s.values_moved[:count]
-    call(routines[TURN], (*given, s.by_correction[:count], s.by_theta[:count]))
+    call(calls.turn, (*given, s.by_correction[:count], s.by_theta[:count]))
     for i in range(count):
         for a in range(values):
             s.moved_blocks[s.taken[i], a] = s.values_moved[i, a]
@@ -91,7 +92,7 @@ def _turn_own(routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch) ->
                 for c in range(3):
                     s.by_theta[i, a, c] = -s.effect[i, a, c]
         clear_all(s.effect, count)
-        call(routines[EFFECT], (plan.landmark, s.values_moved[:count], s.effect[:count]))
+        call(calls.rotation, (plan.landmark, s.values_moved[:count], s.effect[:count]))
     for i in range(count):
         row, J = plan.leading + plan.size * s.taken[i], s.by_correction[i]
         for a in range(plan.size):
@@ -110,14 +111,14 @@ def _turn_own(routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch) ->
                         s.W[row + a, m] += by_turn * R[3 * c + m]
 
 
-@njit(**KERNEL)
+@kernel
 def scales_blocks(plan: Plan) -> bool:
     """Whether the blocks of D matter: where P goes to the new tangent spaces, and these are others."""
     return plan.resets or not (plan.additive or plan.turns or plan.first_estimates)
 
 
-@njit(**KERNEL)
-def move(routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch) -> None:
+@kernel
+def move(calls: Calls, plan: Plan, S: Storage, b: int, s: Scratch) -> None:
     """The state corrected by delta in `moved` and `moved_blocks`, and the Jacobian D + W E^T that takes errors there.
 
     E selects the rotation, and W has the whole column of it on its own rows. D is block-diagonal, (C, s, s) for the
@@ -161,7 +162,7 @@ def move(routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch) -> None
         for a in range(3, plan.size):
             moved_blocks[k, a] = blocks[k, a] + delta[row + a]
     if plan.turns or not plan.additive:
-        _turn_own(routines, plan, S, b, s)
+        call(calls.turn_own, (calls, plan, S, b, s))
     if plan.first_estimates:  # errors stay those of the linearisation point
         return
     if not plan.turns or plan.resets:
@@ -175,15 +176,16 @@ def move(routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch) -> None
             d0, d1, d2 = times(spread, d0, d1, d2)
             moved[at], moved[at + 1], moved[at + 2] = x[at] + d0, x[at + 1] + d1, x[at + 2] + d2
         if not plan.resets:
-            _turn_with_world(plan, S, b, R, s)
+            call(calls.turn_with_world, (plan, S, b, s))
     for i in range(3):
         W[3 + i, i] -= 1.0
 
 
-@njit(**KERNEL)
-def _turn_with_world(plan: Plan, S: Storage, b: int, R: Nine, s: Scratch) -> None:
+@unit("turn_with_world")
+def turn_with_world(plan: Plan, S: Storage, b: int, s: Scratch) -> None:
     """(Gamma+ - Gamma) R_wc of all but the landmarks' own rows, in W: what a turn of the world does there and here."""
     x, moved, blocks, moved_blocks, kind, W = S.x[b], s.moved, S.blocks[b], s.moved_blocks, S.kind[b], s.W
+    R = orientation(x)
     put(W, 3, 0, multiply(transposed(orientation(moved)), R), 1.0)
     _put_shift(W, 0, x, moved, 0, R)
     _put_shift(W, plan.velocity, x, moved, plan.velocity + 1, R)
@@ -200,14 +202,14 @@ def _turn_with_world(plan: Plan, S: Storage, b: int, R: Nine, s: Scratch) -> Non
             _put_shift(W, row, blocks[k], moved_blocks[k], 0, R)
 
 
-@njit(**KERNEL)
+@kernel
 def _put_shift(W: FloatArray, row: int, before: FloatArray, after: FloatArray, at: int, R: Nine) -> None:
     """-[after - before]x R_wc of a point."""
     shift = cross_matrix(after[at] - before[at], after[at + 1] - before[at + 1], after[at + 2] - before[at + 2])
     put(W, row, 0, multiply(shift, R), -1.0)
 
 
-@njit(**KERNEL)
+@kernel
 def _take_moved(x: FloatArray, blocks: FloatArray, count: int, s: Scratch) -> None:
     """The state becomes the moved one."""
     for i in range(len(x)):
@@ -217,12 +219,12 @@ def _take_moved(x: FloatArray, blocks: FloatArray, count: int, s: Scratch) -> No
             blocks[c, i] = s.moved_blocks[c, i]
 
 
-@unit(ADDRESSES, PLAN, STORAGE, types.int64, SCRATCH)
-def retract(routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch) -> None:
+@unit("retract")
+def retract(calls: Calls, plan: Plan, S: Storage, b: int, s: Scratch) -> None:
     """Move the state by delta and carry P along."""
     P, count, delta = S.P[b], S.counts[b, BLOCKS], s.delta
     n = plan.leading + plan.size * count
-    move(routines, plan, S, b, s)
+    move(calls, plan, S, b, s)
     if plan.resets:
         t0, t1, t2 = times(orientation(S.x[b]), delta[3], delta[4], delta[5])
         spread = transposed(right_jacobian_of(t0, t1, t2))
@@ -235,7 +237,7 @@ def retract(routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch) -> N
         put(s.F, 3, 3, _rotation_transport(plan, delta[3], delta[4], delta[5]), 1.0)
         transform_leading(P, n, s)
     if scales_blocks(plan):
-        scale_blocks(P, n, plan.leading, s.D, s)
+        call(calls.scale_blocks, (plan, P, n, s))
     elif not (plan.turns or plan.first_estimates):
         for c in range(count):
             if S.kind[b, c] == CLONE_ROTATION:
@@ -243,18 +245,33 @@ def retract(routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch) -> N
                 D = _rotation_transport(plan, delta[row], delta[row + 1], delta[row + 2])
                 scale_block(P, n, row, D, s.block)
     if plan.turns:
-        shear(P, n, 3, s.W, s)
+        call(calls.shear, (P, n, s))
     _take_moved(S.x[b], S.blocks[b], count, s)
 
 
-@unit(ADDRESSES, PLAN, STORAGE, types.int64, SCRATCH)
-def retract_by_numbers(routines: Routines, plan: Plan, S: Storage, b: int, s: Scratch) -> None:
+@unit("retract")
+def retract_by_numbers(calls: Calls, plan: Plan, S: Storage, b: int, s: Scratch) -> None:
     """The same by what the door has written: F, and D and W where `result` says so."""
     P, count = S.P[b], S.counts[b, BLOCKS]
     n = plan.leading + plan.size * count
     transform_leading(P, n, s)
     if s.result[0] > 0.0:
-        scale_blocks(P, n, plan.leading, s.D, s)
+        call(calls.scale_blocks, (plan, P, n, s))
     if s.result[1] > 0.0:
-        shear(P, n, 3, s.W, s)
+        call(calls.shear, (P, n, s))
     _take_moved(S.x[b], S.blocks[b], count, s)
+
+
+@kernel
+def correct_state(calls: Calls, plan: Plan, S: Storage, b: int, s: Scratch, what: int) -> bool:
+    """Move the state by delta and carry P along; whether the parts could."""
+    if plan.moves_by_numbers and not ask(calls, TO_MOVE, b, s, what, 0, 0, 0):
+        return False
+    call(calls.retract, (calls, plan, S, b, s))
+    if what == SETTLED:
+        x, predicted = S.x[b], S.predicted[b]
+        if plan.first_estimates and not plan.moves_by_numbers:  # otherwise the part has done so
+            call(calls.settle, (plan, S.P[b], plan.leading + plan.size * S.counts[b, BLOCKS], x, predicted, s))
+        for i in range(len(x)):
+            predicted[i] = x[i]
+    return True

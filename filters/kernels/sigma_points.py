@@ -7,23 +7,21 @@ from __future__ import annotations
 
 import math
 
-from numba import njit, types
-
 from filters.geometry.arrays import FloatArray
 from filters.geometry.rotations import matrix_of, quaternion_of
 from filters.geometry.three_by_three import multiply, put, transposed
-from filters.kernels.blas import KERNEL, Routines, call
+from filters.kernels.blas import kernel
+from filters.kernels.calls import Calls, call, unit
 from filters.kernels.linearisation import chain, clear_all, compare, see, sense
 from filters.kernels.prediction import clear, orientation
 from filters.kernels.recipe import Plan
 from filters.kernels.scratch import Scratch
 from filters.kernels.storage import POINT, Storage
-from filters.kernels.units import ADDRESSES, MATRIX, PLAN, POINTS, SCRATCH, STORAGE, TURN, VECTOR, unit
 from filters.motions.motion_model import POSE_SIZE
 from filters.updates.unscented import NEGLIGIBLE
 
 
-@njit(**KERNEL)
+@kernel
 def root(C: FloatArray, L: FloatArray, first: int, last: int) -> None:
     """Rows first to last - 1 of the Cholesky factor of C; what is known from the numbers before has a zero column."""
     for i in range(first, last):
@@ -37,7 +35,7 @@ def root(C: FloatArray, L: FloatArray, first: int, last: int) -> None:
                 L[i, j] = total / L[j, j] if L[j, j] > 0.0 else 0.0
 
 
-@njit(**KERNEL)
+@kernel
 def _draw_poses(plan: Plan, x: FloatArray, s: Scratch) -> None:
     """The pose, and those a column of its factor away: positions, and R_cw below each other."""
     L, spread, R = s.root, plan.sigma_points[0], orientation(x)
@@ -50,9 +48,9 @@ def _draw_poses(plan: Plan, x: FloatArray, s: Scratch) -> None:
         put(s.sigma_rotations, 3 * i, 0, transposed(multiply(R, matrix_of(q[0], q[1], q[2], q[3]))), 1.0)
 
 
-@njit(**KERNEL)
+@kernel
 def _draw(
-    routines: Routines, plan: Plan, x: FloatArray, blocks: FloatArray, anchor: int, own: int, moves: bool, s: Scratch
+    calls: Calls, plan: Plan, x: FloatArray, blocks: FloatArray, anchor: int, own: int, moves: bool, s: Scratch
 ) -> None:
     """The landmark at the sigma points, as the camera there sees it, and the numbers of the sensor."""
     width, values, spread = len(s.root), s.values_taken.shape[1], plan.sigma_points[0]
@@ -71,10 +69,10 @@ def _draw(
         clear_all(s.by_theta, count)
         clear(s.values_moved[:count])
         given = plan.landmark, s.values_taken[:count], s.theta, s.correction[:count], s.values_moved[:count]
-        call(routines[TURN], (*given, s.by_correction[:count], s.by_theta[:count]))
+        call(calls.turn, (*given, s.by_correction[:count], s.by_theta[:count]))
     clear_all(s.by_own, count)
     clear(s.points[:count])
-    call(routines[POINTS], (plan.landmark, s.values_moved[:count], s.points[:count], s.by_own[:count]))
+    call(calls.point, (plan.landmark, s.values_moved[:count], s.points[:count], s.by_own[:count]))
     for i in range(count):
         pose = i if i <= 2 * POSE_SIZE else 0
         way, k = (0.0, 0) if i == 0 else (spread if i % 2 else -spread, (i - 1) // 2)
@@ -88,10 +86,10 @@ def _draw(
         for a in range(3):
             r = s.sigma_rotations[3 * pose + a]
             p[a] = r[0] * h0 + r[1] * h1 + r[2] * h2
-    sense(routines, plan, s, s.points, count)
+    sense(calls, plan, s, s.points, count)
 
 
-@njit(**KERNEL)
+@kernel
 def _fit(plan: Plan, T: FloatArray, s: Scratch, m: int, size: int) -> None:
     """Innovation, H and what is added to R: the regression of the numbers on the sigma points."""
     spread, weight, width, L = plan.sigma_points[0], plan.sigma_points[3], len(s.root), s.root
@@ -124,9 +122,9 @@ def _fit(plan: Plan, T: FloatArray, s: Scratch, m: int, size: int) -> None:
             s.R[m, c, k], s.added[m, k, c] = s.R[m, k, c], left
 
 
-@unit(*(ADDRESSES, PLAN, types.int64, types.int64, STORAGE, types.int64, VECTOR, MATRIX, SCRATCH, types.int64))
+@unit("linearise")
 def fit(
-    routines: Routines,
+    calls: Calls,
     plan: Plan,
     variant: int,
     stage: int,
@@ -140,7 +138,7 @@ def fit(
     """As `linearise`, of the stages; of (u, v, d) by Jacobians."""
     T, size, P, width = plan.T[variant, stage], plan.rows[variant, stage, 0], S.P[b], len(s.root)
     if stage == plan.T.shape[1] - 1:
-        see(routines, plan, x, blocks, S, b, s, count)
+        see(calls, plan, x, blocks, S, b, s, count)
         compare(T, s, count, size)
         chain(plan, T, x, blocks, S, b, s, count, size)
         return
@@ -164,6 +162,6 @@ def fit(
             for q in range(p + 1):
                 C[p, q] = P[min(rows[p], rows[q]), max(rows[p], rows[q])]
         root(C, s.root, POSE_SIZE, width)
-        _draw(routines, plan, x, blocks, anchor, own, not plan.additive and S.kind[b, own] != POINT, s)
+        _draw(calls, plan, x, blocks, anchor, own, not plan.additive and S.kind[b, own] != POINT, s)
         s.ahead[m] = s.in_front[0]
         _fit(plan, T, s, m, size)

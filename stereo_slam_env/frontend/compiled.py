@@ -9,10 +9,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
-from stereo_slam_env.frontend.patches import ENTRY, FLAT, INLINE, PATCH, Image, Patches, cut
+from filters.kernels.compilation import entry, kernel
+from stereo_slam_env.frontend.patches import FLAT, PATCH, Image, Patches, cut
 
 _RADIUS = PATCH // 2
 _PIXELS = PATCH * PATCH
@@ -20,7 +20,7 @@ _MIDDLE = np.float32(128.0)
 """Taken from all grey values: the template has no mean, so this changes nothing but the rounding."""
 
 
-@njit(**ENTRY)
+@entry
 def correlation_map(window: Image, template: Patches) -> Patches:
     """Zero-mean normalised cross-correlation of a template (11, 11) at every position inside a window (H, W).
 
@@ -74,7 +74,7 @@ def correlation_map(window: Image, template: Patches) -> Patches:
     return scores
 
 
-@njit(**INLINE)
+@kernel
 def _add_row(row: Image, sign: int, sums: IntArray, squares: IntArray) -> None:
     """Let a row enter the sums of the columns, or leave them."""
     for x in range(len(row)):
@@ -83,7 +83,7 @@ def _add_row(row: Image, sign: int, sums: IntArray, squares: IntArray) -> None:
         squares[x] += sign * value * value
 
 
-@njit(**ENTRY)
+@entry
 def note_peaks(
     image: Image,
     templates: Patches,
@@ -136,7 +136,7 @@ def note_peaks(
                     second[k] = max(second[k], _parabola_top(scores, y, x)[0])
 
 
-@njit(**INLINE)
+@kernel
 def _at(scores: Patches, y: int, x: int) -> float:
     """A value of the map; -1 beyond it."""
     if y < 0 or x < 0 or y >= scores.shape[0] or x >= scores.shape[1]:
@@ -144,7 +144,7 @@ def _at(scores: Patches, y: int, x: int) -> float:
     return float(scores[y, x])
 
 
-@njit(**INLINE)
+@kernel
 def _highest_around(scores: Patches, y: int, x: int) -> float:
     highest = -1.0
     for i in range(-1, 2):
@@ -153,7 +153,7 @@ def _highest_around(scores: Patches, y: int, x: int) -> float:
     return highest
 
 
-@njit(**INLINE)
+@kernel
 def _parabola_top(scores: Patches, y: int, x: int) -> tuple[float, float, float]:
     """Height and place (u, v) of the tops of the parabolas along u and v through a pixel of a map."""
     middle = _at(scores, y, x)
@@ -162,7 +162,7 @@ def _parabola_top(scores: Patches, y: int, x: int) -> tuple[float, float, float]
     return min(middle + 0.5 * (along_u + along_v), 1.0), u, v
 
 
-@njit(**INLINE)
+@kernel
 def _top(before: float, middle: float, after: float) -> tuple[float, float]:
     """Place of the top of a parabola, within 0.5, and slope times place; zeros where there is none."""
     bend, slope = 2.0 * middle - before - after, 0.5 * (after - before)
@@ -171,7 +171,7 @@ def _top(before: float, middle: float, after: float) -> tuple[float, float]:
     return 0.0, 0.0
 
 
-@njit(**ENTRY)
+@entry
 def note_refined(
     image: Image,
     templates: Patches,
@@ -223,7 +223,7 @@ def note_refined(
         away[k, 0], away[k, 1], score[k] = u, v, _dot(t, patch)
 
 
-@njit(**INLINE)
+@kernel
 def _normalise(values: FloatArray) -> float:
     """Bring a patch to zero mean and unit length, and return the length it had."""
     mean, square = _mean(values), 0.0
@@ -236,7 +236,7 @@ def _normalise(values: FloatArray) -> float:
     return length
 
 
-@njit(**INLINE)
+@kernel
 def _derive(g: FloatArray, t: FloatArray, length: float) -> None:
     """Turn the derivative of a patch into that of the normalised patch `t`."""
     for n in range(_PIXELS):
@@ -249,7 +249,7 @@ def _derive(g: FloatArray, t: FloatArray, length: float) -> None:
         g[n] -= along * t[n]
 
 
-@njit(**INLINE)
+@kernel
 def _mean(values: FloatArray) -> float:
     total = 0.0
     for n in range(_PIXELS):
@@ -257,7 +257,7 @@ def _mean(values: FloatArray) -> float:
     return total / _PIXELS
 
 
-@njit(**INLINE)
+@kernel
 def _dot(a: FloatArray, b: FloatArray) -> float:
     product = 0.0
     for n in range(_PIXELS):

@@ -6,20 +6,14 @@ Integer (u, v) is the centre of a pixel. Patches are (N, size, size) float32 gre
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from filters import StereoCamera
 from filters.contract.validation import finite_array
 from filters.geometry.arrays import FloatArray
-from filters.kernels.disk_cache import KEPT, LINKED
-
-ENTRY: dict[str, Any] = {**KEPT, "error_model": "numpy"}
-INLINE: dict[str, Any] = {**LINKED, "error_model": "numpy"}
-"""For functions that only compiled ones call."""
+from filters.kernels.compilation import entry, kernel
 
 Image = NDArray[np.uint8]
 Patches = NDArray[np.float32]
@@ -47,7 +41,7 @@ def cut_patches(image: Image, centers: ArrayLike, size: int = SUPPORT) -> Patche
     return _cut_all(np.ascontiguousarray(image), finite_array("centers", centers, ("N", 2)), size)
 
 
-@njit(**ENTRY)
+@entry
 def _cut_all(image: Image, centers: FloatArray, size: int) -> Patches:
     patches = np.empty((len(centers), size, size), dtype=np.float32)
     for k in range(len(centers)):
@@ -55,7 +49,7 @@ def _cut_all(image: Image, centers: FloatArray, size: int) -> Patches:
     return patches
 
 
-@njit(**INLINE)
+@kernel
 def cut(image: Image, u: float, v: float, patch: Patches | FloatArray) -> None:
     """Fill a square patch with the pixels around (u, v), as of `cut_patches`; for compiled code.
 
@@ -80,7 +74,7 @@ def cut(image: Image, u: float, v: float, patch: Patches | FloatArray) -> None:
             )
 
 
-@njit(**INLINE)
+@kernel
 def _weigh(f: float, weights: FloatArray) -> None:
     """Catmull-Rom weights of the four neighbours at -1, 0, 1, 2 for a fraction in [0, 1)."""
     weights[0] = ((1.0 - 0.5 * f) * f - 0.5) * f
@@ -118,7 +112,7 @@ def _interpolated(patches: Patches, affine: FloatArray, size: int) -> Patches:
     return interpolated
 
 
-@njit(**ENTRY)
+@entry
 def _sampled(patches: Patches, affine: FloatArray, size: int, step: float) -> Patches:
     """`size` x `size` samples of each patch, `step` px apart in the current image and centred."""
     side = patches.shape[1]

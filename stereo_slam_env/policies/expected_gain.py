@@ -21,13 +21,12 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from numba import njit
 
 from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray, IntArray
+from filters.kernels.compilation import entry
 from filters.motions.motion_model import POSE_SIZE, POSITION, ROTATION
 from stereo_slam_env.policies.foresight import Knowledge
-from stereo_slam_env.simulator.rays import OPTIONS
 
 Gain = Literal["pose", "map"]
 """Covariance whose determinant counts: of the pose, or of the pose and the map together."""
@@ -69,7 +68,7 @@ def motion_noise(middles: FloatArray, sigma_position: float, sigma_rotation: flo
     return Q
 
 
-@njit(**OPTIONS)
+@entry
 def _put_gains(
     covariance: FloatArray, by_pose: FloatArray, looks: FloatArray, Q: FloatArray, of_pose: bool, gains: FloatArray
 ) -> None:
@@ -117,7 +116,7 @@ def _put_gains(
         )
 
 
-@njit(**OPTIONS)
+@entry
 def _part(covariance: FloatArray, index: IntArray) -> FloatArray:
     """Covariance of the pose and of the landmarks at `index` (M,); (6 + 3 M, 6 + 3 M)."""
     rows = np.arange(POSE_SIZE + 3 * len(index))

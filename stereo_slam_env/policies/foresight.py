@@ -18,7 +18,6 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from filters.contract.noise import StereoNoise
 from filters.contract.stereo_filter import StereoFilter
@@ -26,8 +25,8 @@ from filters.geometry import rotations
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.geometry.camera import StereoCamera
 from filters.geometry.poses import Pose
+from filters.kernels.compilation import entry
 from filters.motions.motion_model import POSE_SIZE, POSITION, ROTATION
-from stereo_slam_env.simulator.rays import OPTIONS
 from stereo_slam_env.world.routes import FRAME_PERIOD, Route
 from stereo_slam_env.world.vehicle import Head, head_turn
 
@@ -154,7 +153,7 @@ Numbers = tuple[float, ...]
 """fx, fy, cx, cy, f b, nearest and farthest depth, smallest u and v, largest u, largest v."""
 
 
-@njit(**OPTIONS)
+@entry
 def _mark_in_view(numbers: Numbers, points: FloatArray, r: FloatArray, R_wc: FloatArray, in_view: BoolArray) -> None:
     fx, fy, cx, cy, fb, nearest, farthest, low, high_u, high_v = numbers
     for c in range(len(r)):
@@ -170,7 +169,7 @@ def _mark_in_view(numbers: Numbers, points: FloatArray, r: FloatArray, R_wc: Flo
                 in_view[c, n] = low <= u <= high_u and low <= u_right <= high_u and low <= v <= high_v
 
 
-@njit(**OPTIONS)
+@entry
 def _put_information(
     numbers: Numbers,
     R_inverse: FloatArray,

@@ -10,12 +10,12 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.geometry.rotations import Nine, Three
-from stereo_slam_env.simulator.rays import KERNEL, KIND, NOTHING, OPTIONS, TRIANGLE, Obstacles, traversal
+from filters.kernels.compilation import entry, kernel
+from stereo_slam_env.simulator.rays import KIND, NOTHING, TRIANGLE, Obstacles, traversal
 from stereo_slam_env.world.scene import BOX, CYLINDER
 
 
@@ -31,7 +31,7 @@ _TOUCH = 1e-18
 """Squares of lengths below this are zero, m^2."""
 
 
-@njit(**KERNEL)
+@kernel
 def _farthest(solid: FloatArray, x: float, y: float, z: float) -> Three:
     """The farthest point of a solid in a direction."""
     cx, cy, cz = solid[0], solid[1], solid[2]
@@ -59,7 +59,7 @@ def _farthest(solid: FloatArray, x: float, y: float, z: float) -> Three:
     return cx + scale * x, cy + scale * y, cz + scale * z
 
 
-@njit(**KERNEL)
+@kernel
 def _difference(solid: FloatArray, R: Nine, at: Three, half: Three, x: float, y: float, z: float) -> Three:
     """The farthest point of the Minkowski difference, solid minus box, in a direction."""
     sx, sy, sz = _farthest(solid, x, y, z)
@@ -73,22 +73,22 @@ def _difference(solid: FloatArray, R: Nine, at: Three, half: Three, x: float, y:
     )
 
 
-@njit(**KERNEL)
+@kernel
 def _dot(a: Three, b: Three) -> float:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@njit(**KERNEL)
+@kernel
 def _cross(a: Three, b: Three) -> Three:
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-@njit(**KERNEL)
+@kernel
 def _minus(a: Three, b: Three) -> Three:
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
-@njit(**KERNEL)
+@kernel
 def _nearest_of_edge(p: FloatArray, a: int, b: int) -> tuple[Three, int]:
     """The point of an edge of the simplex that is nearest to the origin, and the corners it hangs on, as bits."""
     at = (p[a, 0], p[a, 1], p[a, 2])
@@ -102,7 +102,7 @@ def _nearest_of_edge(p: FloatArray, a: int, b: int) -> tuple[Three, int]:
     return (at[0] + share * along[0], at[1] + share * along[1], at[2] + share * along[2]), 1 << a | 1 << b
 
 
-@njit(**KERNEL)
+@kernel
 def _nearest_of_face(p: FloatArray, a: int, b: int, c: int) -> tuple[Three, int]:
     """The same of a triangle."""
     first, second, third = (p[a, 0], p[a, 1], p[a, 2]), (p[b, 0], p[b, 1], p[b, 2]), (p[c, 0], p[c, 1], p[c, 2])
@@ -121,7 +121,7 @@ def _nearest_of_face(p: FloatArray, a: int, b: int, c: int) -> tuple[Three, int]
     return best, bits
 
 
-@njit(**KERNEL)
+@kernel
 def _nearest(p: FloatArray, count: int) -> tuple[Three, int]:
     """The same of the whole simplex; all four corners where it holds the origin."""
     if count == 1:
@@ -142,7 +142,7 @@ def _nearest(p: FloatArray, count: int) -> tuple[Three, int]:
     return best, bits
 
 
-@njit(**KERNEL)
+@kernel
 def touches(solid: FloatArray, R: Nine, at: Three, half: Three) -> bool:
     """Whether a box with half sides `half`, turned by R (row by row), at `at` has a point in common with a solid."""
     simplex, count, least = np.empty((4, 3)), 0, np.inf
@@ -169,7 +169,7 @@ def touches(solid: FloatArray, R: Nine, at: Three, half: Three) -> bool:
     return False
 
 
-@njit(**KERNEL)
+@kernel
 def collides(
     solids: FloatArray,
     bounds: NDArray[np.float32],
@@ -204,7 +204,7 @@ def collides(
     return False
 
 
-@njit(**OPTIONS)
+@entry
 def _touching(
     obstacles: Obstacles,
     waiting: IntArray,

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from filters.geometry.arrays import FloatArray, IntArray
+from filters.kernels.compilation import entry, kernel
 from stereo_slam_env.simulator.contacts import collides
 from stereo_slam_env.simulator.motion import (
     MOTION,
@@ -20,7 +20,6 @@ from stereo_slam_env.simulator.motion import (
     route_velocity,
     times,
 )
-from stereo_slam_env.simulator.rays import KERNEL, OPTIONS
 from stereo_slam_env.simulator.ride import begin_ride, ride_step
 from stereo_slam_env.simulator.sensing import mark_in_view, observe
 from stereo_slam_env.simulator.state import ARENA, Fleet, Rules, Sensed
@@ -32,7 +31,7 @@ MOVE, SENSE, JUDGE = 1, 2, 4
 """Parts of a frame, which may be asked for one by one: what is between them is then somebody else's."""
 
 
-@njit(**KERNEL)
+@kernel
 def _begin(rules: Rules, fleet: Fleet, b: int) -> None:
     """The first pose and velocity of an episode."""
     body, velocity = fleet.body[b], fleet.velocity[b]
@@ -54,7 +53,7 @@ def _begin(rules: Rules, fleet: Fleet, b: int) -> None:
         begin_ride(rules, fleet, b, ODOMETRY)  # the car stays that of the steps
 
 
-@njit(**KERNEL)
+@kernel
 def _touches(rules: Rules, fleet: Fleet, waiting: IntArray, b: int) -> bool:
     """Whether the body of the car touches something; the ground is nothing."""
     if not rules.exact:
@@ -73,7 +72,7 @@ def _touches(rules: Rules, fleet: Fleet, waiting: IntArray, b: int) -> bool:
     )
 
 
-@njit(**KERNEL)
+@kernel
 def _judge(rules: Rules, fleet: Fleet, sensed: Sensed, waiting: IntArray, b: int) -> None:
     """Terms of the reward of a step, and whether it was the last one."""
     body, terms = fleet.body[b], sensed.terms
@@ -107,7 +106,7 @@ def _judge(rules: Rules, fleet: Fleet, sensed: Sensed, waiting: IntArray, b: int
     sensed.reward[b] = total
 
 
-@njit(**OPTIONS)
+@entry
 def run_frame(
     rules: Rules,
     fleet: Fleet,

@@ -6,13 +6,12 @@ import math
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray, IntArray
 from filters.geometry.rotations import Four, Nine, Three
-from stereo_slam_env.simulator.rays import KERNEL, OPTIONS
+from filters.kernels.compilation import entry, kernel
 from stereo_slam_env.simulator.state import Fleet, Rules
 
 MOTION, ODOMETRY, NOISE, CHOICE = 0, 1, 2, 3
@@ -21,7 +20,7 @@ MOTION, ODOMETRY, NOISE, CHOICE = 0, 1, 2, 3
 
 def _compiled(function: Any) -> Any:
     """A function of `rotations`, compiled as the kernels here are."""
-    return njit(**KERNEL)(function.py_func)
+    return kernel(function.py_func)
 
 
 matrix_of, quaternion_of = _compiled(rotations.matrix_of), _compiled(rotations.quaternion_of)
@@ -29,25 +28,25 @@ product_of, vector_of = _compiled(rotations.product_of), _compiled(rotations.vec
 from_matrix_of = _compiled(rotations.from_matrix_of)
 
 
-@njit(**KERNEL)
+@kernel
 def times(a: Nine, x: float, y: float, z: float) -> Three:
     """Product of a 3x3 matrix with a vector."""
     return a[0] * x + a[1] * y + a[2] * z, a[3] * x + a[4] * y + a[5] * z, a[6] * x + a[7] * y + a[8] * z
 
 
-@njit(**KERNEL)
+@kernel
 def back(a: Nine, x: float, y: float, z: float) -> Three:
     """Product of the transpose of a 3x3 matrix with a vector."""
     return a[0] * x + a[3] * y + a[6] * z, a[1] * x + a[4] * y + a[7] * z, a[2] * x + a[5] * y + a[8] * z
 
 
-@njit(**KERNEL)
+@kernel
 def rotation_of(pose: FloatArray) -> Nine:
     """R_wc of a pose (7,), row by row."""
     return matrix_of(pose[3], pose[4], pose[5], pose[6])
 
 
-@njit(**KERNEL)
+@kernel
 def turn_between(a: Nine, b: Nine) -> Three:
     """Log(A^T B)."""
     c0, c3, c6 = back(a, b[0], b[3], b[6])
@@ -57,7 +56,7 @@ def turn_between(a: Nine, b: Nine) -> Three:
     return vector_of(q[0], q[1], q[2], q[3])
 
 
-@njit(**KERNEL)
+@kernel
 def route_of(fleet: Fleet, b: int) -> tuple[FloatArray, FloatArray]:
     """Positions (K, 3) and arc length (K,) of the route of a row."""
     frames = fleet.sizes[b, 3]
@@ -70,7 +69,7 @@ _REACH = 30.0
 """How far along the route the next nearest frame may be, m."""
 
 
-@njit(**OPTIONS)
+@entry
 def nearest_frames(positions: FloatArray, arc_length: FloatArray, places: FloatArray, around: IntArray) -> IntArray:
     """`nearest_frame` of places (B, 3) in W, each around its own; (B,)."""
     found = np.empty(len(places), dtype=np.int64)
@@ -79,7 +78,7 @@ def nearest_frames(positions: FloatArray, arc_length: FloatArray, places: FloatA
     return found
 
 
-@njit(**OPTIONS)
+@entry
 def routes_ahead(
     positions: FloatArray, arc_length: FloatArray, nearest: IntArray, poses: FloatArray, farthest: float
 ) -> NDArray[np.float32]:
@@ -90,7 +89,7 @@ def routes_ahead(
     return ahead
 
 
-@njit(**KERNEL)
+@kernel
 def route_ahead(
     positions: FloatArray,
     arc_length: FloatArray,
@@ -115,7 +114,7 @@ def route_ahead(
         ahead[i, 1] = min(max(forward, -farthest), farthest)
 
 
-@njit(**KERNEL)
+@kernel
 def nearest_frame(positions: FloatArray, arc_length: FloatArray, x: float, z: float, around: int) -> int:
     """Frame of a route that is nearest on the ground, of those less than 30 m along the route from `around`.
 
@@ -134,7 +133,7 @@ def nearest_frame(positions: FloatArray, arc_length: FloatArray, x: float, z: fl
     return best
 
 
-@njit(**KERNEL)
+@kernel
 def route_velocity(rules: Rules, fleet: Fleet, b: int, step: int) -> None:
     """Velocity of a scripted drive: linear in W, angular in the camera frame; see `Sway`."""
     pose, sway, velocity = fleet.body[b], fleet.sway[b], fleet.velocity[b]
@@ -155,7 +154,7 @@ def route_velocity(rules: Rules, fleet: Fleet, b: int, step: int) -> None:
     velocity[5] = turn2 + sway[5] - pull * tilt2
 
 
-@njit(**KERNEL)
+@kernel
 def agent_velocity(rules: Rules, car: FloatArray, acceleration: float, steering: float, velocity: FloatArray) -> None:
     """Mean velocity of a step of the kinematic bicycle; `car` (3,) is speed, steering angle and heading."""
     wheelbase, forward, max_speed, max_acceleration, max_steering, max_rate, grip = rules.car
@@ -177,7 +176,7 @@ def agent_velocity(rules: Rules, car: FloatArray, acceleration: float, steering:
     car[2] = new
 
 
-@njit(**KERNEL)
+@kernel
 def advance_pose(pose: FloatArray, velocity: FloatArray, dt: float) -> None:
     """Eq. 6: r' = r + v dt, q' = q x q(omega dt)."""
     for i in range(3):
@@ -186,7 +185,7 @@ def advance_pose(pose: FloatArray, velocity: FloatArray, dt: float) -> None:
     pose[3], pose[4], pose[5], pose[6] = product_of(pose[3], pose[4], pose[5], pose[6], t[0], t[1], t[2], t[3])
 
 
-@njit(**KERNEL)
+@kernel
 def head_turn(pan: float, tilt: float) -> Four:
     """Quaternion of R_y(pan) R_x(tilt)."""
     sin_pan, cos_pan = math.sin(0.5 * pan), math.cos(0.5 * pan)
@@ -194,7 +193,7 @@ def head_turn(pan: float, tilt: float) -> Four:
     return cos_pan * sin_tilt, sin_pan * cos_tilt, -sin_pan * sin_tilt, cos_pan * cos_tilt
 
 
-@njit(**KERNEL)
+@kernel
 def move(rules: Rules, fleet: Fleet, b: int, action: FloatArray) -> None:
     """Move the car and turn the head for a step."""
     body, pose, velocity, angles = fleet.body[b], fleet.pose[b], fleet.velocity[b], fleet.angles[b]
@@ -226,7 +225,7 @@ def move(rules: Rules, fleet: Fleet, b: int, action: FloatArray) -> None:
     velocity[3], velocity[4], velocity[5] = turn0 / rules.dt, turn1 / rules.dt, turn2 / rules.dt
 
 
-@njit(**KERNEL)
+@kernel
 def look_from(rules: Rules, body: FloatArray, angles: FloatArray, pose: FloatArray) -> None:
     """`Head.camera_pose`: the pose of the left camera of a turned head."""
     q, half = head_turn(angles[0], angles[1]), 0.5 * rules.camera[5]
@@ -236,7 +235,7 @@ def look_from(rules: Rules, body: FloatArray, angles: FloatArray, pose: FloatArr
     pose[3], pose[4], pose[5], pose[6] = product_of(body[3], body[4], body[5], body[6], q[0], q[1], q[2], q[3])
 
 
-@njit(**KERNEL)
+@kernel
 def measure_odometry(
     rules: Rules, fleet: Fleet, b: int, q0: float, q1: float, q2: float, q3: float, measured: FloatArray
 ) -> None:

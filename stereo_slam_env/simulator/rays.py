@@ -12,19 +12,14 @@ from itertools import groupby
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.geometry.rotations import Three
-from filters.kernels.disk_cache import KEPT
+from filters.kernels.compilation import entry, kernel
 from stereo_slam_env.world.instructions import entered_boxes, lowest_bit
 from stereo_slam_env.world.scene import BOX, CYLINDER, Primitive, ShapeTable, TriangleMesh, table_of
 
-OPTIONS = {**KEPT, "error_model": "numpy", "nogil": True}
-"""Of the compilation of all kernels of the simulation: IEEE arithmetic, in the order written."""
-KERNEL = {**OPTIONS, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-"""Of those that only other kernels call."""
 SURFACE_GAP = 0.05
 """A ray to a point on a surface stops this short of it, m, so that the surface itself does not hide it."""
 TRIANGLE = 3.0
@@ -83,7 +78,7 @@ def traversal() -> IntArray:
     return np.zeros(8 * _DEEPEST, dtype=np.int64)
 
 
-@njit(**OPTIONS)
+@entry
 def _converted(table: FloatArray) -> FloatArray:
     """Rows of `Obstacles.solids` from those of `scene.table_of`."""
     rows = np.zeros((len(table), COLUMNS))
@@ -104,7 +99,7 @@ def _converted(table: FloatArray) -> FloatArray:
     return rows
 
 
-@njit(**OPTIONS)
+@entry
 def tree(solids: FloatArray) -> tuple[NDArray[np.float32], IntArray]:
     """`bounds` and `links` of the solids: each node is three times divided, across its longest side."""
     count = len(solids)
@@ -149,7 +144,7 @@ def tree(solids: FloatArray) -> tuple[NDArray[np.float32], IntArray]:
     return bounds[:nodes].copy(), links[:nodes].copy()
 
 
-@njit(**KERNEL)
+@kernel
 def _halved(own: FloatArray, order: IntArray, first: int, last: int, whole: int) -> int:
     """Sort a range by the middles along its longest side; the place between its halves, which are full branches."""
     branches = -(-(last - first) // whole)
@@ -167,7 +162,7 @@ def _halved(own: FloatArray, order: IntArray, first: int, last: int, whole: int)
     return first + whole * ((branches + 1) // 2)
 
 
-@njit(**OPTIONS)
+@entry
 def _bound(solid: FloatArray, bound: FloatArray) -> None:
     """Low and high corner of the box around a solid."""
     for k in range(3):
@@ -189,7 +184,7 @@ def _bound(solid: FloatArray, bound: FloatArray) -> None:
         bound[k], bound[3 + k] = solid[k] - reach - _MARGIN, solid[k] + reach + _MARGIN
 
 
-@njit(**OPTIONS)
+@entry
 def _hits_box(solid: FloatArray, x: float, y: float, z: float, dx: float, dy: float, dz: float) -> bool:
     x, y, z = x - solid[0], y - solid[1], z - solid[2]
     cos, sin = solid[6], solid[7]
@@ -205,7 +200,7 @@ def _hits_box(solid: FloatArray, x: float, y: float, z: float, dx: float, dy: fl
     return 0.0 < enters <= leaves
 
 
-@njit(**OPTIONS)
+@entry
 def _hits_ball(solid: FloatArray, x: float, y: float, z: float, dx: float, dy: float, dz: float) -> bool:
     x, y, z, radius = x - solid[0], y - solid[1], z - solid[2], solid[6] + _SKIN_OF_BALLS
     outside = x * x + y * y + z * z - radius * radius
@@ -216,7 +211,7 @@ def _hits_ball(solid: FloatArray, x: float, y: float, z: float, dx: float, dy: f
     return toward < 0.0 and root >= 0.0 and -toward - math.sqrt(root) <= square
 
 
-@njit(**OPTIONS)
+@entry
 def _hits_cylinder(solid: FloatArray, x: float, y: float, z: float, dx: float, dy: float, dz: float) -> bool:
     x, y, z = x - solid[0], y - solid[1], z - solid[2]
     ax, ay, az = solid[3], solid[4], solid[5]
@@ -246,7 +241,7 @@ def _hits_cylinder(solid: FloatArray, x: float, y: float, z: float, dx: float, d
     return enters <= leaves
 
 
-@njit(**OPTIONS)
+@entry
 def _hits_triangle(solid: FloatArray, x: float, y: float, z: float, dx: float, dy: float, dz: float) -> bool:
     """By Moeller and Trumbore, from either side."""
     ax, ay, az, bx, by, bz = solid[3], solid[4], solid[5], solid[6], solid[7], solid[8]
@@ -261,12 +256,12 @@ def _hits_triangle(solid: FloatArray, x: float, y: float, z: float, dx: float, d
     return first >= 0.0 and second >= 0.0 and first + second <= 1.0 and 0.0 < along <= 1.0
 
 
-@njit(**KERNEL)
+@kernel
 def _inverse(x: float) -> np.float32:
     return np.float32(1.0 / x) if abs(x) > 1e-12 else np.float32(1e12)
 
 
-@njit(**KERNEL)
+@kernel
 def hits(solid: FloatArray, at: Three, way: Three) -> bool:
     """Whether a ray hits a solid."""
     if solid[KIND] == BOX:
@@ -278,7 +273,7 @@ def hits(solid: FloatArray, at: Three, way: Three) -> bool:
     return _hits_ball(solid, at[0], at[1], at[2], way[0], way[1], way[2])
 
 
-@njit(**KERNEL)
+@kernel
 def way_to(at: Three, to: Three) -> Three:
     """From a camera to just before a point."""
     dx, dy, dz = to[0] - at[0], to[1] - at[1], to[2] - at[2]
@@ -286,7 +281,7 @@ def way_to(at: Three, to: Three) -> Three:
     return share * dx, share * dy, share * dz
 
 
-@njit(**KERNEL)
+@kernel
 def is_seen(
     solids: FloatArray,
     bounds: NDArray[np.float32],
@@ -332,7 +327,7 @@ def is_seen(
     return True
 
 
-@njit(**OPTIONS)
+@entry
 def _visible(obstacles: Obstacles, waiting: IntArray, cameras: FloatArray, points: FloatArray) -> BoolArray:
     solids, bounds, links = obstacles
     seen = np.ones(len(points), dtype=np.bool_)

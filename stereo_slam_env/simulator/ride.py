@@ -10,10 +10,9 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
 from filters.geometry.arrays import FloatArray
 from filters.geometry.rotations import Nine, Three
+from filters.kernels.compilation import kernel
 from stereo_slam_env.simulator.motion import (
     back,
     matrix_of,
@@ -23,7 +22,6 @@ from stereo_slam_env.simulator.motion import (
     times,
     turn_between,
 )
-from stereo_slam_env.simulator.rays import KERNEL
 from stereo_slam_env.simulator.state import RIDE_STEPS, RIDE_WAVES, Fleet, Rules, Sensed
 
 _BANDWIDTH = 30.0
@@ -42,7 +40,7 @@ _V, _A, _W, _ALPHA, _LEAN, _RATE, _WAY, _POSE, _PHASES = 0, 3, 6, 9, 12, 14, 16,
 pose without springs and road; phases of the road."""
 
 
-@njit(**KERNEL)
+@kernel
 def _road(rules: Rules, ride: FloatArray, first: int, last: int) -> tuple[float, float]:
     """Sum of some of the road's waves, 0 at the start, and its derivative by the distance."""
     value, slope = 0.0, 0.0
@@ -53,7 +51,7 @@ def _road(rules: Rules, ride: FloatArray, first: int, last: int) -> tuple[float,
     return rules.roughness * value, rules.roughness * slope
 
 
-@njit(**KERNEL)
+@kernel
 def _camera(rules: Rules, ride: FloatArray, pose: FloatArray, velocity: FloatArray) -> None:
     """Pose (7,) and velocity (6,) of the camera: linear in W, angular in the camera frame."""
     speed = math.hypot(ride[_V], ride[_V + 2])
@@ -72,7 +70,7 @@ def _camera(rules: Rules, ride: FloatArray, pose: FloatArray, velocity: FloatArr
     velocity[5] = w2 + ride[_RATE + 1] + dr * speed
 
 
-@njit(**KERNEL)
+@kernel
 def _follow(ride: FloatArray, first: int, target: Three, h: float) -> Three:
     """Let a velocity and its derivative follow a constant one for h seconds; its integral over them."""
     k = _BANDWIDTH
@@ -92,7 +90,7 @@ def _follow(ride: FloatArray, first: int, target: Three, h: float) -> Three:
     return sum0, sum1, sum2
 
 
-@njit(**KERNEL)
+@kernel
 def begin_ride(rules: Rules, fleet: Fleet, b: int, stream: int) -> None:
     """The first state of an episode: the velocity of the car, and a road of its own."""
     ride, velocity, used = fleet.ride[b], fleet.velocity[b], fleet.used[b, stream]
@@ -106,7 +104,7 @@ def begin_ride(rules: Rules, fleet: Fleet, b: int, stream: int) -> None:
     _camera(rules, ride, fleet.pose[b], velocity)
 
 
-@njit(**KERNEL)
+@kernel
 def ride_step(rules: Rules, fleet: Fleet, sensed: Sensed, b: int, before: FloatArray, now: FloatArray) -> None:
     """Let the camera follow the car, whose velocity of the step is in `fleet.velocity`, which becomes the camera's.
 
@@ -144,7 +142,7 @@ def ride_step(rules: Rules, fleet: Fleet, sensed: Sensed, b: int, before: FloatA
     velocity[3], velocity[4], velocity[5] = turn0 / rules.dt, turn1 / rules.dt, turn2 / rules.dt
 
 
-@njit(**KERNEL)
+@kernel
 def _means(C: Nine, arm: Three, h: float, before: FloatArray, now: FloatArray, means: FloatArray) -> None:
     """Mean angular rate, and mean specific force at the unit in its middle attitude, between two poses; (6,)."""
     A, B = rotation_of(before[:7]), rotation_of(now[:7])
@@ -158,7 +156,7 @@ def _means(C: Nine, arm: Three, h: float, before: FloatArray, now: FloatArray, m
     means[3], means[4], means[5] = back(C, *force)
 
 
-@njit(**KERNEL)
+@kernel
 def _at_arm(R: Nine, at: FloatArray, arm: Three) -> Three:
     """Velocity in W of a point of the camera frame."""
     w0, w1, w2 = at[10], at[11], at[12]

@@ -6,18 +6,18 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.geometry.rotations import Three
+from filters.kernels.compilation import kernel
 from stereo_slam_env.simulator.motion import CHOICE, NOISE, back, rotation_of
-from stereo_slam_env.simulator.rays import KERNEL, is_seen
+from stereo_slam_env.simulator.rays import is_seen
 from stereo_slam_env.simulator.state import Fleet, Rules, Sensed
 from stereo_slam_env.simulator.traffic import Bodies, bodies_of, is_behind_body
 
 
-@njit(**{**KERNEL, "fastmath": {"contract", "nnan"}})
+@kernel(fastmath={"contract", "nnan"})
 def mark_in_view(rules: Rules, landmarks: FloatArray, count: int, pose: FloatArray, inside: NDArray[np.uint8]) -> None:
     """Which landmarks (3, N) are within range and inside both images; without branches, for vector instructions."""
     fx, fy, cx, cy, scale, _, width, height = rules.camera
@@ -59,7 +59,7 @@ class RowView(NamedTuple):
     bodies: Bodies
 
 
-@njit(**KERNEL)
+@kernel
 def view_of(rules: Rules, fleet: Fleet, b: int) -> RowView:
     """What is around the cameras of a row."""
     pose, baseline, height = fleet.pose[b], rules.camera[5], rules.camera_height
@@ -71,7 +71,7 @@ def view_of(rules: Rules, fleet: Fleet, b: int) -> RowView:
     return RowView(rules.exact, fleet.seen[b], height, left, right, points, solids, bounds, links, nodes, bodies)
 
 
-@njit(**{**KERNEL, "forceinline": True})  # called for each landmark, and its arguments are many
+@kernel(forceinline=True)  # called for each landmark, and its arguments are many
 def is_visible(around: RowView, waiting: IntArray, landmark: int) -> bool:
     """Whether nothing hides a landmark from both cameras."""
     if not around.exact:
@@ -83,7 +83,7 @@ def is_visible(around: RowView, waiting: IntArray, landmark: int) -> bool:
     return around.bodies.number == 0 or not is_behind_body(around.bodies, left, right, to)
 
 
-@njit(**KERNEL)
+@kernel
 def observe(
     rules: Rules, fleet: Fleet, sensed: Sensed, waiting: IntArray, b: int, fresh: IntArray, keys: FloatArray
 ) -> None:
@@ -124,7 +124,7 @@ def observe(
     add_noise(rules, fleet, sensed, b, kept)
 
 
-@njit(**KERNEL)
+@kernel
 def draw(
     around: RowView,
     waiting: IntArray,
@@ -147,7 +147,7 @@ def draw(
     return number
 
 
-@njit(**KERNEL)
+@kernel
 def _sift_down(keys: FloatArray, values: IntArray, place: int, count: int) -> None:
     """Restore the heap of `count` keys, the least one first, below a place; values move with their keys."""
     key, value = keys[place], values[place]
@@ -162,7 +162,7 @@ def _sift_down(keys: FloatArray, values: IntArray, place: int, count: int) -> No
     keys[place], values[place] = key, value
 
 
-@njit(**KERNEL)
+@kernel
 def project(rules: Rules, fleet: Fleet, sensed: Sensed, b: int, count: int) -> None:
     """True (u, v, d) of the tracked landmarks, and the row in the right image."""
     fx, fy, cx, cy, scale, _, _, _ = rules.camera
@@ -175,7 +175,7 @@ def project(rules: Rules, fleet: Fleet, sensed: Sensed, b: int, count: int) -> N
         sensed.uvd[b, k, 0], sensed.uvd[b, k, 1], sensed.uvd[b, k, 2], sensed.v_right[b, k] = u, v, d, v
 
 
-@njit(**KERNEL)
+@kernel
 def add_lasting_errors(rules: Rules, fleet: Fleet, sensed: Sensed, b: int, count: int) -> None:
     """Errors of each landmark that last: a Gauss-Markov process of first order in each coordinate of both images.
 
@@ -199,7 +199,7 @@ def add_lasting_errors(rules: Rules, fleet: Fleet, sensed: Sensed, b: int, count
     fleet.used[b, NOISE] = used + 4 * count
 
 
-@njit(**KERNEL)
+@kernel
 def add_noise(rules: Rules, fleet: Fleet, sensed: Sensed, b: int, count: int) -> None:
     """The noise models of `sensing.pixel_noise` that need only normal numbers."""
     normals, used, sigma = fleet.normals[b, NOISE], fleet.used[b, NOISE], rules.sigma

@@ -5,12 +5,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from filters.geometry.arrays import FloatArray, IntArray
+from filters.kernels.compilation import entry
 from stereo_slam_env.simulator.motion import LOOK_AHEAD, route_ahead, route_of
-from stereo_slam_env.simulator.rays import OPTIONS
 from stereo_slam_env.simulator.state import ARENA, Fleet, Rules, Sensed
 
 MAX_VELOCITY: FloatArray = np.repeat([50.0, 10.0], 3)
@@ -62,7 +61,7 @@ def show(rules: Rules, fleet: Fleet, sensed: Sensed) -> Shown:
     return shown
 
 
-@njit(**OPTIONS)
+@entry
 def _show(rules: Rules, fleet: Fleet, sensed: Sensed, shown: Shown) -> None:
     most = rules.most
     for b in range(len(fleet.step)):

@@ -7,12 +7,12 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from filters.geometry.arrays import FloatArray, IntArray
 from filters.geometry.rotations import Nine, Three
+from filters.kernels.compilation import kernel
 from stereo_slam_env.simulator.contacts import touches
-from stereo_slam_env.simulator.rays import COLUMNS, KERNEL, KIND, TRIANGLE, hits, solid_rows, way_to
+from stereo_slam_env.simulator.rays import COLUMNS, KIND, TRIANGLE, hits, solid_rows, way_to
 from stereo_slam_env.simulator.state import Fleet
 from stereo_slam_env.world.routes import FRAME_PERIOD
 from stereo_slam_env.world.scene import BOX, CYLINDER, MovingBody
@@ -66,7 +66,7 @@ def _ball_around(rows: FloatArray) -> FloatArray:
     return np.append(middle, radius + 1e-3)
 
 
-@njit(**KERNEL)
+@kernel
 def move_bodies(fleet: Fleet, b: int) -> None:
     """Put the moving bodies of a row where they are in this frame."""
     for m in range(fleet.sizes[b, 2]):
@@ -90,14 +90,14 @@ def move_bodies(fleet: Fleet, b: int) -> None:
                 _turn(part, now, 6, cos, sin)
 
 
-@njit(**KERNEL)
+@kernel
 def _turn(part: FloatArray, now: FloatArray, first: int, cos: float, sin: float) -> None:
     """Turn the vector that begins in a column about z."""
     x, y = part[first], part[first + 1]
     now[first], now[first + 1] = cos * x - sin * y, sin * x + cos * y
 
 
-@njit(**KERNEL)
+@kernel
 def _passes(ball: FloatArray, at: Three, way: Three) -> bool:
     """Whether a ray comes into the ball around a body."""
     x, y, z = ball[4] - at[0], ball[5] - at[1], ball[6] - at[2]
@@ -116,13 +116,13 @@ class Bodies(NamedTuple):
     parts: FloatArray
 
 
-@njit(**KERNEL)
+@kernel
 def bodies_of(fleet: Fleet, b: int) -> Bodies:
     """The moving bodies of a row."""
     return Bodies(fleet.sizes[b, 2], fleet.balls[b], fleet.shares[b], fleet.parts_now[b])
 
 
-@njit(**KERNEL)
+@kernel
 def is_behind_body(bodies: Bodies, left: Three, right: Three, to: Three) -> bool:
     """Whether a moving body is between one of two cameras and a point on a surface."""
     for camera in (left, right):
@@ -135,7 +135,7 @@ def is_behind_body(bodies: Bodies, left: Three, right: Three, to: Three) -> bool
     return False
 
 
-@njit(**KERNEL)
+@kernel
 def touches_body(bodies: Bodies, R: Nine, at: Three, half: Three) -> bool:
     """Whether a box at a pose touches a moving body."""
     reach = math.sqrt(half[0] * half[0] + half[1] * half[1] + half[2] * half[2])

@@ -7,19 +7,13 @@ half a second to load.
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
-from numba import njit
 
 from filters.geometry.arrays import FloatArray, IntArray
-from filters.kernels.disk_cache import KEPT, LINKED
+from filters.kernels.compilation import entry, kernel
 from stereo_slam_env.world.instructions import fma
 from stereo_slam_env.world.scene import BOX, CYLINDER
-
-ENTRY: dict[str, Any] = {**KEPT, "error_model": "numpy"}
-INLINE: dict[str, Any] = {**LINKED, "error_model": "numpy"}
-"""For functions that only compiled ones call."""
 
 X, Y, COS, SIN, LENGTH, WIDTH, RADIUS = range(7)
 """Columns of a table of rectangles on the ground: centre, direction, size, radius of the circle around it."""
@@ -31,7 +25,7 @@ _LOWEST = 0.15
 _TOLERANCE = 1e-6
 
 
-@njit(**ENTRY)
+@entry
 def circles_around(items: FloatArray) -> FloatArray:
     """Centre and radius of a circle around each run of 16 points along roads, or of 16 such circles.
 
@@ -48,7 +42,7 @@ def circles_around(items: FloatArray) -> FloatArray:
     return circles
 
 
-@njit(**ENTRY)
+@entry
 def nearest(points: FloatArray, circles: FloatArray, xy: FloatArray) -> IntArray:
     """Index of the point of a road, with circles around these, that is nearest to each of `xy` (N, 2)."""
     found, outer, at = np.empty(len(xy), dtype=np.int64), circles_around(circles), 0
@@ -57,7 +51,7 @@ def nearest(points: FloatArray, circles: FloatArray, xy: FloatArray) -> IntArray
     return found
 
 
-@njit(**INLINE)
+@kernel
 def _nearest(points: FloatArray, circles: FloatArray, outer: FloatArray, x: float, y: float, at: int) -> int:
     """Index of the nearest point; the last answer `at` is a good guess, as points come thing by thing."""
     guess = at // _RUN
@@ -70,7 +64,7 @@ def _nearest(points: FloatArray, circles: FloatArray, outer: FloatArray, x: floa
     return at
 
 
-@njit(**INLINE)
+@kernel
 def _nearest_of_run(points: FloatArray, run: int, x: float, y: float, at: int, least: float) -> tuple[int, float]:
     """Index and distance of the nearest point of a run, unless the one `at` a distance of `least` is nearer."""
     square = least**2
@@ -81,13 +75,13 @@ def _nearest_of_run(points: FloatArray, run: int, x: float, y: float, at: int, l
     return at, math.sqrt(square)
 
 
-@njit(**INLINE)
+@kernel
 def _square(points: FloatArray, i: int, x: float, y: float) -> float:
     """Square of the distance to a point."""
     return (points[i, X] - x) ** 2 + (points[i, Y] - y) ** 2
 
 
-@njit(**ENTRY)
+@entry
 def claim(
     points: FloatArray,
     circles: FloatArray,
@@ -123,7 +117,7 @@ def claim(
     return True
 
 
-@njit(**INLINE)
+@kernel
 def _off_roads(
     points: FloatArray, circles: FloatArray, wanted: FloatArray, cover: FloatArray, clearance: float
 ) -> bool:
@@ -139,7 +133,7 @@ def _off_roads(
     return True
 
 
-@njit(**INLINE)
+@kernel
 def _contains(rectangle: FloatArray, x: float, y: float, room: float) -> bool:
     """Whether the rectangle grown by `room` contains the point."""
     x, y = x - rectangle[X], y - rectangle[Y]
@@ -148,7 +142,7 @@ def _contains(rectangle: FloatArray, x: float, y: float, room: float) -> bool:
     return abs(along) < 0.5 * rectangle[LENGTH] + room and abs(across) < 0.5 * rectangle[WIDTH] + room
 
 
-@njit(**INLINE)
+@kernel
 def _cover(rectangle: FloatArray) -> FloatArray:
     """Points about 1.5 m apart that cover the rectangle; (N, 2)."""
     length, width = rectangle[LENGTH], rectangle[WIDTH]
@@ -163,13 +157,13 @@ def _cover(rectangle: FloatArray) -> FloatArray:
     return cover
 
 
-@njit(**INLINE)
+@kernel
 def _share(i: int, count: int) -> float:
     """Number i of `count` from -0.5 to 0.5."""
     return 0.5 if i == count - 1 else i * (1.0 / (count - 1)) - 0.5
 
 
-@njit(**ENTRY)
+@entry
 def sampling_weights(shapes: FloatArray) -> FloatArray:
     """Share of the points for each shape, relative to others: the root of its side area, so that poles count too."""
     weights = np.empty(len(shapes))
@@ -183,7 +177,7 @@ def sampling_weights(shapes: FloatArray) -> FloatArray:
     return weights
 
 
-@njit(**ENTRY)
+@entry
 def sample(shapes: FloatArray, counts: IntArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
     """Points uniform on the side (of balls: the whole) surfaces of the shapes and unit outward normals; (N, 3) each.
 
@@ -198,7 +192,7 @@ def sample(shapes: FloatArray, counts: IntArray, rng: np.random.Generator) -> tu
     return points, normals
 
 
-@njit(**ENTRY)
+@entry
 def sample_facing(
     shapes: FloatArray,
     counts: IntArray,
@@ -240,7 +234,7 @@ def sample_facing(
     return turned[:number].copy()
 
 
-@njit(**INLINE)
+@kernel
 def _sample(shape: FloatArray, rng: np.random.Generator, points: FloatArray, normals: FloatArray) -> None:
     if shape[0] == BOX:
         _sample_box(shape, rng, points, normals)
@@ -250,7 +244,7 @@ def _sample(shape: FloatArray, rng: np.random.Generator, points: FloatArray, nor
         _sample_ball(shape, rng, points, normals)
 
 
-@njit(**INLINE)
+@kernel
 def _convex_limits(points: FloatArray) -> FloatArray:
     """Of each point: up to which distance from it the squares of distances are convex along its neighbours, m.
 
@@ -268,7 +262,7 @@ def _convex_limits(points: FloatArray) -> FloatArray:
     return limits
 
 
-@njit(**INLINE)
+@kernel
 def _nearest_of_few(points: FloatArray, first: int, last: int, x: float, y: float) -> int:
     """Index of the nearest of the points from `first` until `last`."""
     at, least = first, np.inf
@@ -278,7 +272,7 @@ def _nearest_of_few(points: FloatArray, first: int, last: int, x: float, y: floa
     return at
 
 
-@njit(**INLINE)
+@kernel
 def _look_around(
     points: FloatArray,
     circles: FloatArray,
@@ -309,7 +303,7 @@ def _look_around(
                 cell[2] = _SCANNED
 
 
-@njit(**INLINE)
+@kernel
 def _descended(points: FloatArray, first: int, last: int, start: int, x: float, y: float) -> int:
     """Index of the nearest of the points from `first` until `last`, along which squares of distances are convex."""
     at = start
@@ -335,7 +329,7 @@ def _descended(points: FloatArray, first: int, last: int, start: int, x: float, 
     return at
 
 
-@njit(**INLINE)
+@kernel
 def _sample_box(shape: FloatArray, rng: np.random.Generator, points: FloatArray, normals: FloatArray) -> None:
     length, width, height = shape[4:7]
     cos, sin = math.cos(shape[7]), math.sin(shape[7])
@@ -357,7 +351,7 @@ def _sample_box(shape: FloatArray, rng: np.random.Generator, points: FloatArray,
         points[i, 2] = z + shape[3]
 
 
-@njit(**INLINE)
+@kernel
 def _sample_cylinder(shape: FloatArray, rng: np.random.Generator, points: FloatArray, normals: FloatArray) -> None:
     start, axis, radius = shape[1:4], shape[4:7] - shape[1:4], shape[7]
     x, y, z = axis / _norm(axis)
@@ -374,7 +368,7 @@ def _sample_cylinder(shape: FloatArray, rng: np.random.Generator, points: FloatA
             points[i, j] = start[j] + along * axis[j] + radius * normals[i, j]
 
 
-@njit(**INLINE)
+@kernel
 def _sample_ball(shape: FloatArray, rng: np.random.Generator, points: FloatArray, normals: FloatArray) -> None:
     for i in range(len(points)):
         x, y, z = rng.standard_normal(), rng.standard_normal(), rng.standard_normal()
@@ -384,7 +378,7 @@ def _sample_ball(shape: FloatArray, rng: np.random.Generator, points: FloatArray
             points[i, j] = shape[4] * normals[i, j] + shape[1 + j]
 
 
-@njit(**INLINE)
+@kernel
 def _norm(vector: FloatArray) -> float:
     x, y, z = vector
     return math.sqrt(fma(z, z, fma(y, y, x * x)))

@@ -8,10 +8,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
-from stereo_slam_env.world.compiled import ENTRY, INLINE, RADIUS, claim
+from filters.kernels.compilation import entry, kernel
+from stereo_slam_env.world.compiled import RADIUS, claim
 from stereo_slam_env.world.props import BAY, BIN, CAR, GROUND_FLOOR, HOUSE, LAMP_POST, SIGN, TOWER, TREE
 from stereo_slam_env.world.road import SPACING
 from stereo_slam_env.world.scene import BALL, BOX, CYLINDER, TABLE_COLUMNS
@@ -30,7 +30,7 @@ _PARTS = np.array([6, 2, 22, 4, 4, 3, 2])
 _LIFTS = (0.5, 1.2, 1.9)
 
 
-@njit(**ENTRY)
+@entry
 def plan(
     points: FloatArray,
     circles: FloatArray,
@@ -103,14 +103,14 @@ def plan(
     return things[:count].copy()
 
 
-@njit(**INLINE)
+@kernel
 def _put(thing: FloatArray, road: FloatArray, station: float, left: float, turn: float) -> None:
     """Put a thing `station` m along a road and `left` m to its left."""
     at = road[min(max(round(station / SPACING), 0), len(road) - 1)]
     thing[1], thing[2], thing[3] = at[0] + left * at[2], at[1] + left * at[3], at[4] + turn
 
 
-@njit(**INLINE)
+@kernel
 def _built(
     points: FloatArray,
     circles: FloatArray,
@@ -140,7 +140,7 @@ def _built(
     return True
 
 
-@njit(**ENTRY)
+@entry
 def parts(things: FloatArray) -> FloatArray:
     """The primitives of things: rows of `scene.table_of`, and whether they are solid; (P, 9)."""
     rows = np.zeros((_PARTS.max() * len(things), TABLE_COLUMNS + 1))
@@ -204,14 +204,14 @@ def of_kind(things: FloatArray, kind: int) -> BoolArray:
     return np.asarray(np.repeat(things[:, 0] == kind, _PARTS[things[:, 0].astype(np.int64)]))
 
 
-@njit(**INLINE)
+@kernel
 def _point(at: tuple[float, ...], p: tuple[float, ...]) -> tuple[float, ...]:
     """A point in S from one at a place, as `props.Placed` has it."""
     x, y, cos, sin, _ = at
     return x + cos * p[0] - sin * p[1], y + sin * p[0] + cos * p[1], p[2]
 
 
-@njit(**INLINE)
+@kernel
 def _box(
     rows: FloatArray, n: int, at: tuple[float, ...], p: tuple[float, ...], size: tuple[float, ...], solid: bool
 ) -> int:
@@ -224,7 +224,7 @@ def _box(
     return n + 1
 
 
-@njit(**INLINE)
+@kernel
 def _rod(
     rows: FloatArray,
     n: int,

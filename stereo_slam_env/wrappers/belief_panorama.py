@@ -9,7 +9,6 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
-from numba import njit
 from numpy.typing import NDArray
 
 from filters.contract.noise import StereoNoise
@@ -17,8 +16,8 @@ from filters.contract.validation import positive, whole_number
 from filters.engine.batch import RelativeLandmarks
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.geometry.camera import StereoCamera
+from filters.kernels.compilation import entry
 from stereo_slam_env.envs.rows import Arrays, Rows, RowsWrapper, Seeds, Step
-from stereo_slam_env.simulator.rays import OPTIONS
 from stereo_slam_env.wrappers.filter_rows import FilterRows
 from stereo_slam_env.wrappers.recorded_wrapper import RowWrapper
 
@@ -178,7 +177,7 @@ def panoramas(
     return seen
 
 
-@njit(**OPTIONS)
+@entry
 def _panoramas(
     offsets: IntArray,
     points_c: FloatArray,

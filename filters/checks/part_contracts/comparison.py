@@ -71,7 +71,7 @@ class Kernels:
 
     def of(self, name: str, *given: Any, **results: Any) -> list[Any]:
         """What a kernel writes into arrays of these shapes (tuples), or into these; it must compile, too."""
-        from filters.kernels.units import of_part
+        from filters.kernels.calls import of_part
 
         written = [np.zeros(r) if isinstance(r, tuple) else r for r in results.values()]
         arrays = [np.ascontiguousarray(x) if isinstance(x, np.ndarray) else x for x in given]

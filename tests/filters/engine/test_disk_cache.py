@@ -89,8 +89,10 @@ def edit_leaf(copy):
     """Another first component of the product that the kernel calls, in another module than its own."""
     (leaf,) = (path for path in copy.rglob("*.py") if "\ndef times(" in path.read_text())
     old = "return a[0] * x + a[1] * y + a[2] * z,"
-    assert old in leaf.read_text()
-    leaf.write_text(leaf.read_text().replace(old, "return 1.5 * (a[0] * x + a[1] * y + a[2] * z),", 1))
+    before = leaf.read_text()
+    assert old in before
+    leaf.write_text(before.replace(old, "return 1.5 * (a[0] * x + a[1] * y + a[2] * z),", 1))
+    return leaf, before
 
 
 def kept(copy):
@@ -158,14 +160,13 @@ def test_a_kernel_of_a_third_party_is_that_of_its_present_sources(first_filter, 
     assert driven() == "[0.0, 0.0, 3.0]\n"
 
 
-def test_what_did_not_change_comes_from_the_disk_and_old_code_leaves_it(compiled):
+def test_what_did_not_change_comes_from_the_disk_also_after_an_edit_is_undone(compiled):
     assert result(start(compiled)) == [[2.0, 3.0, 10.0], 1]
-    before = kept(compiled)
-    edit_leaf(compiled)
-    result(start(compiled))
-    after = kept(compiled)
-    assert len(after) == len(before) == 2
-    assert not set(after) & set(before)
+    (leaf, before), made = edit_leaf(compiled), kept(compiled)
+    assert result(start(compiled)) == [[3.0, 3.0, 10.0], 0]
+    leaf.write_text(before)
+    assert result(start(compiled)) == [[2.0, 3.0, 10.0], 1]
+    assert len(kept(compiled)) == 2 * len(made) == 4
 
 
 def test_an_edit_elsewhere_compiles_nothing(compiled):
@@ -228,7 +229,7 @@ for u in (300.0, 301.0):
 COUNTED = """
 import logging
 from numba import njit
-from filters.kernels.disk_cache import include
+from filters.kernels.compilation import include
 from filters.kernels.progress import counted
 
 @njit
@@ -268,20 +269,21 @@ def test_at_a_terminal_a_bar_says_what_the_first_filter_compiles_which_is_no_mor
     copy, first = first_filter
     second = shown(copy, FIRST_ESTIMATE, terminal=True)
     drawn = [(int(done), int(parts)) for _, _, done, parts, _ in BAR.findall(first)]
-    assert drawn[:14] == [(done, 13) for done in range(14)]
+    assert drawn[:15] == [(done, 14) for done in range(15)]
     assert first.count("\n") == 1
     assert BAR.fullmatch(first.rpartition("\r")[2].rstrip("\n"))[5]  # the seconds that it took
     assert second == ""
-    compiled = {path.name.partition(".")[2].partition("-")[0] for path in copy.rglob("*.nbi")}
+    compiled = {path.name.split(".")[1] for path in copy.rglob("*.nbi")}
     assert compiled == {
-        "advance",
+        "run_frames",
         "predict",
         "linearise",
         "squared_distances",
         "correct",
         "retract",
-        "start",
-        "enter",
+        "initialise",
+        "augment",
+        "drop_unseen",
         *("_point", "_start", "_predict", "_backproject", "_step"),  # of the parts
     }
 
@@ -317,9 +319,32 @@ def test_a_process_in_the_background_leaves_the_terminal_alone(tmp_path):
 def test_functions_that_only_kernels_call_are_no_machine_code(copy):
     program = """
 from filters.kernels import prediction
-from filters.kernels.frame import predict
-predict.address
+prediction.settle.address
 (made,) = prediction.constrain.overloads.values()
 print(made.library._compiled_object, file=__import__('sys').stderr)
 """
     assert shown(copy, program).splitlines()[-1] == "None"
+
+
+def test_a_unit_that_is_called_with_other_arguments_than_its_signature_is_refused(tmp_path):
+    """A tuple of the wrong length was a crash without a word."""
+    program = """
+import sys
+import numpy as np
+from filters.kernels.blas import entry
+from filters.kernels.calls import call, read_calls
+
+@entry
+def wrong(calls_at, P):
+    {body}
+
+for P in (np.zeros((2, 2)), np.zeros((2, 2))[::-1]):
+    try:
+        wrong(0, P)
+    except Exception as error:
+        print([line for line in str(error).splitlines() if "must be called with" in line][0], file=sys.stderr)
+"""
+    for body in ("call(read_calls(calls_at).shear, (P, 2))", "call(read_calls(calls_at).shear, (P, 2, P))"):
+        (tmp_path / "wrong.py").write_text(program.format(body=body))
+        told = shown(tmp_path, "import wrong")
+        assert told.count("shear must be called with") == 2

@@ -155,7 +155,7 @@ OWN = {
     },
     "stereo_slam_env/benchmark/running/isolation.py": {"open": "ends of pipes, by their number"},
     "stereo_slam_env/benchmark/running/process_server.py": {"children.read_text": "a file of /proc"},
-    "filters/kernels/disk_cache.py": {"Path(path).read_bytes": "the project's own source"},
+    "filters/kernels/compilation.py": {"Path(path).read_bytes": "the project's own source"},
     "stereo_slam_env/benchmark/scenarios/schema.py": {"files(__package__).joinpath(NAME).read_bytes": "of the package"},
     "stereo_slam_env/benchmark/scenarios/study.py": {"_PRESETS.read_text": "a file of the package"},
     "stereo_slam_env/benchmark/storage/code_identity.py": {
