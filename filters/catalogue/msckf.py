@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import qr
+from scipy.linalg import qr_multiply
 from scipy.special import chdtri
 
 from filters import (
@@ -131,6 +131,20 @@ def _constrain(
         H[top : top + len(r_o), 6 * a :], nu[top : top + len(r_o)] = H_o, r_o
         top += len(r_o)
     return distances
+
+
+def _compressed(H: Array, nu: Array) -> tuple[Array, Array]:
+    """As many rows as H has rank, which say the same; rotated rows of white noise are white noise.
+
+    Tracks say nothing of where all clones are together: H has a null space, and what rounding leaves of its rows would
+    take some of the noise for an innovation.
+    """
+    rotated, R, order = qr_multiply(H, nu, mode="right", pivoting=True)
+    size = np.abs(np.diagonal(R))
+    rank = int((size > size[0] * len(H) * np.finfo(float).eps).sum())
+    rows = np.empty_like(R[:rank])
+    rows[:, order] = R[:rank]
+    return rows, rotated[:rank]
 
 
 class MultiStateConstraintEKF(StereoEKF):
@@ -255,9 +269,8 @@ class MultiStateConstraintEKF(StereoEKF):
         distances, nis, dof = _constrain(self._size, rig, *given, H, nu), 0.0, 0
         if top := rows[distances >= 0.0].sum():
             H, nu = H[:top], nu[:top]
-            if top > 2 * H.shape[1]:  # the triangle of its QR decomposition says the same
-                triangle = qr(np.column_stack([H, nu]), mode="r", check_finite=False)[0][: H.shape[1]]
-                H, nu = triangle[:, :-1], triangle[:, -1]
+            if top > 2 * H.shape[1]:
+                H, nu = _compressed(H, nu)
             nis, dof = self.correct(nu, {names: H}, np.eye(len(nu))).nis, len(nu)
         fates = {"updated": distances >= 0.0, "gated": distances < 0.0, "behind_camera": np.isnan(distances)}
         return UpdateReport(**{fate: ids[which] for fate, which in fates.items()}, nis=nis, nis_dof=dof)
