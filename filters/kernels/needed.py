@@ -68,7 +68,8 @@ def compiled_calls(recipe: Recipe, fuses: bool, ask: Any) -> Calls:
     seen = not plan.by_numbers or plan.gauge_walk > 0.0
     moved = turns or plan.first_estimates or plan.gauge_walk > 0.0
     parts: tuple[tuple[str, Any, str, bool], ...] = (
-        *((name, recipe.landmark, name, seen) for name in ("point", "start")),
+        ("point", recipe.landmark, "point", True),  # maps are read by it, too
+        ("start", recipe.landmark, "start", seen),
         *((name, recipe.landmark, name, moved) for name in ("turn", "rotation")),
         ("become", recipe.landmark, "become", plan.changes),
         ("project", recipe.sensor, "predict", not plan.by_numbers),
