@@ -51,6 +51,7 @@ from .geometry.camera import StereoCamera as StereoCamera
 from .geometry.differences import jacobian as jacobian
 from .geometry.poses import Pose as Pose
 from .geometry.retractions import Retraction as Retraction
+from .landmarks.column_landmark import ColumnLandmark as ColumnLandmark
 from .landmarks.euclidean import Euclidean as Euclidean
 from .landmarks.hybrid import Hybrid as Hybrid
 from .landmarks.inverse_depth import InverseDepth as InverseDepth

@@ -102,9 +102,12 @@ class ConformanceReport:
     """One line for each check."""
     failed: tuple[str, ...]
     """One line for each check, with what is wrong."""
+    runs: str = ""
+    """How a part runs in a filter, where that is known."""
 
     def __str__(self) -> str:
-        lines = [f"{self.filter_name}: {len(self.passed)} checks passed, {len(self.failed)} failed"]
+        count = f"{self.filter_name}: {len(self.passed)} checks passed, {len(self.failed)} failed"
+        lines = [f"{count}; runs {self.runs}" if self.runs else count]
         return "\n".join([*lines, *(f"  failed: {line}" for line in self.failed)])
 
 
@@ -138,7 +141,7 @@ def check_filter(factory: str | FilterFactory, *, raise_on_failure: bool = True)
 
 
 def checked(
-    name: str, checks: Sequence[Callable[[Any], None]], subject: object, raise_on_failure: bool
+    name: str, checks: Sequence[Callable[[Any], None]], subject: object, raise_on_failure: bool, runs: str = ""
 ) -> ConformanceReport:
     """Run the checks of a filter or a part; see `check_filter`."""
     passed, failed = [], []
@@ -152,7 +155,7 @@ def checked(
             failed.append(f"{line}: raised {type_name(error)}: {first_line(error)}")
         else:
             passed.append(line)
-    report = ConformanceReport(name, tuple(passed), tuple(failed))
+    report = ConformanceReport(name, tuple(passed), tuple(failed), runs)
     if failed and raise_on_failure:
         raise ConformanceError(str(report))
     return report

@@ -38,7 +38,9 @@ def check_part(part: object, *, raise_on_failure: bool = True) -> ConformanceRep
     ValueError
         It is no such part.
     """
-    return checked(type(part).__name__, checks_of(part), part, raise_on_failure)
+    from filters.kernels.lift import how_it_runs  # Numba takes longer to import than all the rest
+
+    return checked(type(part).__name__, checks_of(part), part, raise_on_failure, how_it_runs(part))
 
 
 def checks_of(part: object) -> tuple[PartCheck, ...]:

@@ -133,7 +133,7 @@ class Options:
 def _can_shift(landmark: LandmarkModel) -> bool:
     """Whether it says what a shift of the world does to landmarks without an anchor."""
     own = type(landmark)
-    if own.in_anchor:
+    if own.in_anchor or own.in_world:
         return True
     return own.shifted is not LandmarkModel.shifted or own.world_translation is not LandmarkModel.world_translation
 

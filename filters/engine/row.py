@@ -23,11 +23,12 @@ from filters.geometry.camera import StereoCamera
 from filters.geometry.machine_code import settings_of
 from filters.geometry.retractions import ADDITIVE
 from filters.kernels import storage as fates
+from filters.kernels.lift import compiled_functions
 from filters.kernels.recipe import Plan, Recipe, stage_tables
 from filters.kernels.storage import CLONE_POSITION, CLONE_ROTATION, OWN, POINT, FilterState
 from filters.measurements.measurement_model import MeasurementModel
 from filters.motions.motion_model import CameraState, StepInput
-from filters.parts import SLOTS, kernels_of
+from filters.parts import SLOTS
 from filters.state.joint_state import JointState
 
 _FATES = {
@@ -43,13 +44,13 @@ _FATES = {
 def recipe_of(camera: StereoCamera, options: Options) -> Recipe:
     """What a filter does, in plain numbers; where parts have no kernels, by their numbers."""
     layout, model, sensor, motion = options.layout, options.landmark, options.measurement, options.motion
-    landmark, error = kernels_of(model), kernels_of(options.error)
+    landmark, error = compiled_functions(model), compiled_functions(options.error)
     # Kernels know no other linearisation point and no other constraint than those of `FirstEstimates`.
     own_jacobians = error is None and (options.error.constrains or not options.error.linearises_at_the_state)
     own_stages = type(sensor).stages is not MeasurementModel.stages
-    seen = None if own_stages else kernels_of(sensor)
-    driven = None if own_jacobians else kernels_of(motion)
-    by_numbers = own_jacobians or landmark is None or seen is None or not kernels_of(options.update)
+    seen = None if own_stages else compiled_functions(sensor)
+    driven = None if own_jacobians else compiled_functions(motion)
+    by_numbers = own_jacobians or landmark is None or seen is None or not compiled_functions(options.update)
     sigma_points = options.update.sigma_points(layout.measured + 3 * model.anchored + model.size)
     by_numbers |= bool(sigma_points) and landmark is not None and landmark.turn is None and not model.additive
     turns = error is not None and error.turns
@@ -117,7 +118,7 @@ def recipe_of(camera: StereoCamera, options: Options) -> Recipe:
         model.value_size,
         model.seen_size,
         values.size,
-        tuple(getattr(options, slot) for slot in SLOTS if not kernels_of(getattr(options, slot))),
+        tuple(getattr(options, slot) for slot in SLOTS if not compiled_functions(getattr(options, slot))),
     )
 
 

@@ -44,7 +44,7 @@ class _InvariantError(ErrorDefinition):
         blocks[:, :3] = self._points(state.blocks[:, :3], by_block[:, :3], theta, turn, spread)
         own, anchors, values = state.parameter_block, state.anchors(), state.parameters()
         xi = by_block[own] - state.model.world_rotation(anchors, values) @ theta
-        blocks[own] = state.model.turned(anchors, values, turn, spread, xi)
+        blocks[own] = state.model.turned(anchors, values, theta, xi)
         turned = replace(
             moved.camera,
             position=self._points(camera.position, delta[POSITION], theta, turn, spread),

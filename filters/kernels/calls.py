@@ -253,7 +253,7 @@ def of_part(kernels: Any, name: str) -> Any:
         return 0
     function = getattr(function, "py_func", function)
     include(function.__module__)
-    has_file = Path(function.__code__.co_filename).exists()  # else there is no place to keep it
+    has_file = getattr(function, "has_source", Path(function.__code__.co_filename).exists())  # else nowhere to keep it
     called = "project" if name == "predict" else name
     try:
         compiled = Unit(called, function, **{**KEPT, "cache": has_file})

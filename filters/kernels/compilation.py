@@ -80,7 +80,7 @@ def sources_digest(module: str) -> str:
     while waiting:
         name = waiting.pop()
         path = getattr(sys.modules.get(name), "__file__", None)
-        if path is None or name in digests:  # a function or a class that was imported, no module
+        if name in digests or path is None or not Path(path).is_file():  # no module, or one of no file
             continue
         digests[name], imported = _read(path, getattr(sys.modules[name], "__package__", None) or name)
         waiting |= imported

@@ -140,7 +140,7 @@ class Recipe:
         mine, others = vars(self), vars(other)
         plans: Any = self.plan, other.plan
         same = all(mine[name] == others[name] for name in mine if name != "plan")
-        return same and all(map(np.array_equal, *plans))
+        return same and all(np.array_equal(a, b, equal_nan=True) for a, b in zip(*plans, strict=True))
 
 
 def stage_tables(variants: tuple[tuple[StageRows, ...], ...], sensor_size: int, gate: float | None) -> dict[str, Any]:

@@ -9,65 +9,22 @@ Derivation: docs/derivations/euclidean.md.
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, replace
-from typing import ClassVar
+from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import numpy as np
 
 from filters.contract.validation import positive
 from filters.geometry.arrays import BoolArray, FloatArray
 from filters.landmarks.euclidean import Euclidean
-from filters.landmarks.inverse_depth import KERNELS, InverseDepth, ray, ray_direction
-from filters.landmarks.landmark_model import LandmarkKernels, LandmarkModel, ScaledPoints, StartedLandmarks
+from filters.landmarks.inverse_depth import InverseDepth, ray_of
+from filters.landmarks.landmark_model import Numbers, ScaledPoints, StartedLandmarks
 
 _INVERSE_DEPTH, _EUCLIDEAN = InverseDepth(), Euclidean()
 
 
-def linearity_index(
-    position: FloatArray, anchors: FloatArray, parameters: FloatArray, rho_sigma: FloatArray
-) -> FloatArray:
-    """Civera's L_d = 4 sigma_depth |cos alpha| / d_1 of inverse-depth landmarks: how far from Gaussian XYZ would be.
-
-    Parameters
-    ----------
-    position : (3,)
-        Camera, m.
-    anchors, parameters : (M, 3)
-        Inverse-depth landmarks.
-    rho_sigma : (M,)
-        Standard deviation of rho, 1/m.
-
-    Returns
-    -------
-    (M,) ndarray
-        sigma_depth = sigma_rho / rho^2 is along the first ray, d_1 the distance from here, alpha the angle between the
-        two rays (the parallax). Infinite where rho <= 0.
-    """
-    rho = parameters[:, 2]
-    ray = ray_direction(parameters)
-    # rho times the way from here to the landmark: finite for every rho.
-    scaled = rho[:, None] * (anchors - position) + ray
-    squared = np.einsum("mi,mi->m", scaled, scaled)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        index: FloatArray = 4.0 * rho_sigma * np.abs(np.einsum("mi,mi->m", scaled, ray)) / (rho * squared)
-    return np.where(rho > 0.0, index, np.inf)
-
-
-def _become(
-    settings: FloatArray, to_anchor: FloatArray, values: FloatArray, variances: FloatArray, becomes: BoolArray
-) -> None:
-    """Whether Civera's index is below the limit, the first setting."""
-    for i in range(len(values)):
-        rho, (x, y, z) = values[i, 2], ray(values[i, 0], values[i, 1])
-        sx, sy, sz = rho * to_anchor[i, 0] + x, rho * to_anchor[i, 1] + y, rho * to_anchor[i, 2] + z
-        across, squared = abs(sx * x + sy * y + sz * z), sx * sx + sy * sy + sz * sz
-        sigma = math.sqrt(max(variances[i, 2], 0.0))
-        becomes[i] = rho > 0.0 and 4.0 * sigma * across < settings[0] * rho * squared
-
-
 @dataclass(frozen=True)
-class Hybrid(LandmarkModel):
+class Hybrid(InverseDepth):
     """Inverse depth with shared anchors, or XYZ; a landmark whose anchor is NaN is XYZ.
 
     Parameters
@@ -81,10 +38,9 @@ class Hybrid(LandmarkModel):
 
     linearity_limit: float | None = 0.03
     near_distance: float | None = None
-    anchored: ClassVar[bool] = True
     shares_anchors: ClassVar[bool] = True
+    submaps: ClassVar[bool] = False
     steady: ClassVar[bool] = False
-    follows: ClassVar[tuple[int, ...]] = InverseDepth.follows
 
     def __post_init__(self) -> None:
         for name in ("linearity_limit", "near_distance"):
@@ -92,18 +48,22 @@ class Hybrid(LandmarkModel):
                 positive(name, getattr(self, name))
 
     @property
-    def kernels(self) -> LandmarkKernels | None:  # type: ignore[override]
-        """Those of inverse depth, and when that ends. None with a `near_distance`."""
-        return None if self.near_distance is not None else replace(KERNELS, become=_become, settings=("limit",))
+    def in_machine_code(self) -> bool:  # type: ignore[override]
+        """Whether all landmarks start with inverse depth: then the plain functions are all that there is to do."""
+        return self.near_distance is None
 
-    @property
-    def limit(self) -> float:
-        """`linearity_limit`, 0 for none."""
-        return self.linearity_limit or 0.0
+    def becomes_point(self, to_anchor: Numbers, y: Numbers, variances: Numbers) -> Any:
+        """Whether Civera's linearity index L_d = 4 sigma_depth |cos alpha| / d_1 is below the limit.
 
-    def can_start(self, h_w: FloatArray, scale: FloatArray) -> BoolArray:
-        """As inverse depth."""
-        return _INVERSE_DEPTH.can_start(h_w, scale)
+        sigma_depth = sigma_rho / rho^2 is along the first ray, d_1 the distance from here, alpha the angle between the
+        two rays (the parallax). Never where rho <= 0.
+        """
+        m, rho = ray_of(y[0], y[1]), y[2]
+        x, y_, z = rho * to_anchor[0] + m[0], rho * to_anchor[1] + m[1], rho * to_anchor[2] + m[2]
+        across, squared = np.abs(x * m[0] + y_ * m[1] + z * m[2]), x * x + y_ * y_ + z * z
+        sigma = np.sqrt(np.maximum(variances[2], 0.0))
+        limit = 0.0 if self.linearity_limit is None else self.linearity_limit
+        return (rho > 0.0) & (4.0 * sigma * across < limit * rho * squared)
 
     def started(self, position: FloatArray, h_w: FloatArray, scale: FloatArray) -> StartedLandmarks:
         """Near ones as XYZ, the others with inverse depth."""
@@ -156,17 +116,22 @@ class Hybrid(LandmarkModel):
         return _EUCLIDEAN.world_translation(parameters)
 
     def turned(
-        self,
-        anchors: FloatArray | None,
-        parameters: FloatArray,
-        turn: FloatArray,
-        spread: FloatArray,
-        correction: FloatArray,
+        self, anchors: FloatArray | None, parameters: FloatArray, theta: FloatArray, correction: FloatArray
     ) -> FloatArray:
         """As that of the parametrisation each landmark has."""
-        moved, xyz = _INVERSE_DEPTH.turned(anchors, parameters, turn, spread, correction), self.are_points(anchors)
-        moved[xyz] = _EUCLIDEAN.turned(None, parameters[xyz], turn, spread, correction[xyz])
+        moved, xyz = _INVERSE_DEPTH.turned(anchors, parameters, theta, correction), self.are_points(anchors)
+        moved[xyz] = _EUCLIDEAN.turned(None, parameters[xyz], theta, correction[xyz])
         return moved
+
+    def turned_jacobians(
+        self, anchors: FloatArray | None, parameters: FloatArray, theta: FloatArray, correction: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """As those of the parametrisation each landmark has."""
+        both, xyz = _INVERSE_DEPTH.turned_jacobians(anchors, parameters, theta, correction), self.are_points(anchors)
+        of_points = _EUCLIDEAN.turned_jacobians(None, parameters[xyz], theta, correction[xyz])
+        for J, here in zip(both, of_points, strict=True):
+            J[xyz] = here
+        return both
 
     def first_estimates(self, anchors: FloatArray | None, first: FloatArray, current: FloatArray) -> FloatArray:
         """The first point, or the first angles with the current rho."""
@@ -183,10 +148,5 @@ class Hybrid(LandmarkModel):
     def become_points(
         self, position: FloatArray, anchors: FloatArray | None, parameters: FloatArray, variances: FloatArray
     ) -> BoolArray:
-        """Those whose linearity index is below the limit."""
-        if self.linearity_limit is None:
-            return np.zeros(len(parameters), dtype=bool)
-        assert anchors is not None
-        sigma = np.sqrt(np.maximum(variances[:, 2], 0.0))
-        linear = linearity_index(position, anchors, parameters, sigma) < self.linearity_limit
-        return linear & ~self.are_points(anchors)
+        """Those with inverse depth whose linearity index is below the limit."""
+        return super().become_points(position, anchors, parameters, variances) & ~self.are_points(anchors)

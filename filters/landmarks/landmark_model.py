@@ -2,20 +2,24 @@
 
 Every landmark is one block of `size` error numbers in the state, three or more, plus, where it is anchored, one block
 for the anchor position. Its value is `value_size` numbers, and a correction of `size` numbers retracts it. A part gives
-three functions: how a landmark starts, where it is seen from a camera, and how it turns with the world. The others have
-numerical Jacobians by default. All functions take many landmarks at once.
+two functions of tuples of numbers: its homogeneous point, and the value that starts from one. What else a filter needs
+is made of them, in machine code and for columns of landmarks; Jacobians are those of dual numbers.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
-from filters.geometry import differences, rotations
+from filters.geometry import differences, rotations, vectors
 from filters.geometry.arrays import BoolArray, FloatArray
+from filters.geometry.duals import columns_of, jacobian_of
+
+Numbers = Any
+"""Tuple of numbers: floats in machine code, columns or dual numbers."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,6 +99,12 @@ class LandmarkKernels:
     the way from the camera to the anchor. The other kernels are of landmarks that have not become points."""
     settings: tuple[str, ...] = ()
     """Attributes of the part whose numbers are the first argument."""
+    made_by: tuple[Any, ...] = ()
+    """Function that has made them of plain ones, and its arguments: by these a copy in another process is made."""
+
+    def __reduce__(self) -> Any:
+        """How to make them again, or their fields."""
+        return (self.made_by[0], self.made_by[1:]) if self.made_by else (type(self), tuple(vars(self).values()))
 
 
 class LandmarkModel:
@@ -141,87 +151,201 @@ class LandmarkModel:
     follows: ClassVar[tuple[int, ...]] = ()
     """Numbers of the value that first-estimates Jacobians take from the present estimate."""
     kernels: ClassVar[LandmarkKernels | None] = None
-    """The same, compiled. They hold for the class that states them, not for its subclasses."""
+    """Compiled functions of its own, instead of those made of the plain ones, for the class that states them."""
+    in_world: ClassVar[bool] = False
+    """Whether the first three numbers of a value are a point of W, m, and others do not turn."""
+    in_machine_code: bool = True
+    """Whether the plain functions are all that it does, so that they can be compiled."""
 
-    # --- what a part gives ---
+    # --- what a part gives: plain functions of tuples of numbers ---
+
+    def point_of(self, y: Numbers) -> Numbers:
+        """Homogeneous point (x, y, z, scale) of a value, from its anchor or the origin of W, in the axes of W.
+
+        Behind these four may stand other numbers by which it is seen (`seen_size`), the same from everywhere.
+        """
+        raise NotImplementedError(f"{type(self).__name__} must have point_of and start_from: see LandmarkModel")
+
+    def start_from(self, h: Numbers) -> Numbers:
+        """Value of a new landmark at what `point_of` gives."""
+        raise NotImplementedError(f"{type(self).__name__} must have point_of and start_from: see LandmarkModel")
+
+    # --- what it may give ---
+
+    def can_start_from(self, h: Numbers) -> Any:
+        """Whether a landmark can start from there."""
+        return True
+
+    def retract_by(self, y: Numbers, c: Numbers) -> Numbers:
+        """Value corrected by `size` numbers; the default adds them."""
+        return tuple(a + b for a, b in zip(y, c, strict=True))
+
+    def local_by(self, y: Numbers, other: Numbers) -> Numbers:
+        """Correction that takes one value to another one."""
+        return tuple(b - a for a, b in zip(y, other, strict=True))
+
+    def turned_by(self, y: Numbers, theta: Numbers, c: Numbers) -> Numbers:
+        """Value corrected and turned with the world by Exp(theta), as the retraction of an invariant error wants it.
+
+        The correction is without what the turn does. The default corrects, then turns, which is exact for points; a ray
+        is better treated as a point of the group (docs/derivations/errors.md).
+        """
+        h = self.point_of(self.retract_by(y, c))
+        return self.start_from((*vectors.turned_by(theta, h[:3]), *h[3:]))
+
+    # --- the same for columns: many landmarks at once, as the NumPy of the engine takes them ---
 
     def parameters_of(self, position: FloatArray, h_w: FloatArray, scale: FloatArray) -> FloatArray:
         """Values of landmarks at position + h_w / scale, directions (M, 3) in W and scales (M,); (M, v).
 
-        Of landmarks that are seen by other numbers than those of a point: their vectors (M, 3 each) in W, and the
-        others, (M,) if it is one and (M, k) if there are more.
+        Of landmarks that are seen by other numbers, too, scale is (M, 1 + others).
         """
-        raise NotImplementedError(f"{type(self).__name__} must have parameters_of: see LandmarkModel")
-
-    def homogeneous(self, position: FloatArray, anchors: FloatArray | None, parameters: FloatArray) -> FloatArray:
-        """Landmarks as seen from the camera position: direction in W, and scale; (M, seen_size)."""
-        raise NotImplementedError(f"{type(self).__name__} must have homogeneous: see LandmarkModel")
-
-    def rotated(self, anchors: FloatArray | None, parameters: FloatArray, R: FloatArray) -> FloatArray:
-        """Values in a world rotated about its origin, without the anchors; R (3, 3) -> (M, v)."""
-        if self.in_anchor:
-            return parameters
-        raise NotImplementedError(f"{type(self).__name__} must have rotated: see LandmarkModel")
-
-    # --- what it may give instead of the default ---
+        return columns_of(self.start_from, self._from_origin(position, h_w, scale))
 
     def can_start(self, h_w: FloatArray, scale: FloatArray) -> BoolArray:
         """Which directions (M, 3) in W and scales (M,) a landmark can start from; (M,)."""
-        return np.ones(len(h_w), dtype=bool)
+        seen = self._from_origin(np.zeros(3), h_w, scale)
+        return columns_of(lambda h: (self.can_start_from(h),), seen)[:, 0].astype(np.bool_)
 
     def started(self, position: FloatArray, h_w: FloatArray, scale: FloatArray) -> StartedLandmarks:
         """`parameters_of` with its Jacobians."""
-        parameters, leading = self.parameters_of(position, h_w, scale), 3 + h_w.shape[1]
+        seen = self._from_origin(position, h_w, scale)
+        values = columns_of(self.start_from, seen)
+        J = jacobian_of(lambda h, y: self.local_by(y, self.start_from(h)), seen, values)[1]
+        by_direction, by_scale, by_position = J[:, :, :3], J[:, :, 3:].copy(), np.zeros_like(J[:, :, :3])
+        if not (self.anchored or self.in_anchor):
+            by_position = by_direction * seen[:, 3, None, None]
+            by_scale[:, :, 0] += by_direction @ position
+        anchored = np.full(len(values), self.anchored)
+        return StartedLandmarks(
+            values, by_position, by_direction, by_scale[:, :, 0] if scale.ndim == 1 else by_scale, anchored
+        )
 
-        def moved(delta: FloatArray) -> FloatArray:
-            by_rest = delta[leading] if scale.ndim == 1 else delta[leading:]
-            other = self.parameters_of(position + delta[:3], h_w + delta[3:leading], scale + by_rest)
-            return self.local(parameters, other)
-
-        J = differences.jacobian(moved, 3 + self.seen_size)
-        by_scale = J[:, :, leading] if scale.ndim == 1 else J[:, :, leading:]
-        anchored = np.full(len(h_w), self.anchored)
-        return StartedLandmarks(parameters, J[:, :, :3], J[:, :, 3:leading], by_scale, anchored)
+    def _from_origin(self, position: FloatArray, h_w: FloatArray, scale: FloatArray) -> FloatArray:
+        """Seen numbers (M, k) from the anchor, which is the camera position, or from the origin of W."""
+        seen = np.column_stack([h_w, scale])
+        if not (self.anchored or self.in_anchor):
+            seen[:, :3] += position * seen[:, 3:4]
+        return seen
 
     def retract(self, parameters: FloatArray, delta: FloatArray) -> FloatArray:
-        """Values corrected by (M, size); the default adds."""
-        return parameters + delta
+        """Values corrected by (M, size)."""
+        if self.additive:
+            return parameters + delta
+        return columns_of(self.retract_by, parameters, np.broadcast_to(delta, (len(parameters), self.size)))
 
     def local(self, parameters: FloatArray, other: FloatArray) -> FloatArray:
         """The correction (M, size) that takes `parameters` to `other`."""
-        return other - parameters
+        return other - parameters if self.additive else columns_of(self.local_by, parameters, other)
 
     def transport(self, parameters: FloatArray, delta: FloatArray) -> FloatArray | None:
         """d local(retract(x, delta), retract(x, delta + e)) / d e, (M, size, size); None: the identity, of addition."""
         if self.additive:
             return None
-        there = self.retract(parameters, delta)
-        return differences.jacobian(lambda e: self.local(there, self.retract(parameters, delta + e)), self.size)
+
+        def moved(e: Numbers, y: Numbers, c: Numbers) -> Numbers:
+            return self.local_by(
+                self.retract_by(y, c), self.retract_by(y, tuple(a + b for a, b in zip(c, e, strict=True)))
+            )
+
+        delta = np.broadcast_to(delta, (len(parameters), self.size))
+        return jacobian_of(moved, np.zeros_like(delta), parameters, delta)[1]
+
+    def homogeneous(self, position: FloatArray, anchors: FloatArray | None, parameters: FloatArray) -> FloatArray:
+        """Landmarks as seen from the camera position: direction in W, and scale; (M, seen_size)."""
+        seen = columns_of(self.point_of, parameters)
+        seen[:, :3] += seen[:, 3:4] * (-position if anchors is None else anchors - position)
+        return seen
 
     def relative_to(self, position: FloatArray, anchors: FloatArray | None, parameters: FloatArray) -> ScaledPoints:
         """`homogeneous` with its Jacobians."""
+        none = np.zeros((len(parameters), self.size))
+        seen, J = jacobian_of(lambda e, y: self.point_of(self.retract_by(y, e)), none, parameters)
+        way = np.broadcast_to(-position if anchors is None else anchors - position, (len(seen), 3))
+        seen[:, :3] += seen[:, 3:4] * way
+        J[:, :3] += way[:, :, None] * J[:, 3:4]
+        by_anchor = seen[:, 3, None, None] * np.eye(self.seen_size, 3)
+        return ScaledPoints(seen, -by_anchor, J if anchors is None else np.concatenate([by_anchor, J], axis=2))
 
-        def moved(delta: FloatArray) -> FloatArray:
-            own = self.retract(parameters, np.broadcast_to(delta[6:], (len(parameters), self.size)))
-            return self.homogeneous(position + delta[:3], None if anchors is None else anchors + delta[3:6], own)
-
-        J = differences.jacobian(moved, 6 + self.size)
-        by_map = J[:, :, 6:] if anchors is None else J[:, :, 3:]
-        return ScaledPoints(self.homogeneous(position, anchors, parameters), J[:, :, :3], by_map)
+    def rotated(self, anchors: FloatArray | None, parameters: FloatArray, R: FloatArray) -> FloatArray:
+        """Values in a world rotated about its origin, without the anchors; R (3, 3) -> (M, v)."""
+        if self.in_anchor:
+            return parameters
+        seen = columns_of(self.point_of, parameters)
+        seen[:, :3] = seen[:, :3] @ R.T
+        return columns_of(self.start_from, seen)
 
     def world_rotation(self, anchors: FloatArray | None, parameters: FloatArray) -> FloatArray:
         """d own error numbers / d (rotation vector of the world about its origin); (M, size, 3)."""
-        return differences.jacobian(
-            lambda e: self.local(parameters, self.rotated(anchors, parameters, rotations.exp(e))), 3
-        )
+        if self.in_anchor:
+            return np.zeros((len(parameters), self.size, 3))
+
+        def turned(theta: Numbers, y: Numbers) -> Numbers:
+            h = self.point_of(y)
+            return self.local_by(y, self.start_from((*vectors.turned_by(theta, h[:3]), *h[3:])))
+
+        return jacobian_of(turned, np.zeros((len(parameters), 3)), parameters)[1]
 
     def shifted(self, parameters: FloatArray, shift: FloatArray) -> FloatArray:
         """Values of landmarks without an anchor in a world shifted by (3,); (M, v). A walk of the gauge needs it."""
-        raise NotImplementedError(f"{type(self).__name__} must have shifted: see LandmarkModel")
+        if not self.in_world:
+            raise NotImplementedError(f"{type(self).__name__} must have shifted: see LandmarkModel")
+        moved: FloatArray = parameters + np.concatenate([shift, np.zeros(self.value_size - 3)])
+        return moved
 
     def world_translation(self, parameters: FloatArray) -> FloatArray:
         """d own error numbers / d (shift of the world), of landmarks without an anchor; (M, size, 3)."""
         return differences.jacobian(lambda e: self.local(parameters, self.shifted(parameters, e)), 3)
+
+    def turned(
+        self, anchors: FloatArray | None, parameters: FloatArray, theta: FloatArray, correction: FloatArray
+    ) -> FloatArray:
+        """`turned_by` for values (M, v) and corrections (M, size); theta (3,) is one for all."""
+        if self.in_anchor:
+            return self.retract(parameters, correction)
+        return columns_of(lambda y, c: self.turned_by(y, tuple(theta), c), parameters, correction)
+
+    def turned_jacobians(
+        self, anchors: FloatArray | None, parameters: FloatArray, theta: FloatArray, correction: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Jacobians of `turned` by the correction and by theta (3,), (M, size, size) and (M, size, 3)."""
+        there = self.turned(anchors, parameters, theta, correction)
+
+        def by_correction(c: Numbers, y: Numbers, end: Numbers) -> Numbers:
+            return self.local_by(end, self.retract_by(y, c) if self.in_anchor else self.turned_by(y, tuple(theta), c))
+
+        def by_theta(turn: Numbers, y: Numbers, end: Numbers, c: Numbers) -> Numbers:
+            return self.local_by(end, self.turned_by(y, turn, c))
+
+        J = jacobian_of(by_correction, correction, parameters, there)[1]
+        if self.in_anchor:
+            return J, np.zeros((len(J), self.size, 3))
+        return J, jacobian_of(by_theta, theta[None], parameters, there, correction)[1]
+
+    def first_estimates(self, anchors: FloatArray | None, first: FloatArray, current: FloatArray) -> FloatArray:
+        """Values at which first-estimates Jacobians are taken; (M, v), (M, v) -> (M, v)."""
+        estimates = first.copy()
+        estimates[:, self.follows] = current[:, self.follows]
+        return estimates
+
+    def becomes_point(self, to_anchor: Numbers, y: Numbers, variances: Numbers) -> Any:
+        """Whether a landmark is to become XYZ after this frame; asked only of models that are not `steady`.
+
+        Parameters
+        ----------
+        to_anchor : tuple of 3
+            From the camera to the anchor, m.
+        y, variances : tuples
+            Value, and variances of its error numbers.
+        """
+        return False
+
+    def become_points(
+        self, position: FloatArray, anchors: FloatArray | None, parameters: FloatArray, variances: FloatArray
+    ) -> BoolArray:
+        """`becomes_point` for landmarks with anchors (M, 3), values (M, v), variances (M, size), from `position`."""
+        given = np.zeros_like(parameters[:, :3]) if anchors is None else anchors - position, parameters, variances
+        return columns_of(lambda *one: (self.becomes_point(*one),), *given)[:, 0].astype(np.bool_)
 
     def point(self, seen: FloatArray) -> FloatArray:
         """Homogeneous points (M, 4) that stand for landmarks seen so, (M, seen_size): what a map says of them.
@@ -230,68 +354,13 @@ class LandmarkModel:
         """
         return seen[:, :4]
 
-    def turned(
-        self,
-        anchors: FloatArray | None,
-        parameters: FloatArray,
-        turn: FloatArray,
-        spread: FloatArray,
-        correction: FloatArray,
-    ) -> FloatArray:
-        """Values corrected and turned with the world, as the retraction of an invariant error wants it.
-
-        Parameters
-        ----------
-        anchors, parameters : (M, 3), (M, v)
-            Before.
-        turn, spread : (3, 3)
-            Exp(theta), and the left Jacobian of theta.
-        correction : (M, 3)
-            The correction without what the turn does.
-        """
-        return self.rotated(anchors, self.retract(parameters, correction), turn)
-
-    def turned_jacobians(
-        self, anchors: FloatArray | None, parameters: FloatArray, theta: FloatArray, correction: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Jacobians of `turned` by the correction and by theta (3,), (M, size, size) and (M, size, 3)."""
-        there = self.turned(anchors, parameters, *_turn(theta), correction)
-
-        def moved(delta: FloatArray) -> FloatArray:
-            other = self.turned(anchors, parameters, *_turn(theta + delta[:3]), correction + delta[3:])
-            return self.local(there, other)
-
-        J = differences.jacobian(moved, 3 + self.size)
-        return J[:, :, 3:], J[:, :, :3]
-
-    def first_estimates(self, anchors: FloatArray | None, first: FloatArray, current: FloatArray) -> FloatArray:
-        """Values at which first-estimates Jacobians are taken; (M, v), (M, v) -> (M, v)."""
-        estimates = first.copy()
-        estimates[:, self.follows] = current[:, self.follows]
-        return estimates
-
-    def become_points(
-        self, position: FloatArray, anchors: FloatArray | None, parameters: FloatArray, variances: FloatArray
-    ) -> BoolArray:
-        """Which landmarks are to become XYZ after this frame; asked only of models that are not `steady`.
-
-        Parameters
-        ----------
-        position : (3,)
-            Camera, m.
-        anchors, parameters : (M, 3), (M, v)
-            Landmarks.
-        variances : (M, 3)
-            Of their own error numbers.
-        """
-        return np.zeros(len(parameters), dtype=bool)
-
     # --- what follows from it ---
 
     @property
     def additive(self) -> bool:
         """Whether the retraction is addition."""
-        return type(self).retract is LandmarkModel.retract
+        own = type(self)
+        return own.retract_by is LandmarkModel.retract_by and own.retract is LandmarkModel.retract
 
     def points(self, anchors: FloatArray | None, parameters: FloatArray) -> Points:
         """Landmark positions in W, direction / scale as seen from its origin; not finite at scale 0."""
@@ -333,8 +402,3 @@ class LandmarkModel:
             return ScaledPoints(seen.homogeneous[:, :4], seen.by_position[:, :4], seen.by_map[:, :4])
         J = differences.jacobian(lambda e: self.point(seen.homogeneous + e), self.seen_size)
         return ScaledPoints(self.point(seen.homogeneous), J @ seen.by_position, J @ seen.by_map)
-
-
-def _turn(theta: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Exp(theta) and its left Jacobian."""
-    return rotations.exp(theta), rotations.right_jacobian(-theta)

@@ -12,52 +12,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from filters.contract.validation import covariance_matrix, positive
-from filters.geometry.arrays import BoolArray, FloatArray
+from filters.geometry.arrays import FloatArray
 from filters.geometry.machine_code import compiled
-from filters.landmarks.inverse_depth import KERNELS, InverseDepth
-from filters.landmarks.landmark_model import LandmarkKernels, LandmarkModel
+from filters.landmarks.inverse_depth import InverseDepth
+from filters.landmarks.landmark_model import Numbers
 
-assert KERNELS.turn is not None
-assert KERNELS.rotation is not None
-_ray_point, _ray_start = compiled(KERNELS.point), compiled(KERNELS.start)
-_ray_turn, _ray_rotation = compiled(KERNELS.turn), compiled(KERNELS.rotation)
-
-
-def _point(settings: FloatArray, values: FloatArray, points: FloatArray, J: FloatArray) -> None:
-    _ray_point(settings, values[:, :3], points[:, :4], J[:, :4, :3])
-    for i in range(len(values)):
-        for a in range(3):
-            points[i, 4 + a], J[i, 4 + a, 3 + a] = values[i, 3 + a], 1.0
-
-
-def _start(settings: FloatArray, points: FloatArray, values: FloatArray, J: FloatArray, possible: BoolArray) -> None:
-    _ray_start(settings, points[:, :4], values[:, :3], J[:, :3, :4], possible)
-    for i in range(len(values)):
-        for a in range(3):
-            values[i, 3 + a], J[i, 3 + a, 4 + a] = points[i, 4 + a], 1.0
-
-
-def _turn(
-    settings: FloatArray,
-    values: FloatArray,
-    theta: FloatArray,
-    correction: FloatArray,
-    moved: FloatArray,
-    J: FloatArray,
-    J_theta: FloatArray,
-) -> None:
-    _ray_turn(settings, values[:, :3], theta, correction[:, :3], moved[:, :3], J[:, :3, :3], J_theta[:, :3])
-    for i in range(len(values)):
-        for a in range(3, 6):
-            moved[i, a], J[i, a, a] = values[i, a] + correction[i, a], 1.0
-
-
-def _rotation(settings: FloatArray, values: FloatArray, effect: FloatArray) -> None:
-    _ray_rotation(settings, values[:, :3], effect[:, :3])
+_point_of, _start_from = compiled(InverseDepth.point_of), compiled(InverseDepth.start_from)
+_turned_by = compiled(InverseDepth.turned_by)
 
 
 @dataclass(frozen=True)
-class LastingErrors(LandmarkModel):
+class LastingErrors(InverseDepth):
     """(theta, phi, rho) from a shared anchor, and the errors of its u, v and d that last, px: six numbers each.
 
     No single measurement tells such an error from the place; it starts with its covariance, is forgotten, and shows
@@ -78,13 +43,12 @@ class LastingErrors(LandmarkModel):
 
     covariance: ArrayLike = ((0.5, 0.0, 0.5), (0.0, 0.5, 0.0), (0.5, 0.0, 1.0))
     time: float = 2.0
-    anchored: ClassVar[bool] = True
     shares_anchors: ClassVar[bool] = True
+    submaps: ClassVar[bool] = False
     size: ClassVar[int] = 6
     value_size: ClassVar[int] = 6
     seen_size: ClassVar[int] = 7
     follows: ClassVar[tuple[int, ...]] = (2, 3, 4, 5)
-    kernels: ClassVar[LandmarkKernels | None] = LandmarkKernels(_point, _start, _turn, _rotation)
 
     def __post_init__(self) -> None:
         matrix = covariance_matrix("covariance of lasting errors", self.covariance, 3)
@@ -101,33 +65,17 @@ class LastingErrors(LandmarkModel):
         """The time constant."""
         return self.time
 
-    def can_start(self, h_w: FloatArray, scale: FloatArray) -> BoolArray:
-        """As inverse depth."""
-        return _RAY.can_start(h_w, scale[:, 0])
+    def point_of(self, y: Numbers) -> Numbers:
+        """Ray and rho, then the errors."""
+        h = _point_of(self, y)
+        return h[0], h[1], h[2], h[3], y[3], y[4], y[5]
 
-    def parameters_of(self, position: FloatArray, h_w: FloatArray, scale: FloatArray) -> FloatArray:
+    def start_from(self, h: Numbers) -> Numbers:
         """As inverse depth, and the errors."""
-        return np.hstack([_RAY.parameters_of(position, h_w, scale[:, 0]), scale[:, 1:]])
+        y = _start_from(self, h)
+        return y[0], y[1], y[2], h[4], h[5], h[6]
 
-    def homogeneous(self, position: FloatArray, anchors: FloatArray | None, parameters: FloatArray) -> FloatArray:
-        """Direction, scale, errors."""
-        return np.hstack([_RAY.homogeneous(position, anchors, parameters[:, :3]), parameters[:, 3:]])
-
-    def rotated(self, anchors: FloatArray | None, parameters: FloatArray, R: FloatArray) -> FloatArray:
-        """The ray turns."""
-        return np.hstack([_RAY.rotated(anchors, parameters[:, :3], R), parameters[:, 3:]])
-
-    def turned(
-        self,
-        anchors: FloatArray | None,
-        parameters: FloatArray,
-        turn: FloatArray,
-        spread: FloatArray,
-        correction: FloatArray,
-    ) -> FloatArray:
+    def turned_by(self, y: Numbers, theta: Numbers, c: Numbers) -> Numbers:
         """As inverse depth; the errors are added."""
-        ray = _RAY.turned(anchors, parameters[:, :3], turn, spread, correction[:, :3])
-        return np.hstack([ray, parameters[:, 3:] + correction[:, 3:]])
-
-
-_RAY = InverseDepth()
+        ray = _turned_by(self, y, theta, c)
+        return ray[0], ray[1], ray[2], y[3] + c[3], y[4] + c[4], y[5] + c[5]

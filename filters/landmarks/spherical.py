@@ -6,37 +6,45 @@ group SOT(3) of rotations and scalings about its anchor.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import ClassVar
+from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import numpy as np
 
-from filters.geometry import rotations
-from filters.geometry.arrays import BoolArray, FloatArray
-from filters.landmarks.landmark_model import LandmarkModel, ScaledPoints, StartedLandmarks
+from filters.geometry.machine_code import compiled
+from filters.geometry.vectors import cross, spread_by, turned_by
+from filters.landmarks.landmark_model import LandmarkModel, Numbers
 
-_TURNED_OVER = -0.9
-"""Below this z of a bearing its tangent basis is the other one; both are smooth there."""
+_TURNED_OVER = 0.9
+"""Below minus this z of a bearing its tangent basis is the other one; both are smooth there."""
+_NOTHING = 1e-300
+"""Added to a sine that may be zero; it changes no other number."""
 
 
-def tangent_basis(m: FloatArray) -> FloatArray:
-    """Two unit vectors perpendicular to each bearing, smooth outside a circle far behind the start; -> (M, 3, 2).
+@compiled
+def tangent_basis(m: Numbers) -> tuple[Numbers, Numbers]:
+    """Two unit vectors perpendicular to a bearing, smooth outside a circle far behind the start.
 
     The rotation by the shortest way from (0, 0, 1), or from (0, 0, -1), to m, applied to x and y (Duff et al.,
     "Building an orthonormal basis, revisited", JCGT 6(1), 2017).
     """
-    x, y, z = m.T
-    side = np.where(z > _TURNED_OVER, 1.0, -1.0)
+    x, y, z = m
+    side = np.copysign(1.0, z + _TURNED_OVER)
     a = -1.0 / (side + z)
-    first = [1.0 + side * x * x * a, side * x * y * a, -side * x]
-    second = [x * y * a, side + y * y * a, -y]
-    return np.stack([np.stack(first, axis=1), np.stack(second, axis=1)], axis=2)
+    return (1.0 + side * x * x * a, side * x * y * a, -side * x), (x * y * a, side + y * y * a, -y)
 
 
-def bearing_jacobian(m: FloatArray) -> FloatArray:
-    """d m / d (its two error numbers), the columns b x m of the tangent basis; transposed, d local / d m; (M, 3, 2)."""
-    basis = tangent_basis(m)
-    return np.stack([-basis[:, :, 1], basis[:, :, 0]], axis=2)
+@compiled
+def _axis(m: Numbers, c: Numbers) -> Numbers:
+    """Rotation vector perpendicular to a bearing, from its two numbers in the tangent basis."""
+    first, second = tangent_basis(m)
+    return first[0] * c[0] + second[0] * c[1], first[1] * c[0] + second[1] * c[1], first[2] * c[0] + second[2] * c[1]
+
+
+@compiled
+def _unit(m: Numbers) -> Numbers:
+    length = np.sqrt(m[0] * m[0] + m[1] * m[1] + m[2] * m[2])
+    return m[0] / length, m[1] / length, m[2] / length
 
 
 @dataclass(frozen=True)
@@ -51,110 +59,40 @@ class Spherical(LandmarkModel):
     value_size: ClassVar[int] = 4
     follows: ClassVar[tuple[int, ...]] = (3,)
 
-    def parameters_of(self, position: FloatArray, h_w: FloatArray, scale: FloatArray) -> FloatArray:
-        """The unit vector of the direction, and scale / length."""
-        m_rho: FloatArray = np.column_stack([h_w, scale]) / np.linalg.norm(h_w, axis=1, keepdims=True)
-        return m_rho
+    def point_of(self, y: Numbers) -> Numbers:
+        """(m, rho)."""
+        return y
 
-    def started(self, position: FloatArray, h_w: FloatArray, scale: FloatArray) -> StartedLandmarks:
-        """`parameters_of` with its Jacobians."""
-        parameters, inverse = self.parameters_of(position, h_w, scale), 1.0 / np.linalg.norm(h_w, axis=1)
-        m, rho = parameters[:, :3], parameters[:, 3]
-        by_direction, by_scale = np.empty((len(h_w), 3, 3)), np.zeros((len(h_w), 3))
-        by_direction[:, :2] = inverse[:, None, None] * bearing_jacobian(m).transpose(0, 2, 1)
-        by_direction[:, 2] = -(inverse * rho)[:, None] * m
-        by_scale[:, 2] = inverse
-        anchored = np.ones(len(h_w), dtype=bool)
-        return StartedLandmarks(parameters, np.zeros((len(h_w), 3, 3)), by_direction, by_scale, anchored)
+    def start_from(self, h: Numbers) -> Numbers:
+        """Unit vector of the direction, and scale / length."""
+        length = np.sqrt(h[0] * h[0] + h[1] * h[1] + h[2] * h[2])
+        return h[0] / length, h[1] / length, h[2] / length, h[3] / length
 
-    def homogeneous(self, position: FloatArray, anchors: FloatArray | None, parameters: FloatArray) -> FloatArray:
-        """Direction = rho (anchor - r) + m, scale = rho."""
-        assert anchors is not None
-        m, rho = parameters[:, :3], parameters[:, 3:]
-        return np.hstack([rho * (anchors - position) + m, rho])
+    def retract_by(self, y: Numbers, c: Numbers) -> Numbers:
+        """Exp(B a) m = cos|a| m + sin|a| / |a| (B a) x m, and the last number plus its correction."""
+        m = y[0], y[1], y[2]
+        angle = np.hypot(c[0], c[1])
+        turn, cosine, ratio = cross(_axis(m, c), m), np.cos(angle), np.sinc(angle * (1.0 / np.pi))
+        m = _unit((cosine * m[0] + ratio * turn[0], cosine * m[1] + ratio * turn[1], cosine * m[2] + ratio * turn[2]))
+        return m[0], m[1], m[2], y[3] + c[2]
 
-    def relative_to(self, position: FloatArray, anchors: FloatArray | None, parameters: FloatArray) -> ScaledPoints:
-        """`homogeneous` with its Jacobians."""
-        assert anchors is not None
-        by_map = np.zeros((len(parameters), 4, 6))
-        by_map[:, [0, 1, 2], [0, 1, 2]] = parameters[:, 3:]
-        by_map[:, :3, 3:5] = bearing_jacobian(parameters[:, :3])
-        by_map[:, :3, 5] = anchors - position
-        by_map[:, 3, 5] = 1.0
-        return ScaledPoints(self.homogeneous(position, anchors, parameters), -by_map[:, :, :3], by_map)
-
-    def rotated(self, anchors: FloatArray | None, parameters: FloatArray, R: FloatArray) -> FloatArray:
-        """The bearing turns, rho stays."""
-        return np.hstack([parameters[:, :3] @ R.T, parameters[:, 3:]])
-
-    def world_rotation(self, anchors: FloatArray | None, parameters: FloatArray) -> FloatArray:
-        """The part of the rotation vector perpendicular to the bearing."""
-        effect = np.zeros((len(parameters), 3, 3))
-        effect[:, :2] = tangent_basis(parameters[:, :3]).transpose(0, 2, 1)
-        return effect
-
-    def retract(self, parameters: FloatArray, delta: FloatArray) -> FloatArray:
-        """Exp(B a) m = cos|a| m + sin|a| / |a| (B a) x m, and rho plus its correction."""
-        m, angle = parameters[:, :3], np.linalg.norm(delta[..., :2], axis=-1, keepdims=True)
-        axis = (tangent_basis(m) @ delta[..., :2, None])[..., 0]
-        turned = np.cos(angle) * m + np.sinc(angle / np.pi) * np.cross(axis, m)
-        return np.hstack([turned / np.linalg.norm(turned, axis=1, keepdims=True), parameters[:, 3:] + delta[..., 2:]])
-
-    def local(self, parameters: FloatArray, other: FloatArray) -> FloatArray:
+    def local_by(self, y: Numbers, other: Numbers) -> Numbers:
         """The rotation vector by the shortest way from bearing to bearing, in the basis of the first."""
-        m = parameters[:, :3]
-        across = np.cross(m, other[:, :3])
-        sine, cosine = np.linalg.norm(across, axis=1), np.einsum("mi,mi->m", m, other[:, :3])
-        longer = np.divide(np.arctan2(sine, cosine), sine, out=np.ones(len(m)), where=sine > 0.0)
-        turn = longer[:, None] * np.einsum("mij,mi->mj", tangent_basis(m), across)
-        return np.hstack([turn, other[:, 3:] - parameters[:, 3:]])
+        m, n = (y[0], y[1], y[2]), (other[0], other[1], other[2])
+        first, second = tangent_basis(m)
+        a = cross(m, n)
+        sine = np.sqrt(a[0] * a[0] + a[1] * a[1] + a[2] * a[2]) + _NOTHING
+        ratio = np.arctan2(sine, m[0] * n[0] + m[1] * n[1] + m[2] * n[2]) / sine
+        along = first[0] * a[0] + first[1] * a[1] + first[2] * a[2]
+        across = second[0] * a[0] + second[1] * a[1] + second[2] * a[2]
+        return ratio * along, ratio * across, other[3] - y[3]
 
-    def transport(self, parameters: FloatArray, delta: FloatArray) -> FloatArray | None:
-        """By the left Jacobian of the turn, seen in the basis where it ends."""
-        basis = tangent_basis(parameters[:, :3])
-        axis = (basis @ delta[..., :2, None])[..., 0]
-        back = tangent_basis(self.retract(parameters, delta)[:, :3]).transpose(0, 2, 1)
-        J = np.zeros((len(parameters), 3, 3))
-        J[:, :2, :2] = back @ rotations.right_jacobian(-axis) @ basis
-        J[:, 2, 2] = 1.0
-        return J
-
-    def turned(
-        self,
-        anchors: FloatArray | None,
-        parameters: FloatArray,
-        turn: FloatArray,
-        spread: FloatArray,
-        correction: FloatArray,
-    ) -> FloatArray:
+    def turned_by(self, y: Numbers, theta: Numbers, c: Numbers) -> Numbers:
         """The bearing as a point of the group, as `InverseDepth` has it."""
-        m = parameters[:, :3] @ turn.T + self._shift(parameters, correction) @ spread.T
-        return np.hstack([m / np.linalg.norm(m, axis=1, keepdims=True), parameters[:, 3:] + correction[:, 2:]])
-
-    @staticmethod
-    def _shift(parameters: FloatArray, correction: FloatArray) -> FloatArray:
-        m = parameters[:, :3]
-        shift: FloatArray = np.cross((tangent_basis(m) @ correction[:, :2, None])[:, :, 0], m)
-        return shift
-
-    def turned_jacobians(
-        self, anchors: FloatArray | None, parameters: FloatArray, theta: FloatArray, correction: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """By the chain rule through the bearing, seen in the basis where it ends."""
-        spread, shift = rotations.right_jacobian(-theta), self._shift(parameters, correction)
-        start = parameters[:, :3]
-        m = start @ rotations.exp(theta).T
-        end = m + shift @ spread.T
-        square = np.einsum("mi,mi->m", end, end)[:, None, None]
-        by_end = tangent_basis(end / np.sqrt(square[:, :, 0])).transpose(0, 2, 1) @ rotations.skew(end) / square
-        by_correction, by_theta = np.zeros((len(m), 3, 3)), np.zeros((len(m), 3, 3))
-        by_correction[:, :2, :2] = by_end @ spread @ -rotations.skew(start) @ tangent_basis(start)
-        by_correction[:, 2, 2] = 1.0
-        by_theta[:, :2] = by_end @ (rotations.left_jacobian_derivative(theta, shift) - rotations.skew(m) @ spread)
-        return by_correction, by_theta
-
-
-_SPHERICAL = Spherical()
+        m = y[0], y[1], y[2]
+        a, b = turned_by(theta, m), spread_by(theta, cross(_axis(m, c), m))
+        m = _unit((a[0] + b[0], a[1] + b[1], a[2] + b[2]))
+        return m[0], m[1], m[2], y[3] + c[2]
 
 
 @dataclass(frozen=True)
@@ -166,35 +104,15 @@ class Polar(Spherical):
     van Goor and Mahony, "EqVIO: An equivariant filter for visual-inertial odometry", IEEE TRO 39(5), 2023 (SOT(3)).
     """
 
-    def can_start(self, h_w: FloatArray, scale: FloatArray) -> BoolArray:
+    def point_of(self, y: Numbers) -> Numbers:
+        """(m, rho) with rho = exp(-log-distance)."""
+        return y[0], y[1], y[2], np.exp(-y[3])
+
+    def start_from(self, h: Numbers) -> Numbers:
+        """Unit vector of the direction, and log(length / scale)."""
+        length = np.sqrt(h[0] * h[0] + h[1] * h[1] + h[2] * h[2])
+        return h[0] / length, h[1] / length, h[2] / length, np.log(length / h[3])
+
+    def can_start_from(self, h: Numbers) -> Any:
         """Only a scale > 0 has a distance."""
-        possible: BoolArray = scale > 0.0
-        return possible
-
-    def parameters_of(self, position: FloatArray, h_w: FloatArray, scale: FloatArray) -> FloatArray:
-        """The unit vector of the direction, and log(length / scale)."""
-        distance = np.linalg.norm(h_w, axis=1) / scale
-        return np.column_stack([_SPHERICAL.parameters_of(position, h_w, scale)[:, :3], np.log(distance)])
-
-    def started(self, position: FloatArray, h_w: FloatArray, scale: FloatArray) -> StartedLandmarks:
-        """With the error of rho = exp(-log-distance) times -1 / rho: regular at the smallest scale."""
-        new, parameters = _SPHERICAL.started(position, h_w, scale), self.parameters_of(position, h_w, scale)
-        slope = -1.0 / new.parameters[:, 3]
-        new.by_direction[:, 2] *= slope[:, None]
-        new.by_scale[:, 2] *= slope
-        return replace(new, parameters=parameters)
-
-    def homogeneous(self, position: FloatArray, anchors: FloatArray | None, parameters: FloatArray) -> FloatArray:
-        """As `Spherical` at rho = exp(-log-distance)."""
-        return _SPHERICAL.homogeneous(position, anchors, self._with_rho(parameters))
-
-    def relative_to(self, position: FloatArray, anchors: FloatArray | None, parameters: FloatArray) -> ScaledPoints:
-        """As `Spherical`, with d rho / d log-distance = -rho."""
-        spherical = self._with_rho(parameters)
-        seen = _SPHERICAL.relative_to(position, anchors, spherical)
-        seen.by_map[:, :, 5] *= -spherical[:, 3:]
-        return seen
-
-    @staticmethod
-    def _with_rho(parameters: FloatArray) -> FloatArray:
-        return np.hstack([parameters[:, :3], np.exp(-parameters[:, 3:])])
+        return h[3] > 0.0

@@ -1,16 +1,18 @@
 """Base class of measurement models: what the sensor measures of a point, and how a frame is used.
 
-A part gives the numbers that the sensor measures of points in the camera frame, and the inverse. The points are
-homogeneous, so that one at infinity or beyond is nothing special. Jacobians are numerical by default.
+A part gives the numbers that the sensor measures of a point in the camera frame, and the inverse: two functions of
+tuples of numbers. Points are homogeneous, so that one at infinity or beyond is nothing special. What a filter needs is
+made of them, in machine code and for columns of points; Jacobians are those of dual numbers.
 
 Derivation: docs/derivations/measurements.md.
 """
 
 from __future__ import annotations
 
+from collections import namedtuple
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -19,6 +21,7 @@ from filters.contract.variables import VELOCITY, Variable
 from filters.geometry import differences, rotations
 from filters.geometry.arrays import BoolArray, FloatArray
 from filters.geometry.camera import StereoCamera
+from filters.geometry.duals import columns_of, jacobian_of
 from filters.geometry.retractions import ADDITIVE, Retraction
 
 if TYPE_CHECKING:
@@ -26,6 +29,8 @@ if TYPE_CHECKING:
 
 Values = Mapping[str, FloatArray]
 """Values of named variables."""
+Numbers = Any
+"""Tuple of numbers: floats in machine code, columns or dual numbers."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,6 +102,12 @@ class MeasurementKernels:
     its Jacobians."""
     settings: tuple[str, ...] = ()
     """Attributes of the part whose numbers are the first argument."""
+    made_by: tuple[Any, ...] = ()
+    """Function that has made them of plain ones, and its arguments: by these a copy in another process is made."""
+
+    def __reduce__(self) -> Any:
+        """How to make them again, or their fields."""
+        return (self.made_by[0], self.made_by[1:]) if self.made_by else (type(self), tuple(vars(self).values()))
 
 
 class MeasurementModel:
@@ -123,19 +134,53 @@ class MeasurementModel:
     """Whether it depends on the velocity, as with rows read in turn or an unknown delay: then there is a value
     "velocity", linear (m/s) and angular (rad/s), both in the camera frame, behind those of the variables."""
     kernels: ClassVar[MeasurementKernels | None] = None
-    """The same, compiled. They hold for the class that states them, not for its subclasses."""
+    """Compiled functions of its own, instead of those made of the plain ones, for the class that states them."""
 
-    # --- what a part gives ---
+    # --- what a part gives: plain functions of tuples of numbers ---
+
+    def project(self, camera: Any, h: Numbers, *values: Any) -> Numbers:
+        """Numbers of the sensor at a homogeneous point (x, y, z, scale) in the camera frame.
+
+        `camera` has fx, fy, cx, cy and baseline. A sensor with variables is given their values by name, each a tuple;
+        that of the velocity is `velocity`.
+        """
+        raise NotImplementedError(f"{type(self).__name__} must have project and unproject: see MeasurementModel")
+
+    def unproject(self, camera: Any, uvd: Numbers, *values: Any) -> Numbers:
+        """Homogeneous point in the camera frame at a measurement, the three columns of `uvd`."""
+        raise NotImplementedError(f"{type(self).__name__} must have project and unproject: see MeasurementModel")
+
+    # --- what it may give instead of the default ---
+
+    def can_see(self, h: Numbers) -> Any:
+        """Whether the sensor can see a homogeneous point at all: one ahead."""
+        return h[2] > 0.0
+
+    # --- the same for columns: many points at once, as the NumPy of the engine takes them ---
 
     def predict(self, camera: StereoCamera, points_c: FloatArray, values: Values) -> FloatArray:
         """Numbers of the sensor; points (..., seen_size), the point is direction / scale -> (..., s)."""
-        raise NotImplementedError(f"{type(self).__name__} must have predict: see MeasurementModel")
+        named = self._by_name(values)
+        numbers = columns_of(lambda h: self.project(camera, h, *named), points_c.reshape(-1, points_c.shape[-1]))
+        return numbers.reshape(*points_c.shape[:-1], self.size)
 
     def backproject(self, camera: StereoCamera, uvd: FloatArray, values: Values) -> FloatArray:
         """Homogeneous points (M, seen_size) in the camera frame at the measurements (M, 3)."""
-        raise NotImplementedError(f"{type(self).__name__} must have backproject: see MeasurementModel")
+        named = self._by_name(values)
+        return columns_of(lambda z: self.unproject(camera, z, *named), uvd)
 
-    # --- what it may give instead of the default ---
+    @property
+    def takes_values(self) -> bool:
+        """Whether the plain functions are given values."""
+        return bool(self.variables) or self.sees_velocity
+
+    def _by_name(self, values: Mapping[str, Any]) -> tuple[Any, ...]:
+        """Values as the plain functions take them."""
+        if not self.takes_values:
+            return ()
+        names = [*(variable.name for variable in self.variables), *([VELOCITY] if self.sees_velocity else [])]
+        made = namedtuple("Values", [name.replace("-", "_") for name in names])  # type: ignore[misc]
+        return (made(*(tuple(values[name]) for name in names)),)
 
     def rows(self, with_right: bool) -> tuple[StageRows, ...]:
         """What the stages use of the sensor's numbers where `v_right` is not measured, and where it is.
@@ -177,19 +222,43 @@ class MeasurementModel:
         )
 
     def in_front(self, points_c: FloatArray) -> BoolArray:
-        """Which homogeneous points (M, 4) the sensor can see at all: those with a direction ahead."""
-        forward: BoolArray = points_c[:, 2] > 0.0
-        return forward
+        """Which homogeneous points (M, seen_size) the sensor can see at all."""
+        return columns_of(lambda h: (self.can_see(h),), points_c)[:, 0].astype(np.bool_)
 
     def jacobians(self, camera: StereoCamera, points_c: FloatArray, values: Values) -> SensorJacobians:
         """Jacobians of `predict`."""
+        if self._is_plain:
+            return self._plain_jacobians(self.project, camera, points_c, values)
         by_point = differences.jacobian(lambda e: self.predict(camera, points_c + e, values), self.seen_size)
         return SensorJacobians(by_point, self._by_variables(lambda x: self.predict(camera, points_c, x), values))
 
     def backprojection_jacobians(self, camera: StereoCamera, uvd: FloatArray, values: Values) -> SensorJacobians:
         """Jacobians of `backproject`, (M, 4, 3) by the measurement as `by_point`, and by each variable."""
+        if self._is_plain:
+            return self._plain_jacobians(self.unproject, camera, uvd, values)
         by_measurement = differences.jacobian(lambda e: self.backproject(camera, uvd + e, values), 3)
         return SensorJacobians(by_measurement, self._by_variables(lambda x: self.backproject(camera, uvd, x), values))
+
+    @property
+    def _is_plain(self) -> bool:
+        cls = type(self)
+        named = cls.predict is MeasurementModel.predict and cls.backproject is MeasurementModel.backproject
+        return named and all(variable.retraction is ADDITIVE for variable in self.variables)
+
+    def _plain_jacobians(
+        self, function: Callable[..., Any], camera: StereoCamera, arguments: FloatArray, values: Values
+    ) -> SensorJacobians:
+        """Jacobians of `project` or `unproject` for many points or measurements."""
+        named = self._by_name(values)
+        by_point = jacobian_of(lambda h: function(camera, h, *named), arguments)[1]
+        by_variable = {}
+        for name in () if not named else (name for name in values if name.replace("-", "_") in named[0]._fields):
+
+            def called(x: Numbers, h: Numbers, name: str = name) -> Numbers:
+                return function(camera, h, named[0]._replace(**{name.replace("-", "_"): x}))
+
+            by_variable[name] = jacobian_of(called, values[name][None], arguments)[1]
+        return SensorJacobians(by_point, by_variable)
 
     def _by_variables(self, function: Callable[[Values], FloatArray], values: Values) -> dict[str, FloatArray]:
         """Jacobians of a function of the values by each of them."""

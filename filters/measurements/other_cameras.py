@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from filters.contract.validation import finite_array, positive
 from filters.geometry import differences, rotations
 from filters.geometry.arrays import BoolArray, FloatArray
 from filters.geometry.camera import StereoCamera
-from filters.measurements.measurement_model import MeasurementModel, SensorJacobians, Values
+from filters.measurements.measurement_model import MeasurementModel, Numbers, SensorJacobians, Values
 
 
 @dataclass(frozen=True)
@@ -81,22 +81,18 @@ class UnrectifiedPair(MeasurementModel):
 class DepthCamera(MeasurementModel):
     """Columns of `uvd` are (u, v, z), px and m, and so is their R. Of the camera the intrinsics are used."""
 
-    def predict(self, camera: StereoCamera, points_c: FloatArray, values: Values) -> FloatArray:
+    def project(self, camera: Any, h: Numbers, *values: Any) -> Numbers:
         """The pixel, and z = direction_z / scale."""
-        uvz = camera.project_scaled(points_c[..., :3], points_c[..., 3])
-        with np.errstate(divide="ignore", invalid="ignore"):
-            uvz[..., 2] = points_c[..., 2] / points_c[..., 3]
-        return uvz
+        return camera.fx * h[0] / h[2] + camera.cx, camera.fy * h[1] / h[2] + camera.cy, h[2] / h[3]
 
-    def backproject(self, camera: StereoCamera, uvd: FloatArray, values: Values) -> FloatArray:
-        """The ray at z = 1, and 1 / z as its scale; no depth <= 0 is that of a point: NaN."""
-        scale = np.full((len(uvd), 1), np.nan)
-        return np.hstack([camera.ray(uvd), np.divide(1.0, uvd[:, 2:], out=scale, where=uvd[:, 2:] > 0.0)])
+    def unproject(self, camera: Any, uvd: Numbers, *values: Any) -> Numbers:
+        """The ray at z = 1, and 1 / z as its scale; no depth <= 0 is that of a point: it is not finite."""
+        root = np.sqrt(uvd[2])
+        return (uvd[0] - camera.cx) / camera.fx, (uvd[1] - camera.cy) / camera.fy, 1.0, 1.0 / (root * root)
 
-    def in_front(self, points_c: FloatArray) -> BoolArray:
+    def can_see(self, h: Numbers) -> Any:
         """A finite depth ahead: a point at infinity or beyond has none."""
-        ahead: BoolArray = (points_c[:, 2] > 0.0) & (points_c[:, 3] > 0.0)
-        return ahead
+        return (h[2] > 0.0) & (h[3] > 0.0)
 
 
 _LEAST = 0.2  # of the disparity ahead: with less, along the baseline and far behind it, no landmark is started

@@ -8,91 +8,36 @@ right row is not measured on its own it is the left one, and carries no informat
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
-
-import numpy as np
+from typing import Any
 
 from filters.contract.inputs import StereoObservation
 from filters.contract.validation import positive
-from filters.geometry.arrays import BoolArray, FloatArray
 from filters.geometry.camera import StereoCamera
-from filters.measurements.measurement_model import (
-    MeasurementKernels,
-    MeasurementModel,
-    SensorJacobians,
-    StageRows,
-    Values,
-)
+from filters.measurements.measurement_model import MeasurementModel, Numbers, StageRows
 
 _U, _V, _U_RIGHT = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (1.0, 0.0, -1.0)
-
-
-def _predict(
-    settings: FloatArray,
-    camera: FloatArray,
-    points: FloatArray,
-    values: FloatArray,
-    numbers: FloatArray,
-    J: FloatArray,
-    J_values: FloatArray,
-    in_front: BoolArray,
-) -> None:
-    fx, fy, cx, cy, fb = camera[0], camera[1], camera[2], camera[3], camera[0] * camera[4]
-    for i in range(len(points)):
-        inverse = 1.0 / points[i, 2]
-        u, v, d = fx * points[i, 0] * inverse, fy * points[i, 1] * inverse, fb * points[i, 3] * inverse
-        in_front[i] = points[i, 2] > 0.0
-        numbers[i, 0], numbers[i, 1], numbers[i, 2] = u + cx, v + cy, d
-        J[i, 0, 0], J[i, 1, 1], J[i, 2, 3] = fx * inverse, fy * inverse, fb * inverse
-        J[i, 0, 2], J[i, 1, 2], J[i, 2, 2] = -u * inverse, -v * inverse, -d * inverse
-
-
-def _backproject(
-    settings: FloatArray,
-    camera: FloatArray,
-    uvd: FloatArray,
-    values: FloatArray,
-    points: FloatArray,
-    J: FloatArray,
-    J_values: FloatArray,
-) -> None:
-    fx, fy, cx, cy, fb = camera[0], camera[1], camera[2], camera[3], camera[0] * camera[4]
-    for i in range(len(uvd)):
-        points[i, 0], points[i, 1], points[i, 2] = (uvd[i, 0] - cx) / fx, (uvd[i, 1] - cy) / fy, 1.0
-        points[i, 3] = uvd[i, 2] / fb
-        J[i, 0, 0], J[i, 1, 1], J[i, 3, 2] = 1.0 / fx, 1.0 / fy, 1.0 / fb
-
-
-KERNELS = MeasurementKernels(_predict, _backproject)
 
 
 class RectifiedPair(MeasurementModel):
     """Base of the models of a rectified pair: they differ in the stages of an update."""
 
-    def predict(self, camera: StereoCamera, points_c: FloatArray, values: Values) -> FloatArray:
+    def project(self, camera: Any, h: Numbers, *values: Any) -> Numbers:
         """(u, v, d) of Eq. 10."""
-        return camera.project_scaled(points_c[..., :3], points_c[..., 3])
+        return (
+            camera.fx * h[0] / h[2] + camera.cx,
+            camera.fy * h[1] / h[2] + camera.cy,
+            camera.fx * camera.baseline * h[3] / h[2],
+        )
 
-    def jacobians(self, camera: StereoCamera, points_c: FloatArray, values: Values) -> SensorJacobians:
-        """Of Eq. 10."""
-        return SensorJacobians(camera.project_scaled_jacobian(points_c[..., :3], points_c[..., 3]), {})
-
-    def backproject(self, camera: StereoCamera, uvd: FloatArray, values: Values) -> FloatArray:
+    def unproject(self, camera: Any, uvd: Numbers, *values: Any) -> Numbers:
         """The ray at z = 1, and d / (f b) as its scale (Eq. 21)."""
-        return np.column_stack([camera.ray(uvd), uvd[:, 2] / camera.disparity_constant])
-
-    def backprojection_jacobians(self, camera: StereoCamera, uvd: FloatArray, values: Values) -> SensorJacobians:
-        """Constant: the ray is linear in the pixel, the scale in d."""
-        J = np.zeros((4, 3))
-        J[0, 0], J[1, 1], J[3, 2] = 1.0 / camera.fx, 1.0 / camera.fy, 1.0 / camera.disparity_constant
-        return SensorJacobians(np.broadcast_to(J, (len(uvd), 4, 3)), {})
+        x, y = (uvd[0] - camera.cx) / camera.fx, (uvd[1] - camera.cy) / camera.fy
+        return x, y, 1.0, uvd[2] / (camera.fx * camera.baseline)
 
 
 @dataclass(frozen=True)
 class RangeBearing(RectifiedPair):
     """The paper's: one joint update with (u, v, d). A separately measured right row is not used."""
-
-    kernels: ClassVar[MeasurementKernels | None] = KERNELS
 
 
 @dataclass(frozen=True)
@@ -117,8 +62,6 @@ class _BothCameras(RectifiedPair):
 class LeftThenRight(_BothCameras):
     """Two updates in sequence, left then right, the second linearised at the result of the first."""
 
-    kernels: ClassVar[MeasurementKernels | None] = KERNELS
-
     def rows(self, with_right: bool) -> tuple[StageRows, ...]:
         """Left, and right; u_right alone where v_right is not measured and not to be copied."""
         copied = self.copied_row_variance
@@ -135,8 +78,6 @@ class Stacked(_BothCameras):
 
     The error of v_right is taken as independent of the other three.
     """
-
-    kernels: ClassVar[MeasurementKernels | None] = KERNELS
 
     def rows(self, with_right: bool) -> tuple[StageRows, ...]:
         """One stage."""
@@ -158,7 +99,6 @@ class LeftOnly(RectifiedPair):
 
     inverse_depth: float = 0.1
     sigma_inverse_depth: float = 0.1
-    kernels: ClassVar[MeasurementKernels | None] = KERNELS
 
     def __post_init__(self) -> None:
         for name in ("inverse_depth", "sigma_inverse_depth"):

@@ -270,8 +270,7 @@ for _name, _model in {**MODELS, **NUMERICAL}.items():
 
         def at(e: np.ndarray) -> np.ndarray:
             angle = theta + e[3:]
-            turn, spread = Rotation.from_rotvec(angle).as_matrix(), rotations.right_jacobian(-angle)
-            return model.turned(anchors, parameters, turn, spread, correction + e[:3])
+            return model.turned(anchors, parameters, angle, correction + e[:3])
 
         here = at(np.zeros(6))
         claimed = np.concatenate(model.turned_jacobians(anchors, parameters, theta, correction), axis=2)

@@ -12,15 +12,12 @@ from filters.checks.part_contracts.comparison import (
     SHIFT,
     TOLERANCE,
     TURN,
-    Kernels,
     assert_close,
-    assert_same,
     unit_directions,
 )
 from filters.geometry import differences, rotations
 from filters.geometry.arrays import FloatArray
 from filters.landmarks.landmark_model import LandmarkModel, StartedLandmarks
-from filters.parts import kernels_of
 
 Started = tuple[FloatArray, FloatArray | None, FloatArray, StartedLandmarks]
 """Position of the camera, anchors, what was seen from the position (M, seen_size), and the landmarks."""
@@ -101,12 +98,10 @@ def check_landmark_jacobians(model: LandmarkModel) -> None:
     theta, correction = np.array([0.1, -0.2, 0.15]), np.full((len(x), model.size), 0.02)
 
     def carried(e: FloatArray) -> FloatArray:
-        turn, spread = rotations.exp(theta + e[:3]), rotations.right_jacobian(-theta - e[:3])
-        return model.turned(anchors, x, turn, spread, correction + e[3:])
+        return model.turned(anchors, x, theta + e[:3], correction + e[3:])
 
-    turn, spread = rotations.exp(theta), rotations.right_jacobian(-theta)
-    uncorrected = model.turned(anchors, x, turn, spread, np.zeros_like(correction))
-    assert_close("turned without a correction", uncorrected, model.rotated(anchors, x, turn), 1e-9)
+    uncorrected = model.turned(anchors, x, theta, np.zeros_like(correction))
+    assert_close("turned without a correction", uncorrected, model.rotated(anchors, x, rotations.exp(theta)), 1e-9)
     there = carried(np.zeros(3 + model.size))
     by_both = differences.jacobian(lambda e: model.local(there, carried(e)), 3 + model.size)
     claimed_both = model.turned_jacobians(anchors, x, theta, correction)
@@ -128,7 +123,7 @@ def check_landmark_retraction(model: LandmarkModel) -> None:
     )
 
     def without_a_turn(e: FloatArray) -> FloatArray:
-        return model.local(x, model.turned(anchors, x, np.eye(3), np.eye(3), np.zeros_like(delta) + e))
+        return model.local(x, model.turned(anchors, x, np.zeros(3), np.zeros_like(delta) + e))
 
     assert_close("turned without a turn", differences.jacobian(without_a_turn, model.size), still)
 
@@ -144,7 +139,7 @@ def check_landmark_invariance(model: LandmarkModel) -> None:
     turned = model.rotated(anchors, x, TURN)
     again = model.homogeneous(TURN @ position, None if anchors is None else anchors @ TURN.T, turned)
     assert_close("homogeneous in a turned world", again, model.with_axes(TURN, seen), 1e-9)
-    if anchors is None and type(model).shifted is not LandmarkModel.shifted:
+    if anchors is None and (model.in_world or type(model).shifted is not LandmarkModel.shifted):
         shifted = model.homogeneous(position + SHIFT, None, model.shifted(x, SHIFT))
         assert_close("shifted in a shifted world", unit_directions(shifted), unit_directions(seen), 1e-9)
         by_shift = differences.jacobian(lambda e: model.local(x, model.shifted(x, e)), 3)
@@ -155,54 +150,10 @@ def check_landmark_invariance(model: LandmarkModel) -> None:
         assert_close("homogeneous in a shifted world", shifted[free], seen[free], 1e-9)
 
 
-def check_landmark_kernels(model: LandmarkModel) -> None:
-    """Compiled functions, where there are any, say what those in NumPy do."""
-    if kernels_of(model) is None:
-        return
-    kernels, (position, anchors, seen, new) = Kernels(model), _started(model, moved=False)
-    x, count, v, n, k = new.parameters, len(seen), model.value_size, model.size, model.seen_size
-    points, J = kernels.of("point", x, points=(count, k), J=(count, k, n))
-    claimed = model.relative_to(position, anchors, x)
-    shift = np.zeros(3) if anchors is not None else position
-    points[:, :3] -= points[:, 3:4] * shift
-    J[:, :3] -= J[:, 3:4] * shift[:, None]
-    assert_same("point", points=(points, claimed.homogeneous), J=(J, claimed.by_map[:, :, -n:]))
-    from_origin = np.column_stack([seen[:, :3] + seen[:, 3:4] * shift, seen[:, 3:]])
-    flags = np.zeros(count, dtype=np.bool_)
-    values, J, able = kernels.of("start", from_origin, values=(count, v), J=(count, n, k), possible=flags)
-    require(able.all(), "possible of kernel start is false where can_start is true")
-    J[:, :, 3] += J[:, :, :3] @ shift
-    assert_same("start", values=(values, x), J=(J, new.by_seen))
-    if kernels_of(model).turn is None:
-        of_points = np.zeros((count, n, 3))
-        of_points[:, :3] = -rotations.skew(x[:, :3])
-        assert_close("world_rotation of a point of W", model.world_rotation(anchors, x), of_points)
-        return
-    (effect,) = kernels.of("rotation", x, effect=(count, n, 3))
-    assert_same("rotation", effect=(effect, model.world_rotation(anchors, x)))
-    theta, correction = np.array([0.1, -0.2, 0.15]), np.full((count, n), 0.02)
-    results = {"moved": (count, v), "J": (count, n, n), "J_theta": (count, n, 3)}
-    moved, J, by_theta = kernels.of("turn", x, theta, correction, **results)
-    turned = model.turned(anchors, x, rotations.exp(theta), rotations.right_jacobian(-theta), correction)
-    wanted = model.turned_jacobians(anchors, x, theta, correction)
-    assert_same("turn", moved=(moved, turned), J=(J, wanted[0]), J_theta=(by_theta, wanted[1]))
-    if kernels_of(model).become is None:
-        return
-    position, anchors, _, new = _started(model)
-    x = new.parameters
-    if anchors is None:
-        raise AssertionError("only landmarks with an anchor have kernel become")
-    for scale in SCALES:  # from landmarks that are hardly known to such as are known well
-        variances = np.full(x.shape, 0.1 * scale**2)
-        (chosen,) = kernels.of("become", anchors - position, x, variances, becomes=np.zeros(count, dtype=np.bool_))
-        require((chosen == model.become_points(position, anchors, x, variances)).all(), "become is not become_points")
-
-
 CHECKS: tuple[Callable[..., None], ...] = (
     check_landmark_start,
     check_landmark_start_jacobians,
     check_landmark_jacobians,
     check_landmark_retraction,
     check_landmark_invariance,
-    check_landmark_kernels,
 )

@@ -103,8 +103,8 @@ def check_measurement_stages(sensor: MeasurementModel) -> None:
 
 
 def check_measurement_kernels(sensor: MeasurementModel) -> None:
-    """Compiled functions, where there are any, say what those in NumPy do."""
-    if kernels_of(sensor) is None:
+    """Compiled functions of its own, where there are any, say what those in NumPy do."""
+    if "kernels" not in vars(type(sensor)) or kernels_of(sensor) is None:
         return
     kernels, (points_c, values), c = Kernels(sensor), _points(sensor), REFERENCE_CAMERA
     camera = np.array([c.fx, c.fy, c.cx, c.cy, c.baseline])

@@ -7,7 +7,6 @@ import pytest
 
 from filters import FilterBatch, Hybrid, InverseDepthStereoEKF, Stage, Start, StereoEKF, StereoObservation
 from filters.geometry import rotations, symmetric
-from filters.landmarks.hybrid import linearity_index
 
 from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, SPEED, START_COVARIANCE, drive, finish, run, start
 from ..slots import ERRORS
@@ -32,6 +31,16 @@ def innovation_covariances(hybrid: StereoEKF) -> np.ndarray:
     return measurements.innovation_covariances(state.P)
 
 
+def assert_index(position, anchors, parameters, sigma, expected, rtol: float) -> None:
+    """The linearity index of each landmark is the limit below which it becomes a point."""
+    variances = np.column_stack([np.zeros((len(sigma), 2)), sigma**2])
+    for k, index in enumerate(expected):
+        one, above, below = slice(k, k + 1), index * (1.0 + rtol), index * (1.0 - rtol)
+        given = position, anchors[one], parameters[one], variances[one]
+        assert Hybrid(linearity_limit=above).become_points(*given).all()
+        assert not Hybrid(linearity_limit=below).become_points(*given).any()
+
+
 def test_index_is_civeras_formula() -> None:
     """4 sigma_d |cos alpha| / d_1 with sigma_d = sigma_rho / rho^2, computed here with points and angles."""
     rng = np.random.default_rng(1)
@@ -43,7 +52,8 @@ def test_index_is_civeras_formula() -> None:
     d1 = np.linalg.norm(now, axis=1)
     cos_alpha = np.sum(first * now, axis=1) / np.linalg.norm(first, axis=1) / d1
     expected = 4 * sigma / parameters[:, 2] ** 2 * np.abs(cos_alpha) / d1
-    np.testing.assert_allclose(linearity_index(position, anchors, parameters, sigma), expected, rtol=1e-12)
+    far = parameters[:, 2] > 0.0
+    assert_index(position, anchors[far], parameters[far], sigma[far], expected[far], 1e-12)
 
 
 def test_at_first_sight_the_index_is_four_sigma_of_the_disparity_over_disparity() -> None:
@@ -53,14 +63,14 @@ def test_at_first_sight_the_index_is_four_sigma_of_the_disparity_over_disparity(
     hybrid.update(StereoObservation(np.arange(3), uvd))
     state = hybrid.state
     rho = symmetric.full(state.P)[12:, 12:][3 * state.parameter_block + 2, 3 * state.parameter_block + 2]
-    index = linearity_index(state.camera.position, state.anchors(), state.parameters(), np.sqrt(rho))
-    np.testing.assert_allclose(index, 4 * np.sqrt(INDEPENDENT_PIXELS.R[2, 2]) / disparities, rtol=1e-3)
+    expected = 4 * np.sqrt(INDEPENDENT_PIXELS.R[2, 2]) / disparities
+    assert_index(state.camera.position, state.anchors(), state.parameters(), np.sqrt(rho), expected, 1e-3)
 
 
 @pytest.mark.parametrize("rho", [0.0, -0.01])
 def test_a_point_at_infinity_or_beyond_is_never_linear(rho: float) -> None:
-    index = linearity_index(np.zeros(3), np.ones((1, 3)), np.array([[0.1, 0.2, rho]]), np.array([1e-6]))
-    assert index == np.inf
+    given = np.zeros(3), np.ones((1, 3)), np.array([[0.1, 0.2, rho]]), np.full((1, 3), 1e-12)
+    assert not Hybrid(linearity_limit=1e9).become_points(*given).any()
 
 
 def test_without_a_limit_the_estimates_are_those_of_shared_anchors() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from filters import RangeBearing
+from filters import InverseDepth, RangeBearing
 
 from ..drives import ODD_CAMERA as CAMERA
 from ..first_sight import first_sight
@@ -127,11 +127,10 @@ def test_euclidean_needs_a_positive_disparity() -> None:
 
 def test_directions_are_those_of_the_paper() -> None:
     """Eq. 5: theta turns about y from +z to +x, phi lifts against +y (down)."""
-    from filters.landmarks.inverse_depth import ray_direction
-
     angles = np.array([[0, 0], [np.pi / 2, 0], [0, np.pi / 2], [np.pi, 0]])
     expected = [[0, 0, 1], [1, 0, 0], [0, -1, 0], [0, 0, -1]]
-    np.testing.assert_allclose(ray_direction(angles), expected, atol=1e-15)
+    rays = InverseDepth().homogeneous(np.zeros(3), np.zeros((4, 3)), np.column_stack([angles, np.zeros(4)]))
+    np.testing.assert_allclose(rays[:, :3], expected, atol=1e-15)
 
 
 def test_only_shared_anchors_are_shared() -> None:

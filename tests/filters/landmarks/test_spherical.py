@@ -17,7 +17,8 @@ EVERYWHERE /= np.linalg.norm(EVERYWHERE, axis=1, keepdims=True)
 
 
 def test_the_tangent_basis_is_orthonormal_everywhere() -> None:
-    whole = np.concatenate([EVERYWHERE[:, :, None], tangent_basis(EVERYWHERE)], axis=2)
+    basis = np.transpose(tangent_basis(tuple(EVERYWHERE.T)), (2, 1, 0))
+    whole = np.concatenate([EVERYWHERE[:, :, None], basis], axis=2)
     assert whole.transpose(0, 2, 1) @ whole == pytest.approx(np.tile(np.eye(3), (len(whole), 1, 1)), abs=1e-12)
 
 

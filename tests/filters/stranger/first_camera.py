@@ -8,25 +8,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
-from filters import LandmarkModel
+from filters import InverseDepth
 
 
 @dataclass(frozen=True)
-class InFirstCamera(LandmarkModel):
+class InFirstCamera(InverseDepth):
     """(theta, phi, rho), rad, rad, 1/m, in the axes of the anchor."""
 
     in_anchor = True
     shares_anchors = True
-
-    def parameters_of(self, position, h_w, scale):
-        """Of a direction and a scale there."""
-        x, y, z = h_w.T
-        return np.column_stack([np.arctan2(x, z), np.arctan2(-y, np.hypot(x, z)), scale / np.linalg.norm(h_w, axis=1)])
-
-    def homogeneous(self, position, anchors, parameters):
-        """(m - rho position, rho)."""
-        theta, phi, rho = parameters.T
-        m = np.column_stack([np.cos(phi) * np.sin(theta), -np.sin(phi), np.cos(phi) * np.cos(theta)])
-        return np.column_stack([m - rho[:, None] * position, rho])
+    anchored = submaps = False

@@ -11,14 +11,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from filters import LandmarkModel, MeasurementModel
+from filters import ColumnLandmark, MeasurementModel
 
 ROWS = 100.0
 """By how many rows a slope is measured, px."""
 
 
 @dataclass(frozen=True)
-class Lines(LandmarkModel):
+class Lines(ColumnLandmark):
     """A frame (m, V x m, V) as a quaternion, m to the point nearest to the anchor; and the inverse distance rho.
 
     Errors: rotation about V, rho, rotation about m, and about V x m: the lean towards the camera, which (u, slope, d)

@@ -10,7 +10,6 @@ from scipy.spatial.transform import Rotation
 
 from filters import (
     FilterBatch,
-    LandmarkKernels,
     LandmarkModel,
     RightInvariant,
     Start,
@@ -33,7 +32,9 @@ LINES = {"landmark": Lines(), "measurement": LinePair()}
 
 
 class BiasedByNumbers(Biased):
-    """A subclass states no kernels."""
+    """The same in Python."""
+
+    kernels = None
 
 
 BY_NUMBERS = {"landmark": BiasedByNumbers(), "measurement": BiasedPair()}
@@ -124,39 +125,22 @@ def test_kernels_lead_where_the_numbers_do(option: dict[str, object], error: obj
     np.testing.assert_allclose(*told, rtol=1e-6, atol=1e-8)
 
 
-def _scaled_point(settings, values, points, J):
-    for i in range(len(values)):
-        scale = 1.0 + values[i, 3]
-        points[i, 3], J[i, 3, 3] = scale, 1.0
-        for a in range(3):
-            points[i, a], J[i, a, a], J[i, a, 3] = scale * values[i, a], scale, values[i, a]
-
-
-def _scaled_start(settings, points, values, J, possible):
-    for i in range(len(values)):
-        scale = points[i, 3]
-        possible[i] = scale > 0.0
-        for a in range(3):
-            values[i, a] = points[i, a] / scale
-            J[i, a, a], J[i, a, 3] = 1.0 / scale, -points[i, a] / scale**2
-
-
 class Scaled(LandmarkModel):
     """XYZ, seen at a scale 1 + s of homogeneous coordinates, which nothing tells."""
 
     size = value_size = 4
+    in_world = True
     prior = np.array([[0.09]])
-    kernels = LandmarkKernels(_scaled_point, _scaled_start)
 
-    def parameters_of(self, position, h_w, scale):
-        return np.column_stack([position + h_w / scale[:, None], np.zeros(len(scale))])
+    def point_of(self, y):
+        scale = 1.0 + y[3]
+        return scale * y[0], scale * y[1], scale * y[2], scale
 
-    def homogeneous(self, position, anchors, parameters):
-        scale = 1.0 + parameters[:, 3]
-        return np.column_stack([scale[:, None] * (parameters[:, :3] - position), scale])
+    def start_from(self, h):
+        return h[0] / h[3], h[1] / h[3], h[2] / h[3], 0.0
 
-    def rotated(self, anchors, parameters, R):
-        return np.column_stack([parameters[:, :3] @ R.T, parameters[:, 3]])
+    def can_start_from(self, h):
+        return h[3] > 0.0
 
 
 def test_a_number_that_no_measurement_tells_keeps_its_prior_and_changes_nothing() -> None:

@@ -1,0 +1,49 @@
+"""Vectors as tuples of numbers, of columns or of dual numbers: what the plain functions of parts are made of."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from filters.geometry.machine_code import compiled
+
+
+@compiled
+def cross(a: Any, b: Any) -> Any:
+    """a x b."""
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@compiled
+def turned_by(theta: Any, v: Any) -> Any:
+    """Exp(theta) v (Rodrigues); smooth at zero, so that derivatives are."""
+    angle = np.sqrt(theta[0] * theta[0] + theta[1] * theta[1] + theta[2] * theta[2])
+    half = np.sinc(angle * (0.5 / np.pi))
+    b, c = np.sinc(angle * (1.0 / np.pi)), 0.5 * half * half
+    first = cross(theta, v)
+    second = cross(theta, first)
+    return (
+        v[0] + b * first[0] + c * second[0],
+        v[1] + b * first[1] + c * second[1],
+        v[2] + b * first[2] + c * second[2],
+    )
+
+
+@compiled
+def spread_by(theta: Any, v: Any) -> Any:
+    """J_l(theta) v, the left Jacobian of a rotation vector; theta is one for all."""
+    square = theta[0] * theta[0] + theta[1] * theta[1] + theta[2] * theta[2]
+    half = np.sinc(np.sqrt(square) * (0.5 / np.pi))
+    b = 0.5 * half * half
+    if square < 1e-2:
+        c = 1.0 / 6.0 - square / 120.0 * (1.0 - square / 42.0 * (1.0 - square / 72.0 * (1.0 - square / 110.0)))
+    else:
+        c = (1.0 - np.sinc(np.sqrt(square) * (1.0 / np.pi))) / square
+    first = cross(theta, v)
+    second = cross(theta, first)
+    return (
+        v[0] + b * first[0] + c * second[0],
+        v[1] + b * first[1] + c * second[1],
+        v[2] + b * first[2] + c * second[2],
+    )
