@@ -6,8 +6,9 @@
 The yardstick is Cholesky + triangular solve + symmetric rank-k update of the whole frame's measurement in one batch, by
 scipy's BLAS and LAPACK, at the sizes of the shared-anchor state. Everything is measured in turns, some frames of each
 at a time, in one process with one BLAS thread, so the ratios hold on a noisy machine; times are this machine's
-processor time, 20 % quantile. "Own" parts are a stranger's: their numbers come from NumPy, or from kernels of their
-own. filterpy's EKF gets H for nothing, at the sizes of the shared-anchor and of the six-dimensional state: it has no
+processor time, 20 % quantile. "Own" parts are a stranger's: plain functions, compiled, or run in Python as where Numba
+cannot compile them. filterpy's EKF gets H for nothing, at the sizes of the shared-anchor and of the six-dimensional
+state: it has no
 shared anchors, so the latter is the same problem as a user would write it; OpenCV's KalmanFilter and a careful EKF in
 NumPy (Cholesky, triangular solve, a step of the leading rows alone) get it at the sizes of the former, and so does the
 same EKF in JAX where that is installed, a filter of `JAX_FILTERS` under `vmap`. These are measured up to 200 landmarks.
@@ -31,10 +32,8 @@ from threadpoolctl import threadpool_limits
 from filters import (
     CalibratedPair,
     ConstantVelocity,
-    MeasurementKernels,
     MeasurementModel,
     Start,
-    StereoCamera,
     StereoEKF,
     StereoNoise,
     StereoObservation,
@@ -60,41 +59,24 @@ JAX_FILTERS = 8
 SHARED = "shared anchors"
 
 
-class OwnCamera(MeasurementModel):
-    """The rectified pair as a stranger writes it, with numerical Jacobians."""
+class OwnCompiledCamera(MeasurementModel):
+    """The rectified pair as a stranger writes it."""
 
-    def predict(self, camera: StereoCamera, points_c: np.ndarray, values: object) -> np.ndarray:
+    def project(self, camera: Any, h: Any) -> Any:
         """(u, v, d)."""
-        return camera.project_scaled(points_c[..., :3], points_c[..., 3])
+        u, v = camera.fx * h[0] / h[2] + camera.cx, camera.fy * h[1] / h[2] + camera.cy
+        return u, v, camera.fx * camera.baseline * h[3] / h[2]
 
-    def backproject(self, camera: StereoCamera, uvd: np.ndarray, values: object) -> np.ndarray:
+    def unproject(self, camera: Any, uvd: Any) -> Any:
         """The inverse."""
-        return np.column_stack([camera.ray(uvd), uvd[:, 2] / camera.disparity_constant])
+        x, y = (uvd[0] - camera.cx) / camera.fx, (uvd[1] - camera.cy) / camera.fy
+        return x, y, 1.0, uvd[2] / (camera.fx * camera.baseline)
 
 
-def _predict(settings, camera, points, values, numbers, J, J_values, in_front) -> None:  # type: ignore[no-untyped-def]
-    fx, fy, fb = camera[0], camera[1], camera[0] * camera[4]
-    for i in range(len(points)):
-        inverse = 1.0 / points[i, 2]
-        u, v, d = fx * points[i, 0] * inverse, fy * points[i, 1] * inverse, fb * points[i, 3] * inverse
-        numbers[i, 0], numbers[i, 1], numbers[i, 2] = u + camera[2], v + camera[3], d
-        J[i, 0, 0], J[i, 1, 1], J[i, 2, 3] = fx * inverse, fy * inverse, fb * inverse
-        J[i, 0, 2], J[i, 1, 2], J[i, 2, 2] = -u * inverse, -v * inverse, -d * inverse
-        in_front[i] = points[i, 2] > 0.0
+class OwnCamera(OwnCompiledCamera):
+    """The same in Python, as where Numba cannot compile it."""
 
-
-def _backproject(settings, camera, uvd, values, points, J, J_values) -> None:  # type: ignore[no-untyped-def]
-    fx, fy, fb = camera[0], camera[1], camera[0] * camera[4]
-    for i in range(len(uvd)):
-        points[i, 0], points[i, 1] = (uvd[i, 0] - camera[2]) / fx, (uvd[i, 1] - camera[3]) / fy
-        points[i, 2], points[i, 3] = 1.0, uvd[i, 2] / fb
-        J[i, 0, 0], J[i, 1, 1], J[i, 3, 2] = 1.0 / fx, 1.0 / fy, 1.0 / fb
-
-
-class OwnCompiledCamera(OwnCamera):
-    """The same with kernels."""
-
-    kernels = MeasurementKernels(_predict, _backproject)
+    kernels = None
 
 
 class OwnMotion(ConstantVelocity):

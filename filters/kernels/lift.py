@@ -7,6 +7,7 @@ columns where it can and row by row where it branches on its numbers.
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections import namedtuple
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -55,9 +56,10 @@ def _size(layout: Layout) -> int:
 
 def _with_compiled_helpers(function: Any) -> Any:
     """The function, with the functions of its module that it calls marked as ones that kernels may call."""
-    names, room = function.__code__.co_names, function.__globals__
+    room = function.__globals__
+    globals_there = {name: room.get(name) for name in function.__code__.co_names}
     helpers = {
-        name: room[name] for name in names if isinstance(room.get(name), FunctionType) and name != function.__name__
+        name: one for name, one in globals_there.items() if isinstance(one, FunctionType) and one is not function
     }
     if not helpers:
         return function
@@ -138,17 +140,22 @@ def _tried(method: Callable[..., Any], kernels: Any, names: Sequence[str]) -> An
 
     Machine code is kept on disk only where the source of the part is a file.
     """
+    has_source = Path(method.__code__.co_filename).exists()
     for one in vars(kernels).values():
         if isinstance(one, FunctionType):
-            one.has_source = Path(method.__code__.co_filename).exists()
+            vars(one)["has_source"] = has_source
     if method.__module__.startswith("filters."):
         return kernels
     try:
         for name in names:
             of_part(kernels, name)
     except ValueError as error:
-        return str(error)
+        reason = _STEPS.sub("", str(error).partition("Numba can compile: ")[2])
+        return f"{method.__qualname__}: {reason}"
     return kernels
+
+
+_STEPS = re.compile(r"Failed in \w+ mode pipeline \(step: [^)]*\) ")
 
 
 def _elementwise(sign: str, n: int) -> Keyed:
@@ -391,5 +398,5 @@ def how_it_runs(part: Any) -> str:
     if functions is None:
         return "in Python, on columns"
     if isinstance(functions, str):
-        return f"in Python, on columns, since Numba cannot compile it: {functions}"
+        return f"in Python, on columns: Numba cannot compile {functions}"
     return "in machine code, with Jacobians by dual numbers"

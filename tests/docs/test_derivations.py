@@ -22,8 +22,9 @@ from filters import (
     VelocityDriven,
 )
 from filters.geometry import rotations
+from filters.geometry.duals import jacobian_of
 from filters.geometry.retractions import AdditiveQuaternion, RotationVector
-from filters.landmarks.inverse_depth import angles_jacobian, angles_of, ray_direction
+from filters.landmarks.inverse_depth import angles_of, ray_of
 from filters.state.joint_state import world_rotation_of_variables
 from filters.state.layout import StateLayout
 from filters.updates.extended import chain_rule
@@ -153,10 +154,10 @@ class TestInverseDepth:
     def test_angles(self, rng):
         g = rng.normal(size=3)
         c = np.hypot(g[0], g[2])
-        np.testing.assert_allclose(angles_of(g[None])[0], [np.arctan2(g[0], g[2]), np.arctan2(-g[1], c)], **EXACT)
+        np.testing.assert_allclose(angles_of(g), [np.arctan2(g[0], g[2]), np.arctan2(-g[1], c)], **EXACT)
         by_theta = np.array([g[2], 0, -g[0]]) / c**2
         by_phi = np.array([g[0] * g[1] / c, -c, g[2] * g[1] / c]) / (g @ g)
-        np.testing.assert_allclose(angles_jacobian(g[None])[0], [by_theta, by_phi], **EXACT)
+        np.testing.assert_allclose(jacobian_of(angles_of, g[None])[1][0], [by_theta, by_phi], **EXACT)
 
     def test_initialisation(self, state):
         uvd = np.array([700.0, 150.0, -2.0])
@@ -166,8 +167,8 @@ class TestInverseDepth:
         noise = np.diag([1.0, 2.0, 3.0]) + 0.5
         new = first_sight(InverseDepth(), CAMERA, state.position, R, uvd[None], noise)
         rho = uvd[2] / (f_b * n)
-        np.testing.assert_allclose(new.started.parameters[0], [*angles_of((R @ h)[None])[0], rho], **EXACT)
-        by_g = angles_jacobian((R @ h)[None])[0] @ R
+        np.testing.assert_allclose(new.started.parameters[0], [*angles_of(R @ h), rho], **EXACT)
+        by_g = jacobian_of(angles_of, (R @ h)[None])[1][0] @ R
         np.testing.assert_allclose(new.by_leading[0], np.hstack([ZERO, [*(-by_g @ skew(h)), np.zeros(3)]]), **EXACT)
         by_pixel = by_g @ np.array([[1 / FX, 0], [0, 1 / FY], [0, 0]])
         by_rho = [*(-rho / n**2 * np.array([h[0] / FX, h[1] / FY])), 1 / (f_b * n)]
@@ -234,8 +235,8 @@ class TestErrors:
         np.testing.assert_allclose(world_rotation_of_variables(StateLayout(), state), expected, **EXACT)
         np.testing.assert_allclose(Euclidean().world_rotation(None, X[None])[0], -skew(X), **EXACT)
         y = np.array([[0.4, -0.3, 0.07]])
-        m = ray_direction(y)
-        by_turn = [*(-angles_jacobian(m)[0] @ skew(m[0])), np.zeros(3)]
+        m = np.array(ray_of(*y[0, :2]))
+        by_turn = [*(-jacobian_of(angles_of, m[None])[1][0] @ skew(m)), np.zeros(3)]
         np.testing.assert_allclose(InverseDepth().world_rotation(X[None], y)[0], by_turn, **EXACT)
 
     @pytest.mark.parametrize("error", [RightInvariant(), LeftInvariant()])
