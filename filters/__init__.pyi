@@ -57,7 +57,6 @@ from .landmarks.hybrid import Hybrid as Hybrid
 from .landmarks.inverse_depth import InverseDepth as InverseDepth
 from .landmarks.inverse_depth import SharedAnchorInverseDepth as SharedAnchorInverseDepth
 from .landmarks.landmark_model import InverseDistances as InverseDistances
-from .landmarks.landmark_model import LandmarkKernels as LandmarkKernels
 from .landmarks.landmark_model import LandmarkModel as LandmarkModel
 from .landmarks.landmark_model import Points as Points
 from .landmarks.landmark_model import ScaledPoints as ScaledPoints
@@ -67,7 +66,6 @@ from .landmarks.spherical import Polar as Polar
 from .landmarks.spherical import Spherical as Spherical
 from .measurements.calibrated_pair import CalibratedPair as CalibratedPair
 from .measurements.lasting_pair import PairWithLastingErrors as PairWithLastingErrors
-from .measurements.measurement_model import MeasurementKernels as MeasurementKernels
 from .measurements.measurement_model import MeasurementModel as MeasurementModel
 from .measurements.measurement_model import SensorJacobians as SensorJacobians
 from .measurements.measurement_model import Stage as Stage

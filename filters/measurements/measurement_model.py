@@ -138,7 +138,7 @@ class MeasurementModel:
 
     # --- what a part gives: plain functions of tuples of numbers ---
 
-    def project(self, camera: Any, h: Numbers, *values: Any) -> Numbers:
+    def project(self, camera: Any, h: Numbers, values: Any = None) -> Numbers:
         """Numbers of the sensor at a homogeneous point (x, y, z, scale) in the camera frame.
 
         `camera` has fx, fy, cx, cy and baseline. A sensor with variables is given their values by name, each a tuple;
@@ -146,7 +146,7 @@ class MeasurementModel:
         """
         raise NotImplementedError(f"{type(self).__name__} must have project and unproject: see MeasurementModel")
 
-    def unproject(self, camera: Any, uvd: Numbers, *values: Any) -> Numbers:
+    def unproject(self, camera: Any, uvd: Numbers, values: Any = None) -> Numbers:
         """Homogeneous point in the camera frame at a measurement, the three columns of `uvd`."""
         raise NotImplementedError(f"{type(self).__name__} must have project and unproject: see MeasurementModel")
 

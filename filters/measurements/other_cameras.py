@@ -81,11 +81,11 @@ class UnrectifiedPair(MeasurementModel):
 class DepthCamera(MeasurementModel):
     """Columns of `uvd` are (u, v, z), px and m, and so is their R. Of the camera the intrinsics are used."""
 
-    def project(self, camera: Any, h: Numbers, *values: Any) -> Numbers:
+    def project(self, camera: Any, h: Numbers, values: Any = None) -> Numbers:
         """The pixel, and z = direction_z / scale."""
         return camera.fx * h[0] / h[2] + camera.cx, camera.fy * h[1] / h[2] + camera.cy, h[2] / h[3]
 
-    def unproject(self, camera: Any, uvd: Numbers, *values: Any) -> Numbers:
+    def unproject(self, camera: Any, uvd: Numbers, values: Any = None) -> Numbers:
         """The ray at z = 1, and 1 / z as its scale; no depth <= 0 is that of a point: it is not finite."""
         root = np.sqrt(uvd[2])
         return (uvd[0] - camera.cx) / camera.fx, (uvd[1] - camera.cy) / camera.fy, 1.0, 1.0 / (root * root)

@@ -21,7 +21,7 @@ _U, _V, _U_RIGHT = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (1.0, 0.0, -1.0)
 class RectifiedPair(MeasurementModel):
     """Base of the models of a rectified pair: they differ in the stages of an update."""
 
-    def project(self, camera: Any, h: Numbers, *values: Any) -> Numbers:
+    def project(self, camera: Any, h: Numbers, values: Any = None) -> Numbers:
         """(u, v, d) of Eq. 10."""
         return (
             camera.fx * h[0] / h[2] + camera.cx,
@@ -29,7 +29,7 @@ class RectifiedPair(MeasurementModel):
             camera.fx * camera.baseline * h[3] / h[2],
         )
 
-    def unproject(self, camera: Any, uvd: Numbers, *values: Any) -> Numbers:
+    def unproject(self, camera: Any, uvd: Numbers, values: Any = None) -> Numbers:
         """The ray at z = 1, and d / (f b) as its scale (Eq. 21)."""
         x, y = (uvd[0] - camera.cx) / camera.fx, (uvd[1] - camera.cy) / camera.fy
         return x, y, 1.0, uvd[2] / (camera.fx * camera.baseline)

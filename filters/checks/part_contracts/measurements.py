@@ -9,14 +9,13 @@ from typing import Any
 import numpy as np
 
 from filters.checks.conformance import REFERENCE_CAMERA, REFERENCE_NOISE, require
-from filters.checks.part_contracts.comparison import SCALES, Kernels, assert_close, assert_same, unit_directions
+from filters.checks.part_contracts.comparison import SCALES, assert_close, unit_directions
 from filters.contract.inputs import StereoObservation
 from filters.contract.variables import VELOCITY
 from filters.geometry import differences
 from filters.geometry.arrays import FloatArray
 from filters.geometry.retractions import ADDITIVE, Retraction
 from filters.measurements.measurement_model import MeasurementModel, Values
-from filters.parts import kernels_of
 
 
 def _points(sensor: MeasurementModel) -> tuple[FloatArray, Values]:
@@ -102,41 +101,9 @@ def check_measurement_stages(sensor: MeasurementModel) -> None:
                 require((np.linalg.eigvalsh(stage.R) > 0.0).all(), "R of a stage is not positive definite")
 
 
-def check_measurement_kernels(sensor: MeasurementModel) -> None:
-    """Compiled functions of its own, where there are any, say what those in NumPy do."""
-    if "kernels" not in vars(type(sensor)) or kernels_of(sensor) is None:
-        return
-    kernels, (points_c, values), c = Kernels(sensor), _points(sensor), REFERENCE_CAMERA
-    camera = np.array([c.fx, c.fy, c.cx, c.cy, c.baseline])
-    flat = np.concatenate([np.zeros(0), *values.values()])
-    wanted = sensor.jacobians(c, points_c, values)
-    count, s, errors = len(points_c), sensor.size, sum(J.shape[2] for J in wanted.by_variable.values())
-    flags = np.zeros(count, dtype=np.bool_)
-    shapes: dict[str, Any] = {
-        "numbers": (count, s),
-        "J": (count, s, sensor.seen_size),
-        "J_values": (count, s, errors),
-        "in_front": flags,
-    }
-    numbers, J, by_values, in_front = kernels.of("predict", camera, points_c, flat, **shapes)
-    require(in_front.all(), "in_front of kernel predict is false where in_front is true")
-    assert_same("predict", numbers=(numbers, sensor.predict(c, points_c, values)), J=(J, wanted.by_point))
-    uvd = numbers[:, :3].copy()
-    k = sensor.seen_size
-    shapes = {"points": (count, k), "J": (count, k, 3), "J_values": (count, k, errors)}
-    points, J, back_by_values = kernels.of("backproject", camera, uvd, flat, **shapes)
-    back = sensor.backprojection_jacobians(c, uvd, values)
-    assert_same("backproject", points=(points, sensor.backproject(c, uvd, values)), J=(J, back.by_point))
-    if errors:
-        both = ((by_values, wanted, "predict"), (back_by_values, back, "backproject"))
-        for written, claimed, name in both:
-            assert_same(name, J_values=(written, np.concatenate([*claimed.by_variable.values()], axis=2)))
-
-
 CHECKS: tuple[Callable[..., None], ...] = (
     check_measurement_shapes,
     check_measurement_inverse,
     check_measurement_jacobians,
     check_measurement_stages,
-    check_measurement_kernels,
 )

@@ -271,19 +271,6 @@ class RefusesAtLength(RangeBearing):
             raise ValueError("limit must be 1\nand nothing else")
 
 
-def _loses_d(settings, camera, uvd, values, points, J, J_values):
-    fx, fy, cx, cy = camera[0], camera[1], camera[2], camera[3]
-    for i in range(len(uvd)):
-        points[i, 0], points[i, 1], points[i, 2] = (uvd[i, 0] - cx) / fx, (uvd[i, 1] - cy) / fy, 1.0
-        J[i, 0, 0], J[i, 1, 1] = 1.0 / fx, 1.0 / fy
-
-
-class LosesD(CalibratedPair):
-    """A kernel that is not what NumPy says."""
-
-    kernels = replace(CalibratedPair.kernels, backproject=_loses_d)
-
-
 class WrongRows(ConstantVelocity):
     """Odometry is no measurement, its kernels say."""
 
@@ -291,7 +278,6 @@ class WrongRows(ConstantVelocity):
 
 
 BROKEN = {
-    LosesD(): "Compiled functions of its own, where there are any",
     WrongRows(): "Compiled functions, where there are any",
     StartsElsewhere(): "A landmark is seen where it was started",
     ForgetsTheScale(): "Jacobians of a start",
