@@ -148,7 +148,8 @@ class FilterBatch(Sequence[StereoEKF]):
     @property
     def poses(self) -> FloatArray:
         """Position (W, m) and orientation (xyzw) of every filter; (B, 7)."""
-        return self._engine.storage.x[:, :7].copy()
+        poses: FloatArray = self._engine.storage.x[:, :7].copy()
+        return poses
 
     @property
     def pose_covariances(self) -> FloatArray:
@@ -159,7 +160,8 @@ class FilterBatch(Sequence[StereoEKF]):
     def velocities(self) -> FloatArray:
         """Linear (W, m/s) and angular (camera, rad/s) velocity of every filter; (B, 6)."""
         first = self._engine.recipe.plan.velocity + 1  # an orientation has one number more than its error
-        return self._engine.storage.x[:, first : first + 6].copy()
+        velocities: FloatArray = self._engine.storage.x[:, first : first + 6].copy()
+        return velocities
 
     @property
     def velocity_covariances(self) -> FloatArray:
@@ -176,7 +178,8 @@ class FilterBatch(Sequence[StereoEKF]):
     def state_sizes(self) -> IntArray:
         """`StereoEKF.state_size` of every filter, (B,)."""
         options = self._filters[0].options
-        return options.layout.errors + options.landmark.size * self._engine.storage.counts[:, 1]
+        sizes: IntArray = options.layout.errors + options.landmark.size * self._engine.storage.counts[:, 1]
+        return sizes
 
     def forecasts(self) -> list[Forecast]:
         """`StereoEKF.forecast` of all landmarks of every filter."""

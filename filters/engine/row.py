@@ -316,7 +316,8 @@ class Row:
     def ids(self) -> IntArray:
         """Landmarks in the map, ascending."""
         storage = self.engine.storage
-        return storage.ids[self.number, : storage.counts[self.number, 0]].copy()
+        ids: IntArray = storage.ids[self.number, : storage.counts[self.number, 0]].copy()
+        return ids
 
     @property
     def state_size(self) -> int:

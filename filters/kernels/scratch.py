@@ -2,133 +2,119 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 
-from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.kernels.recipe import MOST_ROWS, Recipe
-from filters.kernels.storage import Storage, aligned
+from filters.kernels.record import ALIGNED, BYTE, FLAG, INT, REAL, Rows, allocated, record_of
+from filters.kernels.storage import Storage
 from filters.motions.motion_model import POSE_SIZE
 
 CHUNK_ROWS = 36  # of measurement corrected with at a time: more cost more to factorise, fewer pass over P more often
 
 
-class Scratch(NamedTuple):
-    """Room for one filter's frame at a time: one for each thread."""
-
-    F: FloatArray
-    old: FloatArray
-    half: FloatArray
-    changed: BoolArray
-    lead: FloatArray
-    """(leading or columns of H, n): whole leading rows of P, and of the blocks of one landmark."""
-    G: FloatArray
-    """(6, n): factors of a change of rank six, or diagonals of a matrix of blocks."""
-    block: FloatArray
-    before: FloatArray
-    moved: FloatArray
-    moved_blocks: FloatArray
-    point_blocks: FloatArray
-    where: IntArray
-    """Landmark of each measurement, -1: not in the map, (M,)."""
-    place: IntArray
-    land: IntArray
-    fates: IntArray
-    select: IntArray
-    entered: IntArray
-    """Blocks that new landmarks and clones take, (M,)."""
-    base: IntArray
-    """First rows of the landmark of each: of its anchor's position and orientation, where there are such (only the
-    position: the second one), and its own; (M, 3)."""
-    made: IntArray
-    """Blocks of new anchors, (2 M,)."""
-    turns: IntArray
-    """Blocks of the orientations of new anchors, (M,); -1: none."""
-    z: FloatArray
-    R: FloatArray
-    H: FloatArray
-    """(M, 4, measured + 3 anchors + size): by leading rows, anchor, own rows; of new landmarks, (M, size, measured)."""
-    nu: FloatArray
-    distances: FloatArray
-    ahead: BoolArray
-    used: BoolArray
-    support: BoolArray
-    HP: FloatArray
-    S: FloatArray
-    shared: FloatArray
-    delta: FloatArray
-    kept: FloatArray
-    W: FloatArray
-    D: FloatArray
-    copy: FloatArray
-    tangents: FloatArray
-    """H and, in the last column, nu from before a pass, of the measurements that it may leave as they are."""
-    leading: IntArray
-    """Leading rows, (leading,)."""
-    state: FloatArray
-    """What the motion moves, before and after the step, and what it says of it."""
-    after: FloatArray
-    F_part: FloatArray
-    Q: FloatArray
-    odometry_nu: FloatArray
-    odometry_H: FloatArray
-    odometry_R: FloatArray
-    taken: IntArray
-    """Blocks that kernels of landmarks work on, (K,), with all that they take and give."""
-    values_taken: FloatArray
-    values_moved: FloatArray
-    points: FloatArray
-    by_own: FloatArray
-    theta: FloatArray
-    correction: FloatArray
-    by_correction: FloatArray
-    by_theta: FloatArray
-    effect: FloatArray
-    sensed: FloatArray
-    """What the sensor depends on besides the point, with all that its kernels take and give."""
-    points_c: FloatArray
-    numbers: FloatArray
-    by_point: FloatArray
-    by_values: FloatArray
-    in_front: BoolArray
-    uvd: FloatArray
-    by_uvd: FloatArray
-    back_by_values: FloatArray
-    by_start: FloatArray
-    possible: BoolArray
-    gate_rows: IntArray
-    gate_P: FloatArray
-    gate_HP: FloatArray
-    inverse_R: FloatArray
-    small: FloatArray
-    root: FloatArray
-    """Cholesky factor of what a measurement depends on, pose first, and what is drawn and fitted along it."""
-    sigma_positions: FloatArray
-    sigma_rotations: FloatArray
-    sigma_z: FloatArray
-    sigma_along: FloatArray
-    added: FloatArray
-    """What sigma points have added to R, (M, 4, 4)."""
-    result: FloatArray
-    """What a unit gives back, (2,)."""
-    noise: FloatArray
-    """R of (u, v, d) of each measurement, (M, 3, 3)."""
-    gone: BoolArray
-    """Landmarks that leave, (C,)."""
-    values: FloatArray
-    """Of new landmarks, (M, v)."""
-    values_noise: FloatArray
-    """What the measurement adds to their covariance, and what their prior does, (M, size, size)."""
-    anchored: BoolArray
-    """Whether they have an anchor, (M,)."""
-    by_anchor: FloatArray
-    """Jacobian of a new anchor by the leading rows that measurements depend on, (3 anchors, measured)."""
-    door: IntArray
-    """Number of the thread, and whether a part has failed, (2,)."""
-    letters: IntArray
-    sizes: IntArray
-    """Arguments of LAPACK."""
+ROWS: Rows = (
+    ("F", REAL, "leading leading", "Jacobian of the leading variables"),
+    ("old", REAL, "leading leading", "leading block of P before a transform"),
+    ("half", REAL, "leading leading", "half of a product of three matrices"),
+    ("changed", FLAG, "leading", "leading rows that a transform changes"),
+    ("lead", ALIGNED, "lead n", "whole leading rows of P, and of the blocks of one landmark"),
+    ("G", ALIGNED, "factors n", "factors of a change of rank six, or diagonals of a matrix of blocks"),
+    ("block", ALIGNED, "size n", "whole rows of one block of P"),
+    ("before", REAL, "values", "leading values before a step"),
+    ("moved", REAL, "values", "leading values after a correction"),
+    ("moved_blocks", REAL, "blocks block_values", "values of the blocks after a correction"),
+    ("point_blocks", REAL, "blocks block_values", "values of the blocks at the linearisation point"),
+    ("where", INT, "M", "landmark of each measurement, -1: not in the map"),
+    ("place", INT, "M", "place of each selected measurement among those of the frame"),
+    ("land", INT, "M", "landmark of each measurement of a known one"),
+    ("select", INT, "M", "selected measurements"),
+    ("entered", INT, "M", "blocks that new landmarks and clones take"),
+    ("fates", BYTE, "M", "outcome of each measurement"),
+    ("base", INT, "M 3", "first rows of anchor position (or orientation), anchor, and own numbers of each landmark"),
+    ("made", INT, "twice", "blocks of new anchors"),
+    ("turns", INT, "M", "blocks of the orientations of new anchors, -1: none"),
+    ("z", REAL, "M rows", "measurements of a stage"),
+    ("R", REAL, "M rows rows", "their noise"),
+    ("H", REAL, "M most width", "Jacobian by leading rows, anchor, own rows; of new landmarks by the leading ones"),
+    ("nu", REAL, "M rows", "innovations"),
+    ("distances", REAL, "M", "squared distances of single measurements"),
+    ("ahead", FLAG, "M", "whether a measurement passed the stages before, and can be seen"),
+    ("used", FLAG, "M", "whether a chunk had a Cholesky factor"),
+    ("support", FLAG, "agree agree", "measurements that agree with each proposal"),
+    (
+        "HP",
+        ALIGNED,
+        "chunk n16",
+        "H P of a chunk; rows of 512 numbers would fall on the same lines of a cache",
+    ),
+    ("S", ALIGNED, "chunk chunk8", "innovation covariance and its factor"),
+    ("shared", ALIGNED, "width chunk8", "rows of H P that a chunk shares"),
+    ("delta", REAL, "n", "correction"),
+    ("kept", REAL, "considered considered", "covariance of what is only considered"),
+    ("W", REAL, "n 3", "Jacobian by the rotation"),
+    ("D", REAL, "blocks size size", "Jacobian of the blocks by themselves"),
+    ("copy", REAL, "copied copied", "P of a pass that is not the last one"),
+    ("tangents", REAL, "kept_rows rows width1", "H and, in the last column, nu from before a pass"),
+    ("leading", INT, "leading", "leading rows"),
+    ("state", REAL, "moving", "what the motion moves, before the step"),
+    ("after", REAL, "moving", "and after it"),
+    ("F_part", REAL, "moved_rows moved_rows", "its Jacobian"),
+    ("Q", REAL, "moved_rows moved_rows", "and process noise"),
+    ("odometry_nu", REAL, "odometry", "innovation of odometry"),
+    ("odometry_H", REAL, "odometry moved_rows", "its Jacobian"),
+    ("odometry_R", REAL, "odometry odometry", "and noise"),
+    ("taken", INT, "K", "blocks that functions of landmarks work on"),
+    ("values_taken", REAL, "K v", "their values"),
+    ("values_moved", REAL, "K v", "values after a correction"),
+    ("points", REAL, "K seen", "homogeneous points, in W"),
+    ("by_own", REAL, "K seen size", "their Jacobians by the own numbers"),
+    ("theta", REAL, "3", "rotation vector of the world"),
+    ("correction", REAL, "K size", "correction of the own numbers"),
+    ("by_correction", REAL, "K size size", "Jacobian by it"),
+    ("by_theta", REAL, "K size 3", "Jacobian by theta"),
+    ("effect", REAL, "K size 3", "effect of a rotation of the world on the own numbers"),
+    ("sensed", REAL, "sensed", "values of what the sensor depends on besides the point"),
+    ("points_c", REAL, "M seen", "homogeneous points in the camera frame"),
+    ("numbers", REAL, "N numbers", "numbers of the sensor there"),
+    ("by_point", REAL, "N numbers seen", "Jacobian by the point"),
+    ("by_values", REAL, "N numbers others", "Jacobian by the values"),
+    ("in_front", FLAG, "N", "whether the sensor can see it"),
+    ("uvd", REAL, "M 3", "measurements that start landmarks"),
+    ("by_uvd", REAL, "M seen 3", "Jacobian of their points"),
+    ("back_by_values", REAL, "N seen others", "and by the values"),
+    ("by_start", REAL, "M size seen", "Jacobian of the values by the point"),
+    ("possible", FLAG, "M", "whether a landmark can start"),
+    ("gate_rows", INT, "width", "rows of P that one measurement depends on"),
+    ("gate_P", REAL, "width width8", "P there"),
+    ("gate_HP", REAL, "rows width8", "H P there"),
+    ("inverse_R", REAL, "agree rows rows", "inverse noise of a stage"),
+    ("small", REAL, "3 most most", "three small matrices"),
+    ("root", REAL, "root root", "Cholesky factor of what a measurement depends on, pose first"),
+    ("sigma_positions", REAL, "poses 3", "positions of sigma points"),
+    ("sigma_rotations", REAL, "rotations 3", "and rotations"),
+    ("sigma_z", REAL, "drawn rows", "measurements of sigma points"),
+    ("sigma_along", REAL, "rows width", "their covariance with the drawn numbers"),
+    ("added", REAL, "added rows rows", "what sigma points have added to R"),
+    ("result", REAL, "2", "what a unit gives back"),
+    ("noise", REAL, "M 3 3", "R of (u, v, d) of each measurement"),
+    ("gone", FLAG, "blocks", "landmarks that leave"),
+    ("values", REAL, "M v", "values of new landmarks"),
+    ("values_noise", REAL, "M size size", "what the measurement, and the prior, add to their covariance"),
+    ("anchored", FLAG, "M", "whether they have an anchor"),
+    (
+        "by_anchor",
+        REAL,
+        "anchor_rows measured",
+        "Jacobian of a new anchor by the leading rows of measurements",
+    ),
+    ("door", INT, "2", "number of the thread, and whether a part has failed"),
+    ("letters", BYTE, "1", "arguments of LAPACK"),
+    ("sizes", np.int32, "3", "arguments of LAPACK"),
+)
+Scratch: Any = record_of(__name__, "Scratch", ROWS)
+"""Room for one filter's frame at a time: one for each thread."""
 
 
 def scratch(
@@ -151,89 +137,23 @@ def scratch(
         recipe.sensor_size,
         len(plan.moved_rows),
     )
-    integers = {name: np.zeros(M, dtype=np.int64) for name in ("where", "place", "land", "select", "entered")}
-    return Scratch(
-        F=np.zeros((leading, leading)),
-        old=np.zeros((leading, leading)),
-        half=np.zeros((leading, leading)),
-        changed=np.zeros(leading, dtype=np.bool_),
-        lead=aligned(max(leading, width, columns, 2 * size), n),
-        G=aligned(max(6, 2 * size - 1), n),
-        block=aligned(size, n),
-        before=np.zeros(recipe.values),
-        moved=np.zeros(recipe.values),
-        moved_blocks=np.zeros((blocks, recipe.block_values)),
-        point_blocks=np.zeros((blocks, recipe.block_values)),
-        **integers,
-        fates=np.zeros(M, dtype=np.uint8),
-        base=np.zeros((M, 3), dtype=np.int64),
-        made=np.zeros(2 * M, dtype=np.int64),
-        turns=np.zeros(M, dtype=np.int64),
-        z=np.zeros((M, MOST_ROWS)),
-        R=np.zeros((M, MOST_ROWS, MOST_ROWS)),
-        H=np.zeros((M, most, width)),
-        nu=np.zeros((M, MOST_ROWS)),
-        distances=np.zeros(M),
-        ahead=np.zeros(M, dtype=np.bool_),
-        used=np.zeros(M, dtype=np.bool_),
-        support=np.zeros((M, M) if plan.consensus else (1, 1), dtype=np.bool_),
-        HP=aligned(rows, n + 16),  # rows of 512 numbers, 8 more than 504, would fall on the same lines of a cache
-        S=aligned(rows, rows + 8),
-        shared=aligned(width, rows + 8),
-        delta=np.zeros(n),
-        kept=np.zeros((max(1, len(plan.considered)),) * 2),
-        W=np.zeros((n, 3)),
-        D=np.zeros((blocks, size, size)),
-        copy=np.zeros((n, n) if plan.iterations > 1 else (1, 1)),
-        tangents=np.zeros((M if keeps else 1, MOST_ROWS, width + 1)),
-        leading=np.arange(leading),
-        state=np.zeros(len(plan.moved)),
-        after=np.zeros(len(plan.moved)),
-        F_part=np.zeros((moved, moved)),
-        Q=np.zeros((moved, moved)),
-        odometry_nu=np.zeros(used),
-        odometry_H=np.zeros((used, moved)),
-        odometry_R=np.zeros((used, used)),
-        taken=np.zeros(K, dtype=np.int64),
-        values_taken=np.zeros((K, v)),
-        values_moved=np.zeros((K, v)),
-        points=np.zeros((K, seen)),
-        by_own=np.zeros((K, seen, size)),
-        theta=np.zeros(3),
-        correction=np.zeros((K, size)),
-        by_correction=np.zeros((K, size, size)),
-        by_theta=np.zeros((K, size, 3)),
-        effect=np.zeros((K, size, 3)),
-        sensed=np.zeros(len(plan.sensed) + (6 if plan.measured > plan.velocity else 0)),
-        points_c=np.zeros((M, seen)),
-        numbers=np.zeros((N, numbers)),
-        by_point=np.zeros((N, numbers, seen)),
-        by_values=np.zeros((N, numbers, others)),
-        in_front=np.zeros(N, dtype=np.bool_),
-        uvd=np.zeros((M, 3)),
-        by_uvd=np.zeros((M, seen, 3)),
-        back_by_values=np.zeros((N, seen, others)),
-        by_start=np.zeros((M, size, seen)),
-        possible=np.zeros(M, dtype=np.bool_),
-        gate_rows=np.zeros(width, dtype=np.int64),
-        gate_P=np.zeros((width, width + 8)),
-        gate_HP=np.zeros((MOST_ROWS, width + 8)),
-        inverse_R=np.zeros((M if plan.consensus else 1, MOST_ROWS, MOST_ROWS)),
-        small=np.zeros((3, most, most)),
-        root=np.zeros((width, width) if lines else (1, 1)),
-        sigma_positions=np.zeros((2 * POSE_SIZE + 1, 3)),
-        sigma_rotations=np.zeros((3 * (2 * POSE_SIZE + 1), 3)),
-        sigma_z=np.zeros((drawn, MOST_ROWS)),
-        sigma_along=np.zeros((MOST_ROWS, width)),
-        added=np.zeros((max(1, lines), MOST_ROWS, MOST_ROWS)),
-        result=np.zeros(2),
-        noise=np.zeros((M, 3, 3)),
-        gone=np.zeros(blocks, dtype=np.bool_),
-        values=np.zeros((M, recipe.value_size)),
-        values_noise=np.zeros((M, size, size)),
-        anchored=np.zeros(M, dtype=np.bool_),
-        by_anchor=np.zeros((3 * max(1, plan.anchors), plan.measured)),
-        door=np.array([thread, 0]),
-        letters=np.array((ord("L"),), dtype=np.uint8),
-        sizes=np.zeros(3, dtype=np.int32),
-    )
+    sizes = {
+        **{"n": n, "n16": n + 16, "blocks": blocks, "leading": leading, "M": M, "twice": 2 * M, "N": N, "K": K, "v": v},
+        **{"size": size, "seen": seen, "most": most, "width": width, "width1": width + 1, "width8": width + 8},
+        **{"numbers": numbers, "others": others, "moved_rows": moved, "moving": len(plan.moved), "odometry": used},
+        **{"rows": MOST_ROWS, "chunk": rows, "chunk8": rows + 8, "factors": max(6, 2 * size - 1), "drawn": drawn},
+        **{"values": recipe.values, "block_values": recipe.block_values, "measured": plan.measured},
+        "lead": max(leading, width, columns, 2 * size),
+        "agree": M if plan.consensus else 1,
+        "considered": max(1, len(plan.considered)),
+        "copied": n if plan.iterations > 1 else 1,
+        "kept_rows": M if keeps else 1,
+        "sensed": len(plan.sensed) + (6 if plan.measured > plan.velocity else 0),
+        "root": width if lines else 1,
+        "poses": 2 * POSE_SIZE + 1,
+        "rotations": 3 * (2 * POSE_SIZE + 1),
+        "added": max(1, lines),
+        "anchor_rows": 3 * max(1, plan.anchors),
+    }
+    given = {"leading": np.arange(leading), "door": np.array([thread, 0])}
+    return allocated(Scratch, ROWS, sizes, **given, letters=np.array((ord("L"),), dtype=np.uint8))

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 
-from filters.geometry.arrays import BoolArray, FloatArray, IntArray
-from filters.kernels.recipe import MOST_ROWS, MOST_STAGES, Recipe
+from filters.geometry.arrays import FloatArray, IntArray
+from filters.kernels.recipe import MOST_STAGES, Recipe
+from filters.kernels.record import ALIGNED, BYTE, FLAG, INT, REAL, Rows, allocated, record_of
 
 LANDMARKS, BLOCKS = 0, 1
 POINT, OWN, CLONE_POSITION, CLONE_ROTATION = range(4)
@@ -18,127 +18,83 @@ USED, BEHIND, GATED, FAILED, STARTED, REJECTED = range(6)
 """Outcome of a measurement: used, behind the camera, gated, no Cholesky factor of S; started a landmark, or not."""
 
 
-class Storage(NamedTuple):
-    """State of B filters, each with room for C blocks.
-
-    Only the upper triangle of the first rows of `P[b]` is valid, that is of the leading rows and of the blocks in use,
-    which have no gaps between them.
-    """
-
-    P: FloatArray
-    """(B, n, n)."""
-    x: FloatArray
-    """Values of the leading variables, (B, values)."""
-    predicted: FloatArray
-    """The same before landmarks last corrected them."""
-    blocks: FloatArray
-    """Values of the blocks, (B, C, v): block c of s rows is at the rows leading + s c of P."""
-    first: FloatArray
-    """The same when they entered."""
-    ids: IntArray
-    """Landmarks in ascending order, (B, C)."""
-    own: IntArray
-    """Parameter block of each, (B, C)."""
-    anchor: IntArray
-    """Blocks of the position and the orientation of each one's anchor, -1 where there is none, (B, C, 2)."""
-    users: IntArray
-    """Landmarks that use each block, and one more where it is held, (B, C)."""
-    kind: IntArray
-    """What each block is, (B, C)."""
-    held: IntArray
-    """Blocks that stay without a landmark, in the order in which they were held, -1 at the end; (B, C)."""
-    counts: IntArray
-    """Landmarks and blocks, (B, 2)."""
-
-
-class FrameArrays(NamedTuple):
-    """What a frame brings to B filters: a step, odometry, and M measurements in all; or the numbers of parts."""
-
-    dt: FloatArray
-    """(B,) s; zero: no step."""
-    fused: BoolArray
-    """Whether there is odometry, (B,)."""
-    odometry: FloatArray
-    """`MotionModel.odometry_numbers`, (B, K, w)."""
-    odometry_rows: IntArray
-    """Rows of it that there are, (B,)."""
-    seen: BoolArray
-    """Whether there is an observation, (B,)."""
-    offsets: IntArray
-    """Measurements of filter b are offsets[b] to offsets[b + 1] - 1; (B + 1,)."""
-    ids: IntArray
-    """(M,), ascending for each filter."""
-    uvd: FloatArray
-    """(M, 3)."""
-    R: FloatArray
-    """(M, 3, 3)."""
-    with_right: BoolArray
-    """Whether the right row is measured on its own, (B,)."""
-    v_right: FloatArray
-    """Rows in the right image, (M,), px."""
-    fates: IntArray
-    """Outcome of each measurement, (M,) uint8: written."""
-    nis: FloatArray
-    """(B,): written."""
-    dof: IntArray
-    """(B,): written."""
-    dropped: IntArray
-    """Ids that left, (B, C): written."""
-    outcome: IntArray
-    """How many ids left, and the number of blocks that there is no room for (0: all went well), (B, 2): written."""
-    moved: FloatArray
-    """Leading values after the step by numbers, (B, values)."""
-    F: FloatArray
-    """Their Jacobian, (B, leading, leading)."""
-    Q: FloatArray
-    """Their process noise, (B, leading, leading)."""
-    measured: IntArray
-    """Rows of odometry as a measurement by numbers, (B,)."""
-    measured_nu: FloatArray
-    """(B, r)."""
-    measured_H: FloatArray
-    """(B, r, leading)."""
-    measured_R: FloatArray
-    """(B, r, r)."""
-    stages: IntArray
-    """Number of stages by numbers without and with a measured right row, (2,)."""
-    sizes: IntArray
-    """Their rows, (2, stages)."""
-    limits: FloatArray
-    """Squared distances up to which they are believed, (2, stages)."""
-    T: FloatArray
-    """Their rows by (u, v, d), (2, stages, 4, 3)."""
-    stage_z: FloatArray
-    """(stages, M, 4)."""
-    stage_R: FloatArray
-    """(stages, M, 4, 4)."""
-
-
-def aligned(*shape: int) -> FloatArray:
-    """Zeros from the start of a line of the cache on: vectors of eight numbers do not lie across two of them."""
-    size = math.prod(shape)
-    room = np.zeros(size + 7)
-    first = -(room.ctypes.data // 8) % 8
-    return room[first : first + size].reshape(shape)
+_STORAGE: Rows = (
+    ("P", ALIGNED, "filters rows rows", "covariance; the upper triangle of leading rows and blocks in use is valid"),
+    ("x", REAL, "filters values", "values of the leading variables"),
+    ("predicted", REAL, "filters values", "the same before landmarks last corrected them"),
+    (
+        "blocks",
+        REAL,
+        "filters blocks block_values",
+        "values of the blocks; block c is at the rows leading + size c of P",
+    ),
+    ("first", REAL, "filters blocks block_values", "the same when they entered"),
+    ("ids", INT, "filters blocks", "landmarks in ascending order"),
+    ("own", INT, "filters blocks", "parameter block of each"),
+    (
+        "anchor",
+        INT,
+        "filters blocks 2",
+        "blocks of the position and orientation of its anchor, -1: none",
+    ),
+    ("users", INT, "filters blocks", "landmarks that use each block, and one more where it is held"),
+    ("kind", INT, "filters blocks", "what each block is"),
+    (
+        "held",
+        INT,
+        "filters blocks",
+        "blocks that stay without a landmark, in the order of holding, -1 at the end",
+    ),
+    ("counts", INT, "filters 2", "landmarks and blocks"),
+)
+_FRAME: Rows = (
+    ("dt", REAL, "filters", "step, s; zero: none"),
+    ("fused", FLAG, "filters", "whether there is odometry"),
+    ("odometry", REAL, "filters K w", "`MotionModel.odometry_numbers`"),
+    ("odometry_rows", INT, "filters", "rows of it that there are"),
+    ("seen", FLAG, "filters", "whether there is an observation"),
+    ("offsets", INT, "ends", "measurements of filter b are offsets[b] to offsets[b + 1] - 1"),
+    ("ids", INT, "M", "of the measurements, ascending for each filter"),
+    ("uvd", REAL, "M 3", "measurements"),
+    ("R", REAL, "M 3 3", "their noise"),
+    ("with_right", FLAG, "filters", "whether the right row is measured on its own"),
+    ("v_right", REAL, "M", "rows in the right image, px"),
+    ("fates", BYTE, "M", "outcome of each measurement: written"),
+    ("nis", REAL, "filters", "normalised innovation squared: written"),
+    ("dof", INT, "filters", "its degrees of freedom: written"),
+    ("dropped", INT, "filters blocks", "ids that left: written"),
+    (
+        "outcome",
+        INT,
+        "filters 2",
+        "how many ids left, and blocks without room (0: all went well): written",
+    ),
+    ("moved", REAL, "driven values", "leading values after the step by numbers"),
+    ("F", REAL, "driven leading leading", "their Jacobian"),
+    ("Q", REAL, "driven leading leading", "their process noise"),
+    ("measured", INT, "driven", "rows of odometry as a measurement by numbers"),
+    ("measured_nu", REAL, "driven rows", "its innovation"),
+    ("measured_H", REAL, "driven rows leading", "its Jacobian"),
+    ("measured_R", REAL, "driven rows rows", "its noise"),
+    ("stages", INT, "2", "number of stages by numbers without and with a measured right row"),
+    ("sizes", INT, "2 stages", "their rows"),
+    ("limits", REAL, "2 stages", "squared distances up to which they are believed"),
+    ("T", REAL, "2 stages 4 3", "their rows by (u, v, d)"),
+    ("stage_z", REAL, "stages numbers 4", "measurements of each stage"),
+    ("stage_R", REAL, "stages numbers 4 4", "their noise"),
+)
+Storage: Any = record_of(__name__, "Storage", _STORAGE)
+"""State of B filters, each with room for C blocks, which have no gaps between them."""
+FrameArrays: Any = record_of(__name__, "FrameArrays", _FRAME)
+"""What a frame brings to B filters: a step, odometry, and M measurements in all; or the numbers of parts."""
 
 
 def empty_storage(recipe: Recipe, filters: int, blocks: int) -> Storage:
     """Storage of filters without a map, with room for so many blocks."""
     rows = padded(recipe.plan.leading + recipe.plan.size * blocks)
-    return Storage(
-        P=aligned(filters, rows, rows),
-        x=np.zeros((filters, recipe.values)),
-        predicted=np.zeros((filters, recipe.values)),
-        blocks=np.zeros((filters, blocks, recipe.block_values)),
-        first=np.zeros((filters, blocks, recipe.block_values)),
-        ids=np.zeros((filters, blocks), dtype=np.int64),
-        own=np.zeros((filters, blocks), dtype=np.int64),
-        anchor=np.zeros((filters, blocks, 2), dtype=np.int64),
-        users=np.zeros((filters, blocks), dtype=np.int64),
-        kind=np.zeros((filters, blocks), dtype=np.int64),
-        held=np.full((filters, blocks), -1),
-        counts=np.zeros((filters, 2), dtype=np.int64),
-    )
+    sizes = {"filters": filters, "rows": rows, "blocks": blocks, "values": recipe.values}
+    held = np.full((filters, blocks), -1)
+    return allocated(Storage, _STORAGE, {**sizes, "block_values": recipe.block_values}, held=held)
 
 
 def grown(storage: Storage, recipe: Recipe, blocks: int) -> Storage:
@@ -187,37 +143,10 @@ def empty_frame(
     M, leading = measurements, recipe.plan.leading
     driven = filters if recipe.motion is None else 1
     stages, numbers = (MOST_STAGES, M) if recipe.plan.by_numbers else (1, 1)
-    return FrameArrays(
-        dt=np.zeros(filters),
-        fused=np.zeros(filters, dtype=np.bool_),
-        odometry=np.zeros((filters, *odometry)),
-        odometry_rows=np.zeros(filters, dtype=np.int64),
-        seen=np.zeros(filters, dtype=np.bool_),
-        offsets=np.zeros(filters + 1, dtype=np.int64),
-        ids=np.zeros(M, dtype=np.int64),
-        uvd=np.zeros((M, 3)),
-        R=np.zeros((M, 3, 3)),
-        with_right=np.zeros(filters, dtype=np.bool_),
-        v_right=np.zeros(M),
-        fates=np.zeros(M, dtype=np.uint8),
-        nis=np.zeros(filters),
-        dof=np.zeros(filters, dtype=np.int64),
-        dropped=np.zeros((filters, blocks), dtype=np.int64),
-        outcome=np.zeros((filters, 2), dtype=np.int64),
-        moved=np.zeros((driven, recipe.values)),
-        F=np.zeros((driven, leading, leading)),
-        Q=np.zeros((driven, leading, leading)),
-        measured=np.zeros(driven, dtype=np.int64),
-        measured_nu=np.zeros((driven, rows)),
-        measured_H=np.zeros((driven, rows, leading)),
-        measured_R=np.zeros((driven, rows, rows)),
-        stages=np.zeros(2, dtype=np.int64),
-        sizes=np.zeros((2, stages), dtype=np.int64),
-        limits=np.full((2, stages), np.inf),
-        T=np.zeros((2, stages, MOST_ROWS, 3)),
-        stage_z=np.zeros((stages, numbers, MOST_ROWS)),
-        stage_R=np.zeros((stages, numbers, MOST_ROWS, MOST_ROWS)),
-    )
+    (K, w), sizes = odometry, {"filters": filters, "blocks": blocks, "ends": filters + 1, "M": M, "leading": leading}
+    by_numbers = {"driven": driven, "stages": stages, "numbers": numbers, "rows": rows, "values": recipe.values}
+    limits = np.full((2, stages), np.inf)
+    return allocated(FrameArrays, _FRAME, {**sizes, **by_numbers, "K": K, "w": w}, limits=limits)
 
 
 def exported(storage: Storage, recipe: Recipe, filter_index: int) -> FilterState:

@@ -254,7 +254,8 @@ class _Lockstep(FilterRows):
     @property
     def map_sizes(self) -> IntArray:
         """See `FilterRows`."""
-        return self._batch.engine.storage.counts[:, 0].copy()
+        counts: IntArray = self._batch.engine.storage.counts[:, 0].copy()
+        return counts
 
     def _read_maps(self) -> RelativeLandmarks:
         return self._batch.relative_landmarks()
