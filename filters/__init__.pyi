@@ -21,6 +21,7 @@ from .checks.consistency import nees as nees
 from .checks.part_checks import check_part as check_part
 from .checks.pytest_cases import parametrize_with_checks as parametrize_with_checks
 from .checks.pytest_cases import parametrize_with_part_checks as parametrize_with_part_checks
+from .contract.inputs import BodyVelocity as BodyVelocity
 from .contract.inputs import InertialSamples as InertialSamples
 from .contract.inputs import InertialUnit as InertialUnit
 from .contract.inputs import Start as Start
@@ -28,7 +29,6 @@ from .contract.inputs import StereoObservation as StereoObservation
 from .contract.noise import ColouredNoise as ColouredNoise
 from .contract.noise import LandmarkDrift as LandmarkDrift
 from .contract.noise import StereoNoise as StereoNoise
-from .contract.odometry import BodyVelocity as BodyVelocity
 from .contract.outputs import Correction as Correction
 from .contract.outputs import Forecast as Forecast
 from .contract.outputs import LandmarkBelief as LandmarkBelief
@@ -48,7 +48,7 @@ from .errors.error_definition import RotationVectorError as RotationVectorError
 from .errors.invariant import LeftInvariant as LeftInvariant
 from .errors.invariant import RightInvariant as RightInvariant
 from .geometry.camera import StereoCamera as StereoCamera
-from .geometry.differences import jacobian as jacobian
+from .geometry.derivatives import jacobian as jacobian
 from .geometry.poses import Pose as Pose
 from .geometry.retractions import Retraction as Retraction
 from .landmarks.column_landmark import ColumnLandmark as ColumnLandmark
@@ -65,7 +65,7 @@ from .landmarks.lasting_errors import LastingErrors as LastingErrors
 from .landmarks.spherical import Polar as Polar
 from .landmarks.spherical import Spherical as Spherical
 from .measurements.calibrated_pair import CalibratedPair as CalibratedPair
-from .measurements.lasting_pair import PairWithLastingErrors as PairWithLastingErrors
+from .measurements.calibrated_pair import PairWithLastingErrors as PairWithLastingErrors
 from .measurements.measurement_model import MeasurementModel as MeasurementModel
 from .measurements.measurement_model import SensorJacobians as SensorJacobians
 from .measurements.measurement_model import Stage as Stage

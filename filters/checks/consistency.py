@@ -11,7 +11,7 @@ from filters.contract.stereo_filter import StereoFilter
 from filters.contract.validation import finite_array, unit_quaternion
 from filters.errors.error_definition import ErrorDefinition, QuaternionError, RotationVectorError
 from filters.errors.invariant import LeftInvariant, RightInvariant
-from filters.geometry import differences, rotations
+from filters.geometry import derivatives, rotations
 from filters.geometry.arrays import BoolArray, FloatArray
 from filters.motions.motion_model import CameraState
 
@@ -192,7 +192,7 @@ def blind_pose_error(slam: StereoFilter, position: ArrayLike, orientation: Array
 def error_jacobian(slam: StereoFilter) -> FloatArray:
     """J (6, 6) that takes small pose errors as of `PoseBelief` to those of the filter's own definition."""
     pose = slam.pose
-    return differences.jacobian(lambda delta: slam.pose_error(*_moved(pose, delta))[0], 6)
+    return derivatives.jacobian(lambda delta: slam.pose_error(*_moved(pose, delta))[0], 6)
 
 
 def _moved(pose: PoseBelief, delta: FloatArray) -> tuple[FloatArray, FloatArray]:

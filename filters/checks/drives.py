@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
-from filters.contract.inputs import InertialSamples, InertialUnit, Start, StereoObservation
+from filters.contract.inputs import BodyVelocity, InertialSamples, InertialUnit, Start, StereoObservation
 from filters.contract.noise import StereoNoise
-from filters.contract.odometry import BodyVelocity
 from filters.contract.stereo_filter import StereoFilter
 from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray, IntArray

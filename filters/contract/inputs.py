@@ -1,4 +1,4 @@
-"""Inputs of a filter: stereo measurements, inertial samples with their unit, and the start state."""
+"""Inputs of a filter: stereo measurements, odometry, inertial samples with their unit, and the start state."""
 
 from __future__ import annotations
 
@@ -9,9 +9,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from filters.contract.noise import LARGEST_VARIANCE, StereoNoise
-from filters.contract.odometry import FASTEST
 from filters.contract.validation import at_most, covariance_matrix, finite_array, positive, unique_ids, unit_quaternion
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
+
+FASTEST, LARGEST_SPEED_VARIANCE = 1e6, 1e12
+"""Numbers up to which filters are tested: m/s or rad/s, and their squares."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -259,3 +261,37 @@ class Start:
 
 _UNKNOWN_VELOCITY = np.diag(np.repeat([KNOWN_POSE, KNOWN_POSE, BROAD_LINEAR_VELOCITY, BROAD_ANGULAR_VELOCITY], 3) ** 2)
 _UNKNOWN_VELOCITY.flags.writeable = False
+
+
+@dataclass(frozen=True, eq=False)
+class BodyVelocity:
+    """Odometry: the mean velocity of the left camera over the step that ends now.
+
+    Parameters
+    ----------
+    linear : (3,) array_like
+        m/s, camera frame.
+    angular : (3,) array_like
+        rad/s, camera frame.
+    covariance : (6, 6) array_like
+        Of (linear, angular).
+
+    Raises
+    ------
+    ValueError
+        Wrong shapes, NaN or infinity, a covariance that is not symmetric positive semi-definite; more than 1e6 m/s or
+        rad/s, or a variance above 1e12.
+    """
+
+    linear: FloatArray
+    angular: FloatArray
+    covariance: FloatArray
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "linear", finite_array("odometry.linear", self.linear, (3,)))
+        object.__setattr__(self, "angular", finite_array("odometry.angular", self.angular, (3,)))
+        covariance = covariance_matrix("odometry.covariance", self.covariance, 6)
+        at_most("odometry.linear", self.linear, FASTEST, "m/s")
+        at_most("odometry.angular", self.angular, FASTEST, "rad/s")
+        at_most("odometry.covariance", covariance, LARGEST_SPEED_VARIANCE, "m^2/s^2 or rad^2/s^2")
+        object.__setattr__(self, "covariance", covariance)

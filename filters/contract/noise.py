@@ -13,9 +13,11 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from scipy.special import chdtri
 
 from filters.contract.validation import at_most, covariance_matrix, positive
 from filters.geometry.arrays import FloatArray
@@ -230,3 +232,9 @@ class ColouredNoise(StereoNoise):
         return isinstance(other, ColouredNoise) and np.array_equal(self.R, other.R) and self.parts == other.parts
 
     __hash__ = StereoNoise.__hash__
+
+
+@lru_cache
+def gate_limit(probability: float, degrees_of_freedom: int) -> float:
+    """Squared Mahalanobis distance that a consistent innovation stays below with `probability`."""
+    return float(chdtri(degrees_of_freedom, 1.0 - probability))

@@ -15,9 +15,8 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from filters.contract.inputs import InertialSamples, Start, StereoObservation
+from filters.contract.inputs import BodyVelocity, InertialSamples, Start, StereoObservation
 from filters.contract.noise import StereoNoise
-from filters.contract.odometry import BodyVelocity
 from filters.contract.outputs import Forecast, LandmarkBelief, PoseBelief, UpdateReport, VelocityBelief
 from filters.contract.validation import positive, unique_ids
 from filters.geometry.arrays import FloatArray, IntArray

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from filters.contract.validation import covariance_matrix, finite_array
-from filters.geometry import differences, rotations
+from filters.geometry import derivatives, rotations
 from filters.geometry.arrays import FloatArray
 from filters.geometry.retractions import ADDITIVE, Retraction
 
@@ -83,7 +83,7 @@ class Variable:
         """Effect of a rotation of the world on the error; (s, 3)."""
         if not self.in_world:
             return np.zeros((self.size, 3))
-        return differences.jacobian(lambda e: self.retraction.local(value, rotations.exp(e) @ value), 3)
+        return derivatives.jacobian(lambda e: self.retraction.local(value, rotations.exp(e) @ value), 3)
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,9 +9,8 @@ from typing import TypeGuard, overload
 import numpy as np
 from numpy.typing import ArrayLike
 
-from filters.contract.inputs import InertialSamples, Start, StereoObservation
+from filters.contract.inputs import BodyVelocity, InertialSamples, Start, StereoObservation
 from filters.contract.noise import LARGEST_VARIANCE
-from filters.contract.odometry import BodyVelocity
 from filters.contract.outputs import Forecast, UpdateReport
 from filters.contract.stereo_filter import (
     AT_ORIGIN,

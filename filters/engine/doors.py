@@ -12,8 +12,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from filters.contract.gate_limit import gate_limit
 from filters.contract.inputs import StereoObservation
+from filters.contract.noise import gate_limit
 from filters.contract.validation import unchecked
 from filters.engine import selection
 from filters.engine.frames import ValuePlaces

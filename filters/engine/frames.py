@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from filters.contract.odometry import BodyVelocity
+from filters.contract.inputs import BodyVelocity
 from filters.contract.validation import unchecked
 from filters.contract.variables import VELOCITY
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray

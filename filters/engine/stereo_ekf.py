@@ -12,10 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from filters.contract.gate_limit import gate_limit
-from filters.contract.inputs import InertialSamples, Start, StereoObservation
-from filters.contract.noise import LandmarkDrift, StereoNoise
-from filters.contract.odometry import BodyVelocity
+from filters.contract.inputs import BodyVelocity, InertialSamples, Start, StereoObservation
+from filters.contract.noise import LandmarkDrift, StereoNoise, gate_limit
 from filters.contract.outputs import Correction, Forecast, LandmarkBelief, PoseBelief, UpdateReport, VelocityBelief
 from filters.contract.stereo_filter import AT_ORIGIN, StereoFilter, check_rig, check_start, check_step
 from filters.contract.validation import (

@@ -1,4 +1,4 @@
-"""Dual numbers in machine code: numbers with their exact derivatives by n variables (`filters.geometry.duals`).
+"""Dual numbers in machine code: numbers with their exact derivatives by n variables (`filters.geometry.derivatives`).
 
 What a part computes of them is compiled with the part; the derivatives cost what those derived by hand do. Written for
 Numba by its interface for extensions alone.
@@ -16,8 +16,8 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic, make_attribute_wrapper, models, overload, register_model
 
-from filters.geometry import duals
-from filters.geometry.duals import Dual
+from filters.geometry import derivatives
+from filters.geometry.derivatives import Dual
 from filters.kernels.blas import PLAIN
 
 
@@ -136,7 +136,7 @@ def _write(typing_context: Any, values: Any, J: Any, results: Any) -> Any:
 
 
 def _variables_plainly(row: Any, count: int, first: int, slopes: int) -> tuple[Dual, ...]:
-    return duals.variables(row[:count], first, slopes)
+    return derivatives.variables(row[:count], first, slopes)
 
 
 def _numbers_plainly(row: Any, count: int) -> tuple[float, ...]:

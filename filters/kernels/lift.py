@@ -166,9 +166,6 @@ def _elementwise(sign: str, n: int) -> Keyed:
     return Keyed(room["by"], sign, n)
 
 
-# --- landmarks ---
-
-
 @cache
 def landmark_functions(cls: type[LandmarkModel], layout: Layout) -> LandmarkKernels | str:
     """Compiled functions of a landmark, or why there are none."""
@@ -259,9 +256,6 @@ def _turn(moved_by: Any, local: Any, n: int, v: int) -> Callable[..., None]:
     return turn_kernel
 
 
-# --- sensors ---
-
-
 @cache
 def sensor_functions(
     cls: type[MeasurementModel], layout: Layout, variables_of: Layout, takes_values: bool
@@ -326,22 +320,9 @@ def _split(both: Any, J: Any, J_values: Any) -> None:
             J_values[a, c] = both[a, J.shape[1] + c]
 
 
-# --- parts ---
-
-
 _COLUMNS = (
-    *(
-        "parameters_of",
-        "can_start",
-        "started",
-        "retract",
-        "local",
-        "transport",
-        "homogeneous",
-        "relative_to",
-        "rotated",
-    ),
-    *("world_rotation", "turned", "turned_jacobians", "first_estimates", "become_points"),
+    *("parameters_of", "can_start", "started", "retract", "local", "transport", "homogeneous", "relative_to"),
+    *("rotated", "world_rotation", "turned", "turned_jacobians", "first_estimates", "become_points"),
 )
 _SENSED = ("predict", "backproject", "in_front", "stages", "jacobians", "backprojection_jacobians")
 """Functions of columns of a landmark and of a sensor, which follow from the plain ones."""
@@ -392,9 +373,7 @@ def how_it_runs(part: Any) -> str:
     """How a landmark or a sensor runs in a filter, as a report says it; nothing for other parts."""
     if not isinstance(part, (LandmarkModel, MeasurementModel)):
         return ""
-    if "kernels" in vars(type(part)):
-        return "in Python, on columns" if part.kernels is None else "in machine code of its own"
-    functions = functions_of(part)
+    functions = None if "kernels" in vars(type(part)) else functions_of(part)
     if functions is None:
         return "in Python, on columns"
     if isinstance(functions, str):

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from filters.contract.gate_limit import gate_limit
+from filters.contract.noise import gate_limit
 from filters.geometry.arrays import FloatArray, IntArray
 from filters.landmarks.landmark_model import LandmarkKernels
 from filters.measurements.measurement_model import MeasurementKernels, StageRows

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 
 from filters.kernels.recipe import MOST_ROWS, Recipe
-from filters.kernels.record import ALIGNED, BYTE, FLAG, INT, REAL, Rows, allocated, record_of
-from filters.kernels.storage import Storage
+from filters.kernels.storage import ALIGNED, BYTE, FLAG, INT, REAL, Rows, Storage, allocated, record_of
 from filters.motions.motion_model import POSE_SIZE
 
 CHUNK_ROWS = 36  # of measurement corrected with at a time: more cost more to factorise, fewer pass over P more often

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from filters.geometry import differences, rotations
+from filters.geometry import derivatives, rotations
 from filters.geometry.arrays import BoolArray, FloatArray
 from filters.landmarks.landmark_model import LandmarkModel, ScaledPoints, StartedLandmarks
 
@@ -44,7 +44,7 @@ class ColumnLandmark(LandmarkModel):
             other = self.parameters_of(position + delta[:3], h_w + delta[3:leading], scale + by_rest)
             return self.local(parameters, other)
 
-        J = differences.jacobian(moved, 3 + self.seen_size)
+        J = derivatives.jacobian(moved, 3 + self.seen_size)
         by_scale = J[:, :, leading] if scale.ndim == 1 else J[:, :, leading:]
         anchored = np.full(len(h_w), self.anchored)
         return StartedLandmarks(parameters, J[:, :, :3], J[:, :, 3:leading], by_scale, anchored)
@@ -54,7 +54,7 @@ class ColumnLandmark(LandmarkModel):
         if self.additive:
             return None
         there = self.retract(parameters, delta)
-        return differences.jacobian(lambda e: self.local(there, self.retract(parameters, delta + e)), self.size)
+        return derivatives.jacobian(lambda e: self.local(there, self.retract(parameters, delta + e)), self.size)
 
     def relative_to(self, position: FloatArray, anchors: FloatArray | None, parameters: FloatArray) -> ScaledPoints:
         """`homogeneous` with its Jacobians."""
@@ -63,13 +63,13 @@ class ColumnLandmark(LandmarkModel):
             own = self.retract(parameters, np.broadcast_to(delta[6:], (len(parameters), self.size)))
             return self.homogeneous(position + delta[:3], None if anchors is None else anchors + delta[3:6], own)
 
-        J = differences.jacobian(moved, 6 + self.size)
+        J = derivatives.jacobian(moved, 6 + self.size)
         by_map = J[:, :, 6:] if anchors is None else J[:, :, 3:]
         return ScaledPoints(self.homogeneous(position, anchors, parameters), J[:, :, :3], by_map)
 
     def world_rotation(self, anchors: FloatArray | None, parameters: FloatArray) -> FloatArray:
         """d own error numbers / d (rotation vector of the world about its origin); (M, size, 3)."""
-        return differences.jacobian(
+        return derivatives.jacobian(
             lambda e: self.local(parameters, self.rotated(anchors, parameters, rotations.exp(e))), 3
         )
 
@@ -89,5 +89,5 @@ class ColumnLandmark(LandmarkModel):
             other = self.turned(anchors, parameters, theta + delta[:3], correction + delta[3:])
             return self.local(there, other)
 
-        J = differences.jacobian(moved, 3 + self.size)
+        J = derivatives.jacobian(moved, 3 + self.size)
         return J[:, :, 3:], J[:, :, :3]

@@ -14,9 +14,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from filters.geometry import differences, rotations, vectors
+from filters.geometry import derivatives, rotations, vectors
 from filters.geometry.arrays import BoolArray, FloatArray
-from filters.geometry.duals import columns_of, jacobian_of
+from filters.geometry.derivatives import columns_of, jacobian_of
 
 Numbers = Any
 """Tuple of numbers: floats in machine code, columns or dual numbers."""
@@ -103,8 +103,8 @@ class LandmarkKernels:
     """Function that has made them of plain ones, and its arguments: by these a copy in another process is made."""
 
     def __reduce__(self) -> Any:
-        """How to make them again, or their fields."""
-        return (self.made_by[0], self.made_by[1:]) if self.made_by else (type(self), tuple(vars(self).values()))
+        """How to make them again."""
+        return self.made_by[0], self.made_by[1:]
 
 
 class LandmarkModel:
@@ -151,7 +151,7 @@ class LandmarkModel:
     follows: ClassVar[tuple[int, ...]] = ()
     """Numbers of the value that first-estimates Jacobians take from the present estimate."""
     kernels: ClassVar[LandmarkKernels | None] = None
-    """Compiled functions of its own, instead of those made of the plain ones, for the class that states them."""
+    """A class that states None runs in Python, on columns."""
     in_world: ClassVar[bool] = False
     """Whether the first three numbers of a value are a point of W, m, and others do not turn."""
     in_machine_code: bool = True
@@ -169,8 +169,6 @@ class LandmarkModel:
     def start_from(self, h: Numbers) -> Numbers:
         """Value of a new landmark at what `point_of` gives."""
         raise NotImplementedError(f"{type(self).__name__} must have point_of and start_from: see LandmarkModel")
-
-    # --- what it may give ---
 
     def can_start_from(self, h: Numbers) -> Any:
         """Whether a landmark can start from there."""
@@ -295,7 +293,7 @@ class LandmarkModel:
 
     def world_translation(self, parameters: FloatArray) -> FloatArray:
         """d own error numbers / d (shift of the world), of landmarks without an anchor; (M, size, 3)."""
-        return differences.jacobian(lambda e: self.local(parameters, self.shifted(parameters, e)), 3)
+        return derivatives.jacobian(lambda e: self.local(parameters, self.shifted(parameters, e)), 3)
 
     def turned(
         self, anchors: FloatArray | None, parameters: FloatArray, theta: FloatArray, correction: FloatArray
@@ -354,8 +352,6 @@ class LandmarkModel:
         """
         return seen[:, :4]
 
-    # --- what follows from it ---
-
     @property
     def additive(self) -> bool:
         """Whether the retraction is addition."""
@@ -400,5 +396,5 @@ class LandmarkModel:
         """The points that stand for landmarks, with their Jacobians."""
         if type(self).point is LandmarkModel.point:
             return ScaledPoints(seen.homogeneous[:, :4], seen.by_position[:, :4], seen.by_map[:, :4])
-        J = differences.jacobian(lambda e: self.point(seen.homogeneous + e), self.seen_size)
+        J = derivatives.jacobian(lambda e: self.point(seen.homogeneous + e), self.seen_size)
         return ScaledPoints(self.point(seen.homogeneous), J @ seen.by_position, J @ seen.by_map)

@@ -1,9 +1,9 @@
-"""The rectified pair with the errors of its calibration as a variable of the state."""
+"""The rectified pair with the errors of its calibration as a variable, and of landmarks with errors of their own."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -24,7 +24,7 @@ class _Exact(NamedTuple):
     calibration: tuple[float] = (0.0,)
 
 
-EXACT = _Exact()
+_EXACT = _Exact()
 """Values where the calibration has no errors; the number is not read."""
 
 
@@ -88,7 +88,7 @@ class CalibratedPair(MeasurementModel):
             errors = Variable("calibration", 0.0 * own, np.diag(own**2), considered=self.considered)
             object.__setattr__(self, "variables", (errors,))
 
-    def project(self, camera: Any, h: Numbers, values: Any = EXACT) -> Numbers:
+    def project(self, camera: Any, h: Numbers, values: Any = _EXACT) -> Numbers:
         """(u, v, d) with the errors."""
         o, focal, scale, turn, t, q = _errors(self.present, values.calibration)
         p = turned_by(turn, (h[0], h[1], h[2]))
@@ -101,7 +101,7 @@ class CalibratedPair(MeasurementModel):
             focal * camera.fx * (x - seen) + o,
         )
 
-    def unproject(self, camera: Any, uvd: Numbers, values: Any = EXACT) -> Numbers:
+    def unproject(self, camera: Any, uvd: Numbers, values: Any = _EXACT) -> Numbers:
         """The exact inverse."""
         o, focal, scale, turn, t, q = _errors(self.present, values.calibration)
         fx, fy = (1.0 + focal) * camera.fx, (1.0 + focal) * camera.fy
@@ -110,3 +110,26 @@ class CalibratedPair(MeasurementModel):
         straight = (seen + t) / (1.0 - t * seen)
         ray = turned_by((-turn[0], -turn[1], -turn[2]), (x, y, 1.0))
         return ray[0], ray[1], ray[2], (x - straight - q * y) / ((1.0 + scale) * camera.baseline)
+
+
+_project, _unproject = compiled(CalibratedPair.project), compiled(CalibratedPair.unproject)
+
+
+@dataclass(frozen=True)
+class PairWithLastingErrors(CalibratedPair):
+    """One joint update with (u, v, d) of a `CalibratedPair`, plus the errors of the landmark that last, px.
+
+    Landmarks are `LastingErrors`; parameters are those of `CalibratedPair`, and without them the rig is exact (Eq. 10).
+    """
+
+    seen_size: ClassVar[int] = 7
+
+    def project(self, camera: Any, h: Numbers, values: Any = _EXACT) -> Numbers:
+        """(u, v, d) with the errors."""
+        u, v, d = _project(self, camera, h, values)
+        return u + h[4], v + h[5], d + h[6]
+
+    def unproject(self, camera: Any, uvd: Numbers, values: Any = _EXACT) -> Numbers:
+        """The point as if there were no errors of its own."""
+        x, y, z, scale = _unproject(self, camera, uvd, values)
+        return x, y, z, scale, 0.0, 0.0, 0.0

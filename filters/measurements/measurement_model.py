@@ -18,10 +18,10 @@ import numpy as np
 
 from filters.contract.inputs import StereoObservation
 from filters.contract.variables import VELOCITY, Variable
-from filters.geometry import differences, rotations
+from filters.geometry import derivatives, rotations
 from filters.geometry.arrays import BoolArray, FloatArray
 from filters.geometry.camera import StereoCamera
-from filters.geometry.duals import columns_of, jacobian_of
+from filters.geometry.derivatives import columns_of, jacobian_of
 from filters.geometry.retractions import ADDITIVE, Retraction
 
 if TYPE_CHECKING:
@@ -106,8 +106,8 @@ class MeasurementKernels:
     """Function that has made them of plain ones, and its arguments: by these a copy in another process is made."""
 
     def __reduce__(self) -> Any:
-        """How to make them again, or their fields."""
-        return (self.made_by[0], self.made_by[1:]) if self.made_by else (type(self), tuple(vars(self).values()))
+        """How to make them again."""
+        return self.made_by[0], self.made_by[1:]
 
 
 class MeasurementModel:
@@ -134,7 +134,7 @@ class MeasurementModel:
     """Whether it depends on the velocity, as with rows read in turn or an unknown delay: then there is a value
     "velocity", linear (m/s) and angular (rad/s), both in the camera frame, behind those of the variables."""
     kernels: ClassVar[MeasurementKernels | None] = None
-    """Compiled functions of its own, instead of those made of the plain ones, for the class that states them."""
+    """A class that states None runs in Python, on columns."""
 
     # --- what a part gives: plain functions of tuples of numbers ---
 
@@ -229,14 +229,14 @@ class MeasurementModel:
         """Jacobians of `predict`."""
         if self._is_plain:
             return self._plain_jacobians(self.project, camera, points_c, values)
-        by_point = differences.jacobian(lambda e: self.predict(camera, points_c + e, values), self.seen_size)
+        by_point = derivatives.jacobian(lambda e: self.predict(camera, points_c + e, values), self.seen_size)
         return SensorJacobians(by_point, self._by_variables(lambda x: self.predict(camera, points_c, x), values))
 
     def backprojection_jacobians(self, camera: StereoCamera, uvd: FloatArray, values: Values) -> SensorJacobians:
         """Jacobians of `backproject`, (M, 4, 3) by the measurement as `by_point`, and by each variable."""
         if self._is_plain:
             return self._plain_jacobians(self.unproject, camera, uvd, values)
-        by_measurement = differences.jacobian(lambda e: self.backproject(camera, uvd + e, values), 3)
+        by_measurement = derivatives.jacobian(lambda e: self.backproject(camera, uvd + e, values), 3)
         return SensorJacobians(by_measurement, self._by_variables(lambda x: self.backproject(camera, uvd, x), values))
 
     @property
@@ -291,4 +291,4 @@ class MeasurementModel:
 def _jacobian_by(
     name: str, retraction: Retraction, size: int, function: Callable[[Values], FloatArray], values: Values
 ) -> FloatArray:
-    return differences.jacobian(lambda e: function({**values, name: retraction.retract(values[name], e)}), size)
+    return derivatives.jacobian(lambda e: function({**values, name: retraction.retract(values[name], e)}), size)

@@ -13,7 +13,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from filters.contract.validation import finite_array, positive
-from filters.geometry import differences, rotations
+from filters.geometry import derivatives, rotations
 from filters.geometry.arrays import BoolArray, FloatArray
 from filters.geometry.camera import StereoCamera
 from filters.measurements.measurement_model import MeasurementModel, Numbers, SensorJacobians, Values
@@ -129,7 +129,7 @@ class FisheyePair(MeasurementModel):
 
     def backprojection_jacobians(self, camera: StereoCamera, uvd: FloatArray, values: Values) -> SensorJacobians:
         """By differences, which nothing refuses."""
-        return SensorJacobians(differences.jacobian(lambda e: np.column_stack(_point(camera, uvd + e)), 3), {})
+        return SensorJacobians(derivatives.jacobian(lambda e: np.column_stack(_point(camera, uvd + e)), 3), {})
 
     def in_front(self, points_c: FloatArray) -> BoolArray:
         """Up to `half_angle` from the axis."""
@@ -160,7 +160,7 @@ def _point(camera: StereoCamera, uvd: FloatArray, least: float = 0.0) -> tuple[F
         n = m[:, 1:] / np.linalg.norm(m[:, 1:], axis=1, keepdims=True)
         turned = a = np.arcsin(np.clip(m[:, 0], -1.0, 1.0))
         for _ in range(6):
-            slope = differences.jacobian(lambda e, at=turned: column(at + e), 1)[:, 0]  # type: ignore[misc]
+            slope = derivatives.jacobian(lambda e, at=turned: column(at + e), 1)[:, 0]  # type: ignore[misc]
             turned = turned - (column(turned) - (uvd[:, 0] - uvd[:, 2])) / slope
         scale = (np.sin(a) - np.cos(a) * np.tan(turned)) / camera.baseline
         found = (np.abs(column(turned) - (uvd[:, 0] - uvd[:, 2])) < 1e-6) & (np.cos(turned) > 0.0)  # else astray

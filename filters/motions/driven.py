@@ -10,7 +10,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from filters.contract.odometry import BodyVelocity
+from filters.contract.inputs import BodyVelocity
 from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray
 from filters.geometry.poses import Pose

@@ -16,11 +16,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from filters.contract.inputs import InertialSamples, Start
-from filters.contract.odometry import BodyVelocity
+from filters.contract.inputs import BodyVelocity, InertialSamples, Start
 from filters.contract.stereo_filter import StereoFilter
 from filters.contract.variables import POSE, VELOCITY, Variable
-from filters.geometry import differences, rotations
+from filters.geometry import derivatives, rotations
 from filters.geometry.arrays import FloatArray
 from filters.geometry.machine_code import settings_of
 from filters.geometry.retractions import RotationVector
@@ -154,8 +153,8 @@ class MotionModel:
         def by_state(delta: FloatArray) -> FloatArray:
             return self.difference(there, self.move(self.corrected(state, delta), dt, odometry, still))
 
-        F = differences.jacobian(by_state, size)
-        G = differences.jacobian(lambda n: self.difference(there, self.move(state, dt, odometry, n)), len(Q))
+        F = derivatives.jacobian(by_state, size)
+        G = derivatives.jacobian(lambda n: self.difference(there, self.move(state, dt, odometry, n)), len(Q))
         return MotionPrediction(there, F, G, Q)
 
     def odometry_measurement(self, state: CameraState, dt: float, odometry: Any) -> LinearMeasurement | None:

@@ -11,9 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from filters.contract.inputs import InertialSamples, Start, StereoObservation
+from filters.contract.inputs import BodyVelocity, InertialSamples, Start, StereoObservation
 from filters.contract.noise import StereoNoise
-from filters.contract.odometry import BodyVelocity
 from filters.contract.outputs import Forecast, LandmarkBelief, PoseBelief, UpdateReport, VelocityBelief
 from filters.contract.stereo_filter import AT_ORIGIN, StereoFilter
 from filters.contract.validation import unique_ids

@@ -21,7 +21,7 @@ from filters import (
     StereoObservation,
     UpdateReport,
 )
-from filters.contract.gate_limit import gate_limit
+from filters.contract.noise import gate_limit
 from filters.contract.validation import gate_probability, unique_ids
 from filters.geometry import rotations
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray

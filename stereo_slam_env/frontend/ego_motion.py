@@ -17,7 +17,7 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from filters import StereoCamera, StereoNoise, StereoObservation
 from filters.checks.consistency import chi_square_quantile
-from filters.contract.gate_limit import gate_limit
+from filters.contract.noise import gate_limit
 from filters.geometry import rotations
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from filters import StereoCamera
-from filters.contract.gate_limit import gate_limit
+from filters.contract.noise import gate_limit
 from filters.contract.validation import finite_array
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from stereo_slam_env.frontend.matching import match_rows, search

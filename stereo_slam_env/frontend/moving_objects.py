@@ -9,7 +9,7 @@ import numpy as np
 
 from filters import StereoCamera
 from filters.checks.consistency import chi_square_quantile
-from filters.contract.gate_limit import gate_limit
+from filters.contract.noise import gate_limit
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from stereo_slam_env.frontend.ego_motion import Pairs, Step, chained, squared_distances
 from stereo_slam_env.frontend.finding import Found

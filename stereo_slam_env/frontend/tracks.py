@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from filters import Forecast, StereoCamera, StereoObservation
-from filters.contract.gate_limit import gate_limit
+from filters.contract.noise import gate_limit
 from filters.contract.validation import covariance_matrix, finite_array, unique_ids
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from stereo_slam_env.frontend.ego_motion import MIN_POINTS, Pairs, Step, predicted, robust_step

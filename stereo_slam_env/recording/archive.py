@@ -28,7 +28,7 @@ from filters import (
     StereoNoise,
     StereoObservation,
 )
-from filters.contract.odometry import FASTEST, LARGEST_VARIANCE
+from filters.contract.inputs import FASTEST, LARGEST_SPEED_VARIANCE
 from filters.contract.validation import at_most, covariance_matrix, first_line, unchecked
 from filters.geometry.arrays import FloatArray
 from stereo_slam_env.files.folders import write_atomically
@@ -288,7 +288,7 @@ def _odometry(linear: FloatArray, angular: FloatArray, covariance: FloatArray) -
     covariance = covariance_matrix("odometry.covariance", covariance, 6, batch=len(covariance))
     at_most("odometry.linear", linear, FASTEST, "m/s")
     at_most("odometry.angular", angular, FASTEST, "rad/s")
-    at_most("odometry.covariance", covariance, LARGEST_VARIANCE, "m^2/s^2 or rad^2/s^2")
+    at_most("odometry.covariance", covariance, LARGEST_SPEED_VARIANCE, "m^2/s^2 or rad^2/s^2")
     for v, w, P in zip(linear, angular, covariance, strict=True):
         yield unchecked(BodyVelocity, linear=v, angular=w, covariance=P)
 

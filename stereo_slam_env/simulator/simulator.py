@@ -8,8 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from filters.contract.inputs import InertialSamples, Start, StereoObservation
-from filters.contract.odometry import BodyVelocity
+from filters.contract.inputs import BodyVelocity, InertialSamples, Start, StereoObservation
 from filters.contract.validation import unchecked
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.geometry.poses import Pose

@@ -11,8 +11,7 @@ from typing import ClassVar
 import numpy as np
 
 from filters.checks.consistency import blind_pose_error, nees
-from filters.contract.inputs import Start
-from filters.contract.odometry import BodyVelocity
+from filters.contract.inputs import BodyVelocity, Start
 from filters.contract.outputs import PoseBelief, UpdateReport
 from filters.contract.stereo_filter import StereoFilter
 from filters.contract.validation import first_line, type_name

@@ -22,7 +22,7 @@ from filters import (
     VelocityDriven,
 )
 from filters.geometry import rotations
-from filters.geometry.duals import jacobian_of
+from filters.geometry.derivatives import jacobian_of
 from filters.geometry.retractions import AdditiveQuaternion, RotationVector
 from filters.landmarks.inverse_depth import angles_of, ray_of
 from filters.state.joint_state import world_rotation_of_variables

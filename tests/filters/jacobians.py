@@ -27,7 +27,7 @@ COUNT = 4
 TOLERANCE = 1e-7
 OTHER_STEPS = (1e-5, 3e-4)
 ROUNDING = 1e-12
-"""Of a numerical Jacobian that a part has by default, as `filters.geometry.differences` says."""
+"""Of a numerical Jacobian that a part has by default, as `filters.geometry.derivatives` says."""
 
 
 @dataclass(frozen=True)

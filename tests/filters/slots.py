@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from filters.contract.odometry import BodyVelocity
+from filters.contract.inputs import BodyVelocity
 from filters.errors.error_definition import ErrorDefinition
 from filters.landmarks.landmark_model import LandmarkModel
 from filters.measurements.measurement_model import MeasurementModel

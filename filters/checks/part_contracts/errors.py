@@ -13,7 +13,7 @@ from filters.checks.part_contracts.motions import a_camera
 from filters.contract.inputs import Start, StereoObservation
 from filters.engine.stereo_ekf import StereoEKF
 from filters.errors.error_definition import ErrorDefinition
-from filters.geometry import differences, rotations, symmetric
+from filters.geometry import derivatives, rotations, symmetric
 from filters.geometry.arrays import FloatArray
 from filters.landmarks.euclidean import Euclidean
 from filters.landmarks.inverse_depth import InverseDepth
@@ -62,7 +62,7 @@ def check_error_retraction(error: ErrorDefinition) -> None:
     state = _state(InverseDepth())
     still = np.zeros(len(state.P))
     assert_close("moved by nothing", _difference(error, state, error.moved(state, still)), still)
-    by_delta = differences.jacobian(lambda e: _difference(error, state, error.moved(state, e)), len(still))
+    by_delta = derivatives.jacobian(lambda e: _difference(error, state, error.moved(state, e)), len(still))
     assert_close("moved", by_delta, np.eye(len(still)))
     assert_close("transport of no correction", _transport(error, state, still), np.eye(len(still)))
 
@@ -75,7 +75,7 @@ def check_error_transport(error: ErrorDefinition) -> None:
         def after(e: FloatArray, state: JointState = state, delta: FloatArray = delta) -> FloatArray:
             return _difference(error, error.moved(state, delta), error.moved(state, delta + e))
 
-        assert_close("transport", _transport(error, state, delta), differences.jacobian(after, len(delta)))
+        assert_close("transport", _transport(error, state, delta), derivatives.jacobian(after, len(delta)))
 
 
 def check_error_invariance(error: ErrorDefinition) -> None:
@@ -102,7 +102,7 @@ def check_error_of_the_pose(error: ErrorDefinition) -> None:
         true = rotations.multiply(camera.orientation, rotations.exp_quaternion(e[3:]))
         return error.pose_error(camera, P, camera.position + e[:3], true)[0]
 
-    J = differences.jacobian(against, 6)
+    J = derivatives.jacobian(against, 6)
     assert_close("covariance of pose_error", covariance, J @ P @ J.T)
 
 

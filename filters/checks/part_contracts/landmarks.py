@@ -15,7 +15,7 @@ from filters.checks.part_contracts.comparison import (
     assert_close,
     unit_directions,
 )
-from filters.geometry import differences, rotations
+from filters.geometry import derivatives, rotations
 from filters.geometry.arrays import FloatArray
 from filters.landmarks.landmark_model import LandmarkModel, StartedLandmarks
 
@@ -66,7 +66,7 @@ def check_landmark_start_jacobians(model: LandmarkModel) -> None:
     position, _, seen, new = _started(model)
     J, scale = np.concatenate([new.by_position, new.by_seen], axis=2), 3 * model.seen_vectors
     far, nearer = seen.copy(), seen.copy()
-    far[:, scale : scale + 1], nearer[:, scale:] = 1e-9, nearer[:, scale:] - 2.0 * differences.STEP
+    far[:, scale : scale + 1], nearer[:, scale:] = 1e-9, nearer[:, scale:] - 2.0 * derivatives.STEP
     far = far[model.can_start(*model.apart(far))]
     for by in (J, *vars(model.started(position, *model.apart(far))).values()):
         require(np.isfinite(by).all(), "a Jacobian of a start is not finite")
@@ -77,7 +77,7 @@ def check_landmark_start_jacobians(model: LandmarkModel) -> None:
         other = model.started(position + e[:3], *model.apart(seen + e[3:]))
         return model.local(new.parameters[at], other.parameters)
 
-    assert_close("the Jacobian of started", J[at], differences.jacobian(moved, 3 + model.seen_size))
+    assert_close("the Jacobian of started", J[at], derivatives.jacobian(moved, 3 + model.seen_size))
 
 
 def check_landmark_jacobians(model: LandmarkModel) -> None:
@@ -90,10 +90,10 @@ def check_landmark_jacobians(model: LandmarkModel) -> None:
         own = model.retract(x, np.broadcast_to(e[6:], (len(x), model.size)))
         return model.homogeneous(position + e[:3], None if anchors is None else anchors + e[3:6], own)
 
-    by_all = np.nan_to_num(differences.jacobian(seen, 6 + model.size))
+    by_all = np.nan_to_num(derivatives.jacobian(seen, 6 + model.size))
     assert_close("by_position of relative_to", claimed.by_position, by_all[:, :, :3])
     assert_close("by_map of relative_to", claimed.by_map, by_all[:, :, 6 if anchors is None else 3 :])
-    turned = differences.jacobian(lambda e: model.local(x, model.rotated(anchors, x, rotations.exp(e))), 3)
+    turned = derivatives.jacobian(lambda e: model.local(x, model.rotated(anchors, x, rotations.exp(e))), 3)
     assert_close("world_rotation", model.world_rotation(anchors, x), turned)
     theta, correction = np.array([0.1, -0.2, 0.15]), np.full((len(x), model.size), 0.02)
 
@@ -103,7 +103,7 @@ def check_landmark_jacobians(model: LandmarkModel) -> None:
     uncorrected = model.turned(anchors, x, theta, np.zeros_like(correction))
     assert_close("turned without a correction", uncorrected, model.rotated(anchors, x, rotations.exp(theta)), 1e-9)
     there = carried(np.zeros(3 + model.size))
-    by_both = differences.jacobian(lambda e: model.local(there, carried(e)), 3 + model.size)
+    by_both = derivatives.jacobian(lambda e: model.local(there, carried(e)), 3 + model.size)
     claimed_both = model.turned_jacobians(anchors, x, theta, correction)
     assert_close("turned_jacobians", np.concatenate(claimed_both[::-1], axis=2), by_both)
 
@@ -115,7 +115,7 @@ def check_landmark_retraction(model: LandmarkModel) -> None:
     there = model.retract(x, delta)
     assert_close("retract of nothing", model.retract(x, np.zeros_like(delta)), x, 1e-12)
     assert_close("local of retract", model.local(x, there), delta, 1e-9 * max(1.0, np.abs(x).max()))
-    by_delta = differences.jacobian(lambda e: model.local(there, model.retract(x, delta + e)), model.size)
+    by_delta = derivatives.jacobian(lambda e: model.local(there, model.retract(x, delta + e)), model.size)
     transport = model.transport(x, delta)
     still = np.broadcast_to(np.eye(model.size), by_delta.shape)
     assert_close(
@@ -125,7 +125,7 @@ def check_landmark_retraction(model: LandmarkModel) -> None:
     def without_a_turn(e: FloatArray) -> FloatArray:
         return model.local(x, model.turned(anchors, x, np.zeros(3), np.zeros_like(delta) + e))
 
-    assert_close("turned without a turn", differences.jacobian(without_a_turn, model.size), still)
+    assert_close("turned without a turn", derivatives.jacobian(without_a_turn, model.size), still)
 
 
 def check_landmark_invariance(model: LandmarkModel) -> None:
@@ -142,7 +142,7 @@ def check_landmark_invariance(model: LandmarkModel) -> None:
     if anchors is None and (model.in_world or type(model).shifted is not LandmarkModel.shifted):
         shifted = model.homogeneous(position + SHIFT, None, model.shifted(x, SHIFT))
         assert_close("shifted in a shifted world", unit_directions(shifted), unit_directions(seen), 1e-9)
-        by_shift = differences.jacobian(lambda e: model.local(x, model.shifted(x, e)), 3)
+        by_shift = derivatives.jacobian(lambda e: model.local(x, model.shifted(x, e)), 3)
         assert_close("world_translation", model.world_translation(x), by_shift)
     if anchors is not None:
         free = new.anchored

@@ -12,7 +12,7 @@ from filters.checks.conformance import REFERENCE_CAMERA, REFERENCE_NOISE, requir
 from filters.checks.part_contracts.comparison import SCALES, assert_close, unit_directions
 from filters.contract.inputs import StereoObservation
 from filters.contract.variables import VELOCITY
-from filters.geometry import differences
+from filters.geometry import derivatives
 from filters.geometry.arrays import FloatArray
 from filters.geometry.retractions import ADDITIVE, Retraction
 from filters.measurements.measurement_model import MeasurementModel, Values
@@ -59,7 +59,7 @@ def check_measurement_inverse(sensor: MeasurementModel) -> None:
 def check_measurement_jacobians(sensor: MeasurementModel) -> None:
     """Jacobians of numbers and backprojection are those of differences, by the variables, too."""
     points_c, values = _points(sensor)
-    nearer = points_c - 2.0 * differences.STEP * (np.arange(points_c.shape[1]) == 3 * sensor.seen_vectors)
+    nearer = points_c - 2.0 * derivatives.STEP * (np.arange(points_c.shape[1]) == 3 * sensor.seen_vectors)
     points_c = points_c[sensor.in_front(nearer)]
     uvd = sensor.predict(REFERENCE_CAMERA, points_c, values)[:, :3]
     for what, claimed, function, start, size in (
@@ -68,12 +68,12 @@ def check_measurement_jacobians(sensor: MeasurementModel) -> None:
     ):
         J = claimed(REFERENCE_CAMERA, start, values)
         moved = partial(_of_moved, function, start, values)
-        assert_close(f"by_point of {what}", J.by_point, differences.jacobian(moved, size))
+        assert_close(f"by_point of {what}", J.by_point, derivatives.jacobian(moved, size))
         retractions = {v.name: (v.retraction, v.size) for v in sensor.variables}
         if sensor.sees_velocity:
             retractions[VELOCITY] = ADDITIVE, len(values[VELOCITY])
         for name, (retraction, size) in retractions.items():
-            by_variable = differences.jacobian(partial(_of_corrected, function, start, values, name, retraction), size)
+            by_variable = derivatives.jacobian(partial(_of_corrected, function, start, values, name, retraction), size)
             assert_close(f"{name} of {what}", J.by_variable[name], by_variable)
 
 

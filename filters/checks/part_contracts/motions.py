@@ -8,9 +8,8 @@ import numpy as np
 
 from filters.checks.conformance import require
 from filters.checks.part_contracts.comparison import Kernels, assert_close, assert_refusal, assert_same, moved_world
-from filters.contract.inputs import InertialSamples, InertialUnit
-from filters.contract.odometry import BodyVelocity
-from filters.geometry import differences, rotations
+from filters.contract.inputs import BodyVelocity, InertialSamples, InertialUnit
+from filters.geometry import derivatives, rotations
 from filters.geometry.arrays import FloatArray
 from filters.motions.motion_model import (
     CAMERA_SIZE,
@@ -66,9 +65,9 @@ def check_motion_jacobians(motion: MotionModel) -> None:
     def after(e: FloatArray) -> CameraState:
         return motion.predict(motion.corrected(state, e), DT, odometry).state
 
-    assert_close("F", predicted.F, differences.jacobian(lambda e: motion.difference(predicted.state, after(e)), size))
+    assert_close("F", predicted.F, derivatives.jacobian(lambda e: motion.difference(predicted.state, after(e)), size))
     if type(motion).move is not MotionModel.move:
-        pushed = differences.jacobian(
+        pushed = derivatives.jacobian(
             lambda n: motion.difference(predicted.state, motion.move(state, DT, odometry, n)), len(predicted.Q)
         )
         assert_close("G", predicted.G, pushed)
@@ -81,7 +80,7 @@ def check_motion_jacobians(motion: MotionModel) -> None:
                 raise AssertionError("odometry is a measurement of some states only")
             return -at.innovation
 
-        assert_close("H of odometry", measured.H, differences.jacobian(innovation, size))
+        assert_close("H of odometry", measured.H, derivatives.jacobian(innovation, size))
 
 
 def check_motion_invariance(motion: MotionModel) -> None:

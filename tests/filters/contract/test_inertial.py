@@ -20,7 +20,7 @@ from filters import (
     shown_arrays,
 )
 from filters.geometry import rotations
-from filters.geometry.differences import jacobian
+from filters.geometry.derivatives import jacobian
 from filters.motions.driven import moved_by
 
 from ..drives import CAMERA, INDEPENDENT_PIXELS

@@ -8,7 +8,7 @@ import pytest
 from filters import Extended, RangeBearing, Start, StereoEKF, StereoObservation
 from filters.checks.conformance import REFERENCE_CAMERA as CAMERA
 from filters.checks.conformance import REFERENCE_NOISE as NOISE
-from filters.contract.gate_limit import gate_limit
+from filters.contract.noise import gate_limit
 from filters.geometry import symmetric
 
 from .linear_problems import dense

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from filters.contract.gate_limit import gate_limit
+from filters.contract.noise import gate_limit
 
 
 @pytest.mark.parametrize(("dof", "limit"), [(2, 9.210), (3, 11.345), (4, 13.277)])

@@ -1,4 +1,4 @@
-"""Dual numbers: numbers, or arrays of numbers, with their exact derivatives by some variables.
+"""Derivatives: exact ones by dual numbers, which carry them along, and central differences of fourth order.
 
 A function of tuples of numbers is differentiated by giving it dual numbers. `filters.kernels.duals` has the same in
 machine code; here they run on columns, one row for each landmark.
@@ -143,3 +143,27 @@ def _of_rows(called: Callable[..., FloatArray], arrays: tuple[FloatArray, ...]) 
                 raise
             whole = (np.broadcast_to(array, (count, array.shape[1])) for array in arrays)
             return np.stack([called(*rows) for rows in zip(*whole, strict=True)])
+
+
+STEP = 1e-4
+"""Where truncation (STEP^4) and rounding (1e-16 / STEP) are both about 1e-12 of a function of size one."""
+
+
+def jacobian(function: Callable[[FloatArray], FloatArray], size: int) -> FloatArray:
+    """d function(delta) / d delta at zero.
+
+    Parameters
+    ----------
+    function : callable
+        (size,) -> (..., k), for as many things at once as it likes.
+    size : int
+        Numbers of delta.
+
+    Returns
+    -------
+    (..., k, size) ndarray
+        By f' = (8 (f(h) - f(-h)) - (f(2 h) - f(-2 h))) / (12 h).
+    """
+    steps = STEP * np.eye(size)
+    columns = [8.0 * (function(e) - function(-e)) - (function(2.0 * e) - function(-2.0 * e)) for e in steps]
+    return np.stack(columns, axis=-1) / (12.0 * STEP)
