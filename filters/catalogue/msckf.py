@@ -142,9 +142,7 @@ def _compressed(H: Array, nu: Array) -> tuple[Array, Array]:
     rotated, R, order = qr_multiply(H, nu, mode="right", pivoting=True)
     size = np.abs(np.diagonal(R))
     rank = int((size > size[0] * len(H) * np.finfo(float).eps).sum())
-    rows = np.empty_like(R[:rank])
-    rows[:, order] = R[:rank]
-    return rows, rotated[:rank]
+    return R[:rank, np.argsort(order)], rotated[:rank]
 
 
 class MultiStateConstraintEKF(StereoEKF):

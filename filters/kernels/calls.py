@@ -164,17 +164,17 @@ _RECORDS: Mapping[str, Mapping[str, Any]] = {
 @intrinsic
 def _call(typing_context: Any, address: Any, arguments: Any) -> Any:
     """Call a unit, or what a part has compiled."""
-    given, wanted = tuple(arguments), SIGNATURES[address.callee]
-    fits = len(given) == len(wanted) and all(
+    argument_types, signature_types = tuple(arguments), SIGNATURES[address.callee]
+    fits = len(argument_types) == len(signature_types) and all(
         have == want or (isinstance(want, types.Number) and isinstance(have, types.Number | types.Boolean))
-        for have, want in zip(map(types.unliteral, given), wanted, strict=True)
+        for have, want in zip(map(types.unliteral, argument_types), signature_types, strict=True)
     )
     if not fits:
-        raise TypingError(f"{address.callee} must be called with {wanted}, got {given}")
+        raise TypingError(f"{address.callee} must be called with {signature_types}, got {argument_types}")
 
     def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         raw = cgutils.unpack_tuple(builder, values[1])
-        cast = [context.cast(builder, *one) for one in zip(raw, given, wanted, strict=True)]
+        cast = [context.cast(builder, *one) for one in zip(raw, argument_types, signature_types, strict=True)]
         callee = ir.FunctionType(ir.VoidType(), [value.type for value in cast]).as_pointer()
         builder.call(builder.inttoptr(values[0], callee), cast)
         return context.get_dummy_value()
@@ -273,7 +273,7 @@ _LOADED: list[Unit] = []
 
 
 def addresses(**known: Any) -> Calls:
-    """Addresses by their names, zero for those that are not given."""
+    """Addresses by their names, zero for all others."""
     return _Calls(**{"cholesky": CHOLESKY, **dict.fromkeys(list(SIGNATURES)[1:], 0), **known})
 
 

@@ -40,9 +40,9 @@ make_attribute_wrapper(DualType, "slope", "slope")
 
 
 def _made(context: Any, builder: Any, kind: Any, value: Any, slope: Any) -> Any:
-    made = cgutils.create_struct_proxy(kind)(context, builder)
-    made.value, made.slope = value, context.make_tuple(builder, types.UniTuple(types.float64, kind.n), slope)
-    return made._getvalue()
+    result = cgutils.create_struct_proxy(kind)(context, builder)
+    result.value, result.slope = value, context.make_tuple(builder, types.UniTuple(types.float64, kind.n), slope)
+    return result._getvalue()
 
 
 @intrinsic
@@ -90,11 +90,11 @@ def _variables(typing_context: Any, row: Any, count: Any, first: Any, slopes: An
     returned = types.UniTuple(kind, n)
 
     def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        data, made = context.make_array(signature.args[0])(context, builder, values[0]).data, []
+        data, result = context.make_array(signature.args[0])(context, builder, values[0]).data, []
         for k in range(n):
             unit = [context.get_constant(types.float64, float(j == begin + k)) for j in range(kind.n)]
-            made.append(_made(context, builder, kind, builder.load(cgutils.gep(builder, data, k)), unit))
-        return context.make_tuple(builder, returned, made)
+            result.append(_made(context, builder, kind, builder.load(cgutils.gep(builder, data, k)), unit))
+        return context.make_tuple(builder, returned, result)
 
     return returned(row, count, first, slopes), generate
 
@@ -106,8 +106,8 @@ def _numbers(typing_context: Any, row: Any, count: Any) -> Any:
 
     def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         data = context.make_array(signature.args[0])(context, builder, values[0]).data
-        made = [builder.load(cgutils.gep(builder, data, k)) for k in range(returned.count)]
-        return context.make_tuple(builder, returned, made)
+        result = [builder.load(cgutils.gep(builder, data, k)) for k in range(returned.count)]
+        return context.make_tuple(builder, returned, result)
 
     return returned(row, count), generate
 

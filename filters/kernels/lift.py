@@ -352,13 +352,13 @@ def functions_of(part: Any) -> Any:
     cls: Any = type(part)
     layout = _settings(part)
     if isinstance(part, LandmarkModel):
-        given = cls.point_of is not LandmarkModel.point_of and part.in_machine_code
-        if not given or cls.in_anchor or cls.seen_vectors != 1 or _changes(cls, LandmarkModel, _COLUMNS):
+        plain_form = cls.point_of is not LandmarkModel.point_of and part.in_machine_code
+        if not plain_form or cls.in_anchor or cls.seen_vectors != 1 or _changes(cls, LandmarkModel, _COLUMNS):
             return None
         return landmark_functions(cls, layout)
     if isinstance(part, MeasurementModel):
-        given = cls.project is not MeasurementModel.project and cls.seen_vectors == 1
-        if not given or _changes(cls, MeasurementModel, _SENSED):
+        plain_form = cls.project is not MeasurementModel.project and cls.seen_vectors == 1
+        if not plain_form or _changes(cls, MeasurementModel, _SENSED):
             return None
         if any(variable.retraction is not ADDITIVE for variable in part.variables):
             return None
