@@ -1,6 +1,6 @@
 # Set-up is done once, and again only when pyproject.toml changes. Nothing but Python and pip is needed.
 .DEFAULT_GOAL := help
-.PHONY: help bench test test-slow test-all lint same format docs lock clean
+.PHONY: help bench test test-slow test-all test-oldest lint same format docs lock clean
 
 PYTHON ?= python3
 VENV := .venv
@@ -34,6 +34,14 @@ test-slow: $(VENV)/.installed-dev ## The other tests: examples, the manual, pack
 
 test-all: test test-slow ## All of them
 
+test-oldest: ## The tests of the filters with the oldest versions of all that is declared (Python 3.11 or 3.12)
+	@$(PYTHON) -m venv $(VENV)-oldest
+	@$(PYTHON) .ci/oldest.py > $(VENV)-oldest/requirements.txt
+	@$(VENV)-oldest/bin/python -m pip install --quiet --disable-pip-version-check \
+	  --requirement $(VENV)-oldest/requirements.txt pytest pytest-timeout hypothesis
+	@PYTHONPATH=. $(VENV)-oldest/bin/python -m pytest --quiet -m 'not slow' tests/filters/engine/test_golden.py \
+	  tests/filters/landmarks tests/filters/measurements tests/filters/motions tests/filters/stranger $(PYTEST)
+
 lint: $(VENV)/.installed-dev ## ruff, the order of the rooms (import-linter), mypy
 	@$(BIN)/ruff check
 	@$(BIN)/ruff format --check
@@ -56,7 +64,7 @@ lock: ## Pin what the tests run with anew, for each of PYTHONS, in constraints.t
 	@$(PYTHON) .ci/lock.py $(PYTHONS)
 
 clean: ## Remove the virtual environment, builds and caches (results in runs/ stay)
-	rm -rf $(VENV) build dist site *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .benchmarks
+	rm -rf $(VENV) $(VENV)-oldest build dist site *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .benchmarks
 	find filters stereo_slam_env tests examples benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(BIN)/python:

@@ -275,3 +275,20 @@ def test_what_it_cannot_do_is_refused(option: dict[str, object], message: str) -
 
 def test_it_keeps_the_contract() -> None:
     assert "0 failed" in str(check_filter("msckf"))
+
+
+def test_the_nis_does_not_depend_on_the_order_of_the_tracks() -> None:
+    """Rows without any information, of where all clones are together, would give it what rounding makes of them."""
+    sums, order = [], np.random.default_rng(3).permutation(2000)
+    for names in (np.arange(2000), order):
+        options, nis = {"window": WINDOW, "map_landmarks": 0}, []
+        slam = start(make_filter("msckf", camera=CAMERA, noise=INDEPENDENT_PIXELS, **options))
+        for k, frame in enumerate(drive(1, 12, visible=150)):
+            if k:
+                slam.predict(0.1)
+            seen = frame.observation
+            report = slam.update(StereoObservation(names[seen.ids], seen.uvd))
+            nis.append((report.nis, report.nis_dof))
+        sums.append(nis)
+    assert 6 * (WINDOW - 1) in [dof for _, dof in sums[0]]  # of 30 columns: what many tracks say, without the gauge
+    np.testing.assert_allclose(*sums, rtol=1e-9)
