@@ -40,7 +40,7 @@ test-oldest: ## The tests of the filters with the oldest versions of all that is
 	@$(VENV)-oldest/bin/python -m pip install --quiet --disable-pip-version-check \
 	  --requirement $(VENV)-oldest/requirements.txt pytest pytest-timeout hypothesis
 	@PYTHONPATH=. $(VENV)-oldest/bin/python -m pytest --quiet -m 'not slow' tests/filters/engine/test_golden.py \
-	  tests/filters/landmarks tests/filters/measurements tests/filters/motions tests/filters/stranger $(PYTEST)
+	  tests/filters/landmarks tests/filters/measurements tests/filters/motions tests/filters/errors $(PYTEST)
 
 lint: $(VENV)/.installed-dev ## ruff, the order of the rooms (import-linter), mypy
 	@$(BIN)/ruff check

@@ -113,6 +113,22 @@ def _numbers(typing_context: Any, row: Any, count: Any) -> Any:
 
 
 @intrinsic
+def _added(typing_context: Any, numbers: Any, changes: Any) -> Any:
+    """Sum of a tuple of floats and one of dual numbers."""
+    kind = changes.dtype
+
+    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        sums = []
+        for number, change in zip(*(cgutils.unpack_tuple(builder, value) for value in values), strict=True):
+            parts = cgutils.create_struct_proxy(kind)(context, builder, change)
+            slope = cgutils.unpack_tuple(builder, parts.slope)
+            sums.append(_made(context, builder, kind, builder.fadd(number, parts.value), slope))
+        return context.make_tuple(builder, changes, sums)
+
+    return changes(numbers, changes), generate
+
+
+@intrinsic
 def _write(typing_context: Any, values: Any, J: Any, results: Any) -> Any:
     """Write a tuple of dual and of plain numbers into values (m,) and J (m, n); rows of plain ones stay as they are."""
 
@@ -151,8 +167,14 @@ def _write_plainly(values: Any, J: Any, results: Any) -> None:
             values[a] = result
 
 
-variables, numbers, write = (
-    (_variables_plainly, _numbers_plainly, _write_plainly) if PLAIN else (_variables, _numbers, _write)
+def _added_plainly(numbers: Any, changes: Any) -> tuple[Any, ...]:
+    return tuple(a + b for a, b in zip(numbers, changes, strict=True))
+
+
+variables, numbers, added, write = (
+    (_variables_plainly, _numbers_plainly, _added_plainly, _write_plainly)
+    if PLAIN
+    else (_variables, _numbers, _added, _write)
 )
 
 

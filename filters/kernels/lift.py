@@ -25,7 +25,7 @@ from filters.geometry.vectors import turned_by
 from filters.kernels.blas import kernel
 from filters.kernels.calls import of_part
 from filters.kernels.compilation import include, sources_digest
-from filters.kernels.duals import numbers, variables, write
+from filters.kernels.duals import added, numbers, variables, write
 from filters.landmarks.landmark_model import LandmarkKernels, LandmarkModel
 from filters.measurements.measurement_model import MeasurementKernels, MeasurementModel
 from filters.parts import kernels_of
@@ -33,38 +33,6 @@ from filters.parts import kernels_of
 Layout = tuple[tuple[str, int], ...]
 """Names of numbers, and how many each has; 0: a single number, no tuple."""
 CAMERA: Layout = tuple((name, 0) for name in ("fx", "fy", "cx", "cy", "baseline"))
-
-
-def _grouped(layout: Layout) -> Callable[[Any], Any]:
-    """Function that names the numbers of a flat tuple."""
-    if not layout:
-        return lambda flat: None
-    names, parts, first = [name.replace("-", "_") for name, _ in layout], [], 0
-    for _, size in layout:
-        inside = ", ".join(f"flat[{first + k}]" for k in range(max(size, 1)))
-        parts.append(f"({inside},)" if size else inside)
-        first += max(size, 1)
-    room: dict[str, Any] = {"__name__": __name__, "Numbers": namedtuple("Numbers", names)}
-    exec(f"def group(flat):\n    return Numbers({', '.join(parts)})", room)  # as namedtuple itself is made
-    grouped: Callable[[Any], Any] = room["group"]
-    return grouped
-
-
-def _size(layout: Layout) -> int:
-    return sum(max(size, 1) for _, size in layout)
-
-
-def _with_compiled_helpers(function: Any) -> Any:
-    """The function, with the functions of its module that it calls marked as ones that kernels may call."""
-    room = function.__globals__
-    globals_there = {name: room.get(name) for name in function.__code__.co_names}
-    helpers = {
-        name: one for name, one in globals_there.items() if isinstance(one, FunctionType) and one is not function
-    }
-    if not helpers:
-        return function
-    room = {**room, **{name: compiled(_with_compiled_helpers(helper)) for name, helper in helpers.items()}}
-    return FunctionType(function.__code__, room, function.__name__, function.__defaults__, function.__closure__)
 
 
 def _again(*what: Any) -> None:
@@ -93,6 +61,46 @@ class Keyed:
     def _numba_type_(self) -> Any:
         """What Numba takes it for where a kernel names it."""
         return self._dispatcher._numba_type_
+
+
+def _grouped(layout: Layout) -> Callable[[Any], Any]:
+    """Function that names the numbers of a flat tuple."""
+    if not layout:
+        return lambda flat: None
+    record: Any = namedtuple("Numbers", [name.replace("-", "_") for name, _ in layout])  # type: ignore[misc]
+    parts, first = Keyed(_nothing), _size(layout)
+    for _, size in reversed(layout):
+        last, first = first, first - max(size, 1)
+        parts = Keyed(_with_part(first, last, bool(size), parts))
+    return lambda flat: record(*parts(flat))
+
+
+def _nothing(flat: Any) -> Any:
+    return ()
+
+
+def _with_part(first: int, last: int, is_row: bool, rest: Keyed) -> Callable[[Any], Any]:
+    """Function that puts a number or a row of a flat tuple before others."""
+    if is_row:
+        return lambda flat: (flat[first:last], *rest(flat))
+    return lambda flat: (flat[first], *rest(flat))
+
+
+def _size(layout: Layout) -> int:
+    return sum(max(size, 1) for _, size in layout)
+
+
+def _with_compiled_helpers(function: Any) -> Any:
+    """The function, with the functions of its module that it calls marked as ones that kernels may call."""
+    room = function.__globals__
+    globals_there = {name: room.get(name) for name in function.__code__.co_names}
+    helpers = {
+        name: one for name, one in globals_there.items() if isinstance(one, FunctionType) and one is not function
+    }
+    if not helpers:
+        return function
+    room = {**room, **{name: compiled(_with_compiled_helpers(helper)) for name, helper in helpers.items()}}
+    return FunctionType(function.__code__, room, function.__name__, function.__defaults__, function.__closure__)
 
 
 def plain(method: Callable[..., Any], *groups: Layout) -> Keyed:
@@ -158,12 +166,14 @@ def _tried(method: Callable[..., Any], kernels: Any, names: Sequence[str]) -> An
 _STEPS = re.compile(r"Failed in \w+ mode pipeline \(step: [^)]*\) ")
 
 
-def _elementwise(sign: str, n: int) -> Keyed:
-    """Sum a + b, or difference b - a, of two tuples of n numbers, as a part's method that needs no settings."""
-    terms = ", ".join(f"b[{k}] {sign} a[{k}]" for k in range(n))
-    room: dict[str, Any] = {"__name__": __name__}
-    exec(f"def by(settings, a, b):\n    return {terms}", room)
-    return Keyed(room["by"], sign, n)
+def _sum(settings: Any, y: Any, c: Any) -> Any:
+    """Retraction of values that add."""
+    return added(y, c)
+
+
+def _second(settings: Any, y: Any, other: Any) -> Any:
+    """The other value: its derivatives are those of the difference."""
+    return other
 
 
 @cache
@@ -176,8 +186,8 @@ def landmark_functions(cls: type[LandmarkModel], layout: Layout) -> LandmarkKern
 def _landmark_kernels(cls: type[LandmarkModel], layout: Layout) -> LandmarkKernels:
     n, v, k, adds = cls.size, cls.value_size, cls.seen_size, cls.retract_by is LandmarkModel.retract_by
     point, start, able = (plain(getattr(cls, name), layout) for name in ("point_of", "start_from", "can_start_from"))
-    retract = _elementwise("+", n) if adds else plain(cls.retract_by, layout)
-    local = _elementwise("-", n) if adds else plain(cls.local_by, layout)
+    retract = Keyed(_sum, "sum") if adds else plain(cls.retract_by, layout)
+    local = Keyed(_second, "second") if adds else plain(cls.local_by, layout)
 
     def point_kernel(settings: Any, values: Any, points: Any, J: Any) -> None:
         none = np.zeros(n)

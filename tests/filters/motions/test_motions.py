@@ -18,7 +18,10 @@ DT = 0.1
 def random_state(seed: int) -> CameraState:
     rng = np.random.default_rng(seed)
     return CameraState(
-        rng.standard_normal(3), Rotation.random(rng=rng).as_quat(), rng.standard_normal(3), rng.standard_normal(3)
+        rng.standard_normal(3),
+        Rotation.from_quat(rng.standard_normal(4)).as_quat(),
+        rng.standard_normal(3),
+        rng.standard_normal(3),
     )
 
 
