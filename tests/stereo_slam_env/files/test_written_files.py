@@ -293,7 +293,6 @@ WHY = {
     "stereo_slam_env/world/physics.py": "a folder of our own for temporary files, which must not exist before",
     "stereo_slam_env/datasets/kitti_odometry.py": "a new folder, and an empty one; what is there is refused",
     "stereo_slam_env/datasets/bag_writer.py": "out of a temporary folder, to a name that nothing has",
-    "filters/kernels/compilation.py": "machine code of ours, by its digest, in a folder of caches",
 }
 """Files of the packages that change files themselves, and why they can change none of a stranger."""
 

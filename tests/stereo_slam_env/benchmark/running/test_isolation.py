@@ -341,11 +341,11 @@ def test_a_process_has_the_machine_code_of_usual_trials_before_it_begins():
     """Loading it would cost it some 0.1 s, more than many trials."""
 
     def loaded(tell):
-        from filters.kernels import frame
+        from filters.kernels import prediction
         from stereo_slam_env.simulator.frame import run_frame
         from stereo_slam_env.world.street_plan import plan
 
-        return [len(kernel.signatures) for kernel in (run_frame, plan)], "_compiled" in vars(frame.predict)
+        return [len(kernel.signatures) for kernel in (run_frame, plan)], "_compiled" in vars(prediction.predict)
 
     assert run_isolated(loaded, silence_limit=LIMIT) == ([1, 1], True)
 
