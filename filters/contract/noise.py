@@ -17,7 +17,6 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from scipy.special import chdtri
 
 from filters.contract.validation import at_most, covariance_matrix, positive
 from filters.geometry.arrays import FloatArray
@@ -237,4 +236,6 @@ class ColouredNoise(StereoNoise):
 @lru_cache
 def gate_limit(probability: float, degrees_of_freedom: int) -> float:
     """Squared Mahalanobis distance that a consistent innovation stays below with `probability`."""
+    from scipy.special import chdtri  # SciPy takes longer to import than all that is here
+
     return float(chdtri(degrees_of_freedom, 1.0 - probability))
