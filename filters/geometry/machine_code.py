@@ -28,15 +28,19 @@ def settings_of(part: Any, kernels: Any) -> FloatArray:
     return np.concatenate([np.zeros(0), *numbers]).astype(np.float64)
 
 
-class _Compiled:
+class Compiled:
+    """Function that is Python where Python calls it, and machine code where a kernel does."""
+
     def __init__(self, function: Callable[..., Any]) -> None:
         self.py_func = function
         update_wrapper(self, function)
 
     def __call__(self, *arguments: Any) -> Any:
+        """Run it in Python."""
         return self.py_func(*arguments)
 
-    def __reduce__(self) -> str:
+    def __reduce__(self) -> Any:
+        """Its name: it is one of a module."""
         return self.py_func.__qualname__
 
     @cached_property
@@ -51,4 +55,4 @@ class _Compiled:
 
 def compiled(function: _Function) -> _Function:
     """Mark a function of numbers and arrays as one that kernels may call."""
-    return cast("_Function", _Compiled(function))
+    return cast("_Function", Compiled(function))

@@ -16,11 +16,8 @@ def cross(a: Any, b: Any) -> Any:
 
 
 @compiled
-def turned_by(theta: Any, v: Any) -> Any:
-    """Exp(theta) v (Rodrigues); smooth at zero, so that derivatives are."""
-    angle = np.sqrt(theta[0] * theta[0] + theta[1] * theta[1] + theta[2] * theta[2])
-    half = np.sinc(angle * (0.5 / np.pi))
-    b, c = np.sinc(angle * (1.0 / np.pi)), 0.5 * half * half
+def _series(theta: Any, v: Any, b: Any, c: Any) -> Any:
+    """v + b [theta]x v + c [theta]x^2 v."""
     first = cross(theta, v)
     second = cross(theta, first)
     return (
@@ -28,6 +25,15 @@ def turned_by(theta: Any, v: Any) -> Any:
         v[1] + b * first[1] + c * second[1],
         v[2] + b * first[2] + c * second[2],
     )
+
+
+@compiled
+def turned_by(theta: Any, v: Any) -> Any:
+    """Exp(theta) v (Rodrigues); smooth at zero, so that derivatives are."""
+    angle = np.sqrt(theta[0] * theta[0] + theta[1] * theta[1] + theta[2] * theta[2])
+    half = np.sinc(angle * (0.5 / np.pi))
+    b, c = np.sinc(angle * (1.0 / np.pi)), 0.5 * half * half
+    return _series(theta, v, b, c)
 
 
 @compiled
@@ -40,10 +46,4 @@ def spread_by(theta: Any, v: Any) -> Any:
         c = 1.0 / 6.0 - square / 120.0 * (1.0 - square / 42.0 * (1.0 - square / 72.0 * (1.0 - square / 110.0)))
     else:
         c = (1.0 - np.sinc(np.sqrt(square) * (1.0 / np.pi))) / square
-    first = cross(theta, v)
-    second = cross(theta, first)
-    return (
-        v[0] + b * first[0] + c * second[0],
-        v[1] + b * first[1] + c * second[1],
-        v[2] + b * first[2] + c * second[2],
-    )
+    return _series(theta, v, b, c)

@@ -89,7 +89,9 @@ def sources_digest(module: str) -> str:
 
 def stamped(function: Callable[..., Any]) -> Callable[..., Any]:
     """The same function under a name with the digest of its sources, which is what Numba keeps its machine code by."""
-    copy = FunctionType(function.__code__, function.__globals__, function.__name__, None, function.__closure__)
+    whole: Any = function
+    parts = whole.__code__, whole.__globals__, whole.__name__, whole.__defaults__, whole.__closure__
+    copy = FunctionType(*parts)
     copy.__module__, copy.__doc__ = function.__module__, function.__doc__
     copy.__qualname__ = f"{function.__qualname__}.{sources_digest(function.__module__)}"
     return copy

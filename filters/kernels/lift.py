@@ -11,7 +11,7 @@ import re
 from collections import namedtuple
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import cache, cached_property
+from functools import cache
 from pathlib import Path
 from types import FunctionType
 from typing import Any
@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from filters.contract.variables import VELOCITY
-from filters.geometry.machine_code import compiled
+from filters.geometry.machine_code import Compiled, compiled
 from filters.geometry.retractions import ADDITIVE
 from filters.geometry.vectors import turned_by
 from filters.kernels.blas import kernel
@@ -39,28 +39,16 @@ def _again(*what: Any) -> None:
     """Never called: what it is called with makes the key by which machine code is kept."""
 
 
-class Keyed:
-    """Compiled function that kernels call, with what distinguishes it from others for the key of their machine code."""
+class Keyed(Compiled):
+    """Compiled function of no module, with what distinguishes it from others for the key of the machine code."""
 
     def __init__(self, function: Callable[..., Any], *key: Any) -> None:
-        self.function, self._key = function, key
+        super().__init__(function)
+        self._key = key
 
     def __reduce__(self) -> Any:
         """What the key of machine code is made of."""
         return _again, self._key
-
-    def __call__(self, *arguments: Any) -> Any:
-        """Run it in Python."""
-        return self.function(*arguments)
-
-    @cached_property
-    def _dispatcher(self) -> Any:
-        return kernel(self.function)
-
-    @property
-    def _numba_type_(self) -> Any:
-        """What Numba takes it for where a kernel names it."""
-        return self._dispatcher._numba_type_
 
 
 def _grouped(layout: Layout) -> Callable[[Any], Any]:
@@ -267,20 +255,15 @@ def _turn(moved_by: Any, local: Any, n: int, v: int) -> Callable[..., None]:
 
 
 @cache
-def sensor_functions(
-    cls: type[MeasurementModel], layout: Layout, variables_of: Layout, takes_values: bool
-) -> MeasurementKernels | str:
-    """Compiled functions of a sensor with these settings and variables, or why there are none."""
-    made_by = sensor_functions, cls, layout, variables_of, takes_values
-    kernels = replace(_sensor_kernels(cls, layout, variables_of, takes_values), made_by=made_by)
+def sensor_functions(cls: type[MeasurementModel], layout: Layout, values: Layout) -> MeasurementKernels | str:
+    """Compiled functions of a sensor with these settings and values of variables, or why there are none."""
+    kernels = replace(_sensor_kernels(cls, layout, values), made_by=(sensor_functions, cls, layout, values))
     return _tried(cls.project, kernels, ("predict", "backproject"))
 
 
-def _sensor_kernels(
-    cls: type[MeasurementModel], layout: Layout, values_layout: Layout, takes_values: bool
-) -> MeasurementKernels:
+def _sensor_kernels(cls: type[MeasurementModel], layout: Layout, values_layout: Layout) -> MeasurementKernels:
     m, size, k = cls.size, _size(values_layout), cls.seen_size
-    groups = (layout, CAMERA, values_layout) if takes_values else (layout, CAMERA)
+    groups = (layout, CAMERA, values_layout) if values_layout else (layout, CAMERA)
     project, unproject = plain(cls.project, *groups), plain(cls.unproject, *groups)
     can_see, slopes_of_point, slopes_of_uvd = plain(cls.can_see, layout), k + size, 3 + size
 
@@ -315,7 +298,7 @@ def _sensor_kernels(
             _split(both, J[i], J_values[i])
 
     names = tuple(name for name, _ in layout)
-    if takes_values:
+    if values_layout:
         return MeasurementKernels(predict_with_values, backproject_with_values, settings=names)
     return MeasurementKernels(predict, backproject, settings=names)
 
@@ -375,7 +358,7 @@ def functions_of(part: Any) -> Any:
         values = tuple((variable.name, variable.size) for variable in part.variables)
         if part.sees_velocity:
             values = (*values, (VELOCITY, 6))
-        return sensor_functions(cls, layout, values, part.takes_values)
+        return sensor_functions(cls, layout, values)
     return None
 
 

@@ -170,17 +170,16 @@ class MeasurementModel:
         return columns_of(lambda z: self.unproject(camera, z, *named), uvd)
 
     @property
-    def takes_values(self) -> bool:
-        """Whether the plain functions are given values."""
-        return bool(self.variables) or self.sees_velocity
+    def _value_names(self) -> tuple[str, ...]:
+        return (*(variable.name for variable in self.variables), *((VELOCITY,) if self.sees_velocity else ()))
 
     def _by_name(self, values: Mapping[str, Any]) -> tuple[Any, ...]:
         """Values as the plain functions take them."""
-        if not self.takes_values:
+        names = self._value_names
+        if not names:
             return ()
-        names = [*(variable.name for variable in self.variables), *([VELOCITY] if self.sees_velocity else [])]
-        made = namedtuple("Values", [name.replace("-", "_") for name in names])  # type: ignore[misc]
-        return (made(*(tuple(values[name]) for name in names)),)
+        record = namedtuple("Values", [name.replace("-", "_") for name in names])  # type: ignore[misc]
+        return (record(*(tuple(values[name]) for name in names)),)
 
     def rows(self, with_right: bool) -> tuple[StageRows, ...]:
         """What the stages use of the sensor's numbers where `v_right` is not measured, and where it is.
@@ -252,7 +251,7 @@ class MeasurementModel:
         named = self._by_name(values)
         by_point = jacobian_of(lambda h: function(camera, h, *named), arguments)[1]
         by_variable = {}
-        for name in () if not named else (name for name in values if name.replace("-", "_") in named[0]._fields):
+        for name in self._value_names:
 
             def called(x: Numbers, h: Numbers, name: str = name) -> Numbers:
                 return function(camera, h, named[0]._replace(**{name.replace("-", "_"): x}))
