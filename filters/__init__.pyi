@@ -21,6 +21,7 @@ from .checks.consistency import nees as nees
 from .checks.part_checks import check_part as check_part
 from .checks.pytest_cases import parametrize_with_checks as parametrize_with_checks
 from .checks.pytest_cases import parametrize_with_part_checks as parametrize_with_part_checks
+from .contract import validation as validation
 from .contract.inputs import BodyVelocity as BodyVelocity
 from .contract.inputs import InertialSamples as InertialSamples
 from .contract.inputs import InertialUnit as InertialUnit
@@ -36,6 +37,7 @@ from .contract.outputs import PoseBelief as PoseBelief
 from .contract.outputs import UpdateReport as UpdateReport
 from .contract.outputs import VelocityBelief as VelocityBelief
 from .contract.stereo_filter import StereoFilter as StereoFilter
+from .contract.variables import MovedLandmarks as MovedLandmarks
 from .contract.variables import Variable as Variable
 from .contract.variables import VariableBelief as VariableBelief
 from .engine.batch import FilterBatch as FilterBatch
@@ -47,6 +49,7 @@ from .errors.error_definition import QuaternionError as QuaternionError
 from .errors.error_definition import RotationVectorError as RotationVectorError
 from .errors.invariant import LeftInvariant as LeftInvariant
 from .errors.invariant import RightInvariant as RightInvariant
+from .geometry import vectors as vectors
 from .geometry.camera import StereoCamera as StereoCamera
 from .geometry.derivatives import jacobian as jacobian
 from .geometry.poses import Pose as Pose
@@ -84,7 +87,6 @@ from .motions.constant_velocity import ConstantVelocity as ConstantVelocity
 from .motions.driven import VelocityDriven as VelocityDriven
 from .motions.motion_model import CameraState as CameraState
 from .motions.motion_model import LinearMeasurement as LinearMeasurement
-from .motions.motion_model import MotionKernels as MotionKernels
 from .motions.motion_model import MotionModel as MotionModel
 from .motions.motion_model import MotionPrediction as MotionPrediction
 from .motions.strapdown import Strapdown as Strapdown

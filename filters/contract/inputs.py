@@ -189,6 +189,11 @@ class InertialSamples:
         if not isinstance(self.unit, InertialUnit):
             raise ValueError(f"inertial.unit must be an InertialUnit, got {self.unit!r}")
 
+    @property
+    def rows(self) -> FloatArray:
+        """As kernels take them, (3 + K, 7): rows of the unit; then time, rates and forces of each sample."""
+        return np.vstack([self.unit.rows, np.column_stack([self.times, self.angular_rates, self.specific_forces])])
+
     def check_step(self, dt: float) -> None:
         """Raise a `ValueError` if the samples are not those of a step of `dt` seconds."""
         last, K = float(self.times[-1]), len(self.times)

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from filters.contract.validation import covariance_matrix, finite_array
+from filters.contract.validation import covariance_matrix, finite_array, unique_ids
 from filters.geometry import derivatives, rotations
-from filters.geometry.arrays import FloatArray
+from filters.geometry.arrays import FloatArray, IntArray
 from filters.geometry.retractions import ADDITIVE, Retraction
 
 POSE, VELOCITY = "pose", "velocity"
@@ -94,3 +94,30 @@ class VariableBelief:
     """(v,): its numbers; of the pose, position (W, m) and orientation (xyzw)."""
     covariance: FloatArray
     """(s, s), of its error."""
+
+
+@dataclass(frozen=True, eq=False)
+class MovedLandmarks:
+    """Landmarks that the step of a variable moves: N points of W after it, and their Jacobians."""
+
+    ids: IntArray
+    """(N,): which ones."""
+    positions: FloatArray
+    """(N, 3): m, after the step."""
+    by_landmark: FloatArray
+    """(N, 3, 3): by their positions before the step."""
+    by_variable: FloatArray
+    """(N, 3, s): by the error of the variable before the step."""
+
+    def __post_init__(self) -> None:
+        ids = unique_ids("landmarks.ids", np.asarray(self.ids))
+        object.__setattr__(self, "ids", ids)
+        for name, shape in (("positions", (3,)), ("by_landmark", (3, 3)), ("by_variable", (3, "s"))):
+            value = finite_array(f"landmarks.{name}", getattr(self, name), (len(ids), *shape))
+            object.__setattr__(self, name, value)
+
+    @classmethod
+    def none(cls, size: int) -> MovedLandmarks:
+        """No landmark, beside a variable of so many error numbers."""
+        empty = np.zeros((0, 3, size))
+        return cls(np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros((0, 3, 3)), empty)

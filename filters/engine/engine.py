@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from filters.contract.inputs import InertialSamples
 from filters.engine.doors import Doors, Parts
 from filters.engine.frames import FrameOutcome, Observations, Odometry
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
-from filters.kernels.between_frames import CLONE, CLOSE_GAPS, FORGET, change, correct_by
+from filters.kernels.between_frames import CLONE, CLOSE_GAPS, FORGET, carry_along, change, correct_by
 from filters.kernels.calls import Packed
 from filters.kernels.frame import run_frames
 from filters.kernels.needed import compiled_calls
@@ -30,7 +31,6 @@ from filters.kernels.storage import (
     grown,
     load,
 )
-from filters.motions.motion_model import MotionModel
 
 _ROOM = 32  # blocks, at first
 
@@ -63,9 +63,8 @@ class Engine:
         asks = self._asks or recipe.plan.changes or recipe.motion is None
         self._doors = Doors(parts, weakref.proxy(self)) if asks and parts is not None else None
         self._fuses = self._odometry_there = False
-        motion = None if parts is None else parts.options.motion
-        own = motion is not None and type(motion).odometry_numbers is not MotionModel.odometry_numbers
-        self._steps_by_odometry = recipe.motion is None or own
+        self._takes_samples = parts is not None and parts.options.motion.takes is InertialSamples
+        self._steps_by_odometry = recipe.motion is None or self._takes_samples
         self._calls = self._compiled()
         self._plan = Packed(recipe.plan)
         self._storage = Packed(empty_storage(recipe, count, _ROOM))
@@ -121,7 +120,7 @@ class Engine:
         """Start filter `index` again with leading values x (values,) and covariance P (leading, leading)."""
         none, anchors = np.zeros(0, dtype=np.int64), np.zeros((0, 2), dtype=np.int64)
         nothing = np.zeros((0, self.recipe.block_values))
-        self.load(index, FilterState(x, x, P, nothing, nothing, none, none, none, anchors, none))
+        self.load(index, FilterState(x, x, P, nothing, nothing, none, np.zeros((0, 3)), none, none, anchors, none))
 
     def load(self, index: int, state: FilterState) -> None:
         """Put the state of filter `index` there."""
@@ -136,6 +135,46 @@ class Engine:
         """Keep the present pose of filter `index` as two held blocks, those of the last clone."""
         self._make_room(int(self.storage.counts[index, BLOCKS]) + 2, 1)
         self._change(index, CLONE)
+
+    def hold(self, index: int, state: FilterState, rows: IntArray, J: FloatArray) -> None:
+        """Add held blocks to filter `index`: values, kinds and walks of `state`, errors J e + those with its P.
+
+        e are the errors at `rows`.
+        """
+        count, size = len(state.blocks), self.recipe.plan.size
+        self._make_room(int(self.storage.counts[index, BLOCKS]) + count, 1)
+        S, old = self.storage, int(self.storage.counts[index, BLOCKS])
+        n, P = self.recipe.plan.leading + size * old, S.P[index]
+        every, new = np.arange(n), slice(n, n + size * count)
+        given = P[np.minimum(rows[:, None], every), np.maximum(rows[:, None], every)]
+        P[:n, new] = (J @ given).T
+        P[new, new] = J @ given[:, rows] @ J.T + state.P
+        blocks = slice(old, old + count)
+        S.blocks[index, blocks] = S.first[index, blocks] = state.blocks
+        S.kind[index, blocks], S.walk[index, blocks], S.users[index, blocks] = state.kind, state.walk, 1
+        held = int((S.held[index] >= 0).sum())
+        S.held[index, held : held + count] = np.arange(old, old + count)
+        S.counts[index, BLOCKS] += count
+
+    def move(
+        self,
+        index: int,
+        rows: IntArray,
+        F: FloatArray,
+        Q: FloatArray,
+        landmarks: IntArray,
+        by_landmark: FloatArray,
+        by_rows: FloatArray,
+    ) -> None:
+        """Carry P of filter `index` along with a step of the w errors at `rows`, and of N landmarks that follow them.
+
+        `landmarks` are their first rows; they step by their own errors (N, 3, 3) and by those at `rows` (N, 3, w).
+        """
+        plan = self.recipe.plan
+        n, changed = plan.leading + plan.size * int(self.storage.counts[index, BLOCKS]), len(rows) + 3 * len(landmarks)
+        room = np.empty((2, changed, n))
+        given = (np.array(array, dtype=np.float64, order="C") for array in (F, Q, by_landmark, by_rows))
+        carry_along(self._storage.address, index, rows, landmarks, *given, room)
 
     def release(self, index: int, blocks: IntArray) -> None:
         """Hold these blocks of filter `index` no longer; those that no landmark uses leave the map."""
@@ -272,22 +311,20 @@ class Engine:
                 frame.measured_R[b, :rows, :rows] = numbers[5]
 
     def _put_odometry_numbers(self, odometry: Odometry | None) -> None:
-        """What the kernel of the motion takes of it."""
-        frame = self.frame
-        motion = None if self.parts is None else self.parts.options.motion
-        if motion is None or type(motion).odometry_numbers is MotionModel.odometry_numbers:
-            if odometry is not None:
-                frame = self._frame_with(odometry=(7, 6))
-                frame.odometry_rows[:] = np.where(odometry.fused, 7, 0)
-                frame.odometry[:, 0, :6], frame.odometry[:, 1:7, :6] = odometry.values, odometry.covariances
+        """Velocities and their covariance, or the unit and its samples."""
+        if odometry is None:
             return
-        numbers = [
-            motion.odometry_numbers(None if odometry is None else odometry.of_filter(b)) for b in range(self.count)
-        ]
-        frame = self._frame_with(odometry=(max(map(len, numbers)), max(n.shape[1] for n in numbers)))
-        for b, given in enumerate(numbers):
-            frame.odometry_rows[b] = len(given)
-            frame.odometry[b, : len(given), : given.shape[1]] = given
+        if not self._takes_samples:
+            frame = self._frame_with(odometry=(7, 6))
+            frame.odometry_rows[:] = np.where(odometry.fused, 7, 0)
+            frame.odometry[:, 0, :6], frame.odometry[:, 1:7, :6] = odometry.values, odometry.covariances
+            return
+        samples: list[Any] = [odometry.of_filter(b) for b in range(self.count)]
+        rows = [np.zeros((0, 7)) if one is None else one.rows for one in samples]
+        frame = self._frame_with(odometry=(max(map(len, rows)), 7))
+        for b, numbers in enumerate(rows):
+            frame.odometry_rows[b] = len(numbers)
+            frame.odometry[b, : len(numbers), :7] = numbers
 
     def _frame_with(
         self, blocks: int = 0, measurements: int = 0, rows: int = 0, odometry: tuple[int, int] = (0, 0)

@@ -15,7 +15,7 @@ from filters.errors.error_definition import ErrorDefinition
 from filters.landmarks.landmark_model import LandmarkModel
 from filters.measurements.measurement_model import MeasurementModel
 from filters.motions.motion_model import MotionModel
-from filters.parts import kernels_of, make_part
+from filters.parts import make_part
 from filters.state.layout import StateLayout
 from filters.updates.extended import Linearisation
 
@@ -156,12 +156,7 @@ def _check_landmark(landmark: LandmarkModel) -> None:
     if size > 3 and not landmark.steady:
         raise ValueError(f"size of landmark {name} must be 3 where landmarks may become points, got {size}")
     others = landmark.anchored or landmark.submaps or not landmark.steady
-    if landmark.in_anchor and (others or kernels_of(landmark) is not None):
+    if landmark.in_anchor and others:
         raise ValueError(
-            f"landmark {name} is in the frame of its anchor: it must have no anchors, submaps or kernels, "
-            "and not become a point"
-        )
-    if kernels_of(landmark) is not None and (landmark.seen_vectors != 1 or landmark.seen_size < 4):
-        raise ValueError(
-            f"kernels of landmark {name} must be None: compiled ones are of points, and of what goes along"
+            f"landmark {name} is in the frame of its anchor: it must have no anchors or submaps, and not become a point"
         )

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -12,24 +12,18 @@ from filters.contract.inputs import StereoObservation
 from filters.contract.noise import StereoNoise
 from filters.contract.outputs import UpdateReport
 from filters.contract.validation import require_known
-from filters.contract.variables import VELOCITY
-from filters.engine.doors import Parts, anchor_poses, clones_at
+from filters.contract.variables import MovedLandmarks, Variable
+from filters.engine.doors import Parts, anchor_poses
 from filters.engine.engine import Engine
 from filters.engine.frames import FrameOutcome, Observations, Odometry, ValuePlaces
 from filters.engine.options import Options
-from filters.errors.error_definition import ErrorKernels
+from filters.engine.recipes import recipe_of
 from filters.geometry.arrays import FloatArray, IntArray
 from filters.geometry.camera import StereoCamera
-from filters.geometry.machine_code import settings_of
-from filters.geometry.retractions import ADDITIVE
 from filters.kernels import storage as fates
-from filters.kernels.lift import compiled_functions
-from filters.kernels.recipe import Plan, Recipe, stage_tables
-from filters.kernels.storage import CLONE_POSITION, CLONE_ROTATION, OWN, POINT, FilterState
-from filters.measurements.measurement_model import MeasurementModel
+from filters.kernels.storage import CLONE_POSITION, CLONE_ROTATION, OWN, PLAIN, POINT, VECTOR, FilterState
 from filters.motions.motion_model import CameraState, StepInput
-from filters.parts import SLOTS
-from filters.state.joint_state import JointState
+from filters.state.joint_state import AddedVariable, Clone, JointState
 
 _FATES = {
     "updated": fates.USED,
@@ -41,93 +35,14 @@ _FATES = {
 }
 
 
-def recipe_of(camera: StereoCamera, options: Options) -> Recipe:
-    """What a filter does, in plain numbers; where parts have no kernels, by their numbers."""
-    layout, model, sensor, motion = options.layout, options.landmark, options.measurement, options.motion
-    landmark, error = compiled_functions(model), compiled_functions(options.error)
-    # Kernels know no other linearisation point and no other constraint than those of `FirstEstimates`.
-    own_jacobians = error is None and (options.error.constrains or not options.error.linearises_at_the_state)
-    own_stages = type(sensor).stages is not MeasurementModel.stages
-    seen = None if own_stages else compiled_functions(sensor)
-    driven = None if own_jacobians else compiled_functions(motion)
-    by_numbers = own_jacobians or landmark is None or seen is None or not compiled_functions(options.update)
-    sigma_points = options.update.sigma_points(layout.measured + 3 * model.anchored + model.size)
-    by_numbers |= bool(sigma_points) and landmark is not None and landmark.turn is None and not model.additive
-    turns = error is not None and error.turns
-    moves_by_numbers = (
-        error is None
-        or (landmark is None and (turns or not model.additive))
-        or any(variable.retraction is not ADDITIVE for variable in layout.variables)
-    )
-    has_place = landmark is not None and (model.anchored or landmark.turn is None)
-    values, flags = ValuePlaces(layout), error or ErrorKernels()
-    v = layout.places[VELOCITY].start
-    tables = ((), ()) if by_numbers else (sensor.rows(False), sensor.rows(True))
-    prior = np.zeros((0, 0)) if model.prior is None else np.array(model.prior, dtype=np.float64)
-    plan = Plan(
-        camera=np.array((camera.fx, camera.fy, camera.cx, camera.cy, camera.baseline)),
-        landmark=_settings(model, landmark),
-        sensor=_settings(sensor, None if by_numbers else seen),
-        motion=_settings(motion, driven),
-        size=model.size,
-        prior=prior,
-        memory=np.inf if model.memory is None else float(model.memory),
-        anchors=2 if model.in_anchor else int(model.anchored),
-        shares_anchors=model.shares_anchors,
-        additive=model.additive,
-        points=landmark is not None and landmark.turn is None,
-        follows=_places(model.follows),
-        additive_quaternion=flags.additive_quaternion,
-        first_estimates=flags.first_estimates,
-        turns=flags.turns,
-        resets=flags.turns and options.error.reset,
-        by_numbers=by_numbers,
-        moves_by_numbers=moves_by_numbers,
-        changes=not model.steady,
-        most_landmarks=options.max_landmarks or 0,
-        walks_by_numbers=bool(options.gauge_walk) and (own_jacobians or not has_place),
-        driven_by_numbers=driven is None,
-        odometry_rows=0 if driven is None else driven.rows,
-        consensus=options.consensus,
-        tail_dof=np.inf if options.tail_dof is None else float(options.tail_dof),
-        iterations=options.iterations,
-        relinearise_above=float(options.relinearise_above),
-        drop_unseen=options.drop_unseen,
-        sigma_points=np.array(() if by_numbers else sigma_points),
-        min_disparity=-np.inf if options.min_disparity is None else float(options.min_disparity),
-        measured=layout.measured,
-        velocity=v,
-        sees_velocity=layout.sees_velocity,
-        leading=layout.size,
-        sensed=_places(values.of_variables(tuple(variable.name for variable in sensor.variables))),
-        moved=_places(() if driven is None else values.of_camera(motion.moves[2:])),
-        moved_rows=_places(() if driven is None else layout.rows_of(motion.moves)),
-        in_world=_places([layout.places[x.name].start for x in layout.variables if x.in_world]),
-        considered=layout.considered,
-        walk=np.zeros(layout.size) if layout.walk_rates is None else layout.walk_rates,
-        drift=np.zeros((2, 4)) if options.drift is None else options.drift.parts,
-        gauge_walk=float(options.gauge_walk),
-        **stage_tables(tables, sensor.size, options.gate),
-    )
-    return Recipe(
-        plan,
-        landmark,
-        None if by_numbers else seen,
-        driven,
-        sensor.size,
-        model.value_size,
-        model.seen_size,
-        values.size,
-        tuple(getattr(options, slot) for slot in SLOTS if not compiled_functions(getattr(options, slot))),
-    )
+@dataclass(frozen=True, eq=False)
+class Held:
+    """Variable whose blocks stand among those that are held, in their order from `first` on."""
 
-
-def _settings(part: object, kernels: Any) -> FloatArray:
-    return np.zeros(0) if kernels is None else settings_of(part, kernels)
-
-
-def _places(numbers: Sequence[int] | IntArray) -> IntArray:
-    return np.array(numbers, dtype=np.int64)
+    first: int
+    count: int
+    variable: Variable | None = None
+    """None: a clone of the pose."""
 
 
 @dataclass(eq=False)
@@ -140,8 +55,8 @@ class Row:
     """Of the filter."""
     number: int = 0
     """Which filter of the engine it is."""
-    clones: list[str] = field(default_factory=list)
-    """Names of the clones of the pose, in the order in which they were made."""
+    held: dict[str, Held] = field(default_factory=dict)
+    """Clones of the pose and variables that were added, in the order in which they came."""
 
     @classmethod
     def of(cls, camera: StereoCamera, options: Options) -> Row:
@@ -193,52 +108,97 @@ class Row:
             There is none of a name.
         """
         layout, S, b, size = self.options.layout, self.engine.storage, self.number, self.options.landmark.size
-        clones: dict[str, IntArray] = {}
-        if self.clones:
-            of_clones = (layout.size + size * self._clone_blocks()[:, :, None] + np.arange(3)).reshape(-1, 6)
-            clones = dict(zip(self.clones, of_clones, strict=True))
-        found: list[IntArray] = []
+        rows: list[IntArray] = []
         for name in names:
             if isinstance(name, tuple):
-                found.append(np.concatenate(self.rows_of(name)))
+                rows.append(np.concatenate(self.rows_of(name)))
                 continue
             if isinstance(name, str):
-                if name in clones:
-                    found.append(clones[name])
+                if name in self.held:
+                    variable = self.held[name].variable
+                    at = (layout.size + size * self.blocks_of(name)[:, None] + np.arange(3)).ravel()
+                    rows.append(at if variable is None else at[: variable.size])
                     continue
-                require_known("there is no variable", [name], [*layout.places, *clones])
-                found.append(layout.rows[layout.places[name]])
+                require_known("there is no variable", [name], [*layout.places, *self.held])
+                rows.append(layout.rows[layout.places[name]])
                 continue
             (index,) = np.nonzero(self.ids == name)
             if len(index) == 0:
                 raise ValueError(f"ids must be in the map, not there: {name}: see landmarks.ids")
             anchor, own = S.anchor[b, index[0]], layout.size + size * S.own[b, index[0]] + np.arange(size)
-            there = layout.size + size * anchor[anchor >= 0, None] + np.arange(3)
-            found.append(np.concatenate([there.ravel(), own]))
-        return found
+            of_anchor = layout.size + size * anchor[anchor >= 0, None] + np.arange(3)
+            rows.append(np.concatenate([of_anchor.ravel(), own]))
+        return rows
 
-    def _clone_blocks(self) -> IntArray:
-        """Blocks of position and rotation of each clone, (C, 2)."""
-        S, b = self.engine.storage, self.number
-        held = S.held[b][S.held[b] >= 0]
-        blocks: IntArray = held[np.flatnonzero(S.kind[b, held] == CLONE_POSITION)[:, None] + np.arange(2)]
+    def blocks_of(self, name: str) -> IntArray:
+        """Blocks of a clone or an added variable."""
+        one = self.held[name]
+        blocks: IntArray = self.engine.storage.held[self.number, one.first : one.first + one.count]
         return blocks
+
+    def _count_held(self) -> int:
+        return int((self.engine.storage.held[self.number] >= 0).sum())
 
     def clone_pose(self, name: str) -> None:
         """Keep the present pose as a variable of that name."""
+        first = self._count_held()
         self.engine.clone_pose(self.number)
-        self.clones.append(name)
+        self.held[name] = Held(first, 2)
 
-    def forget_clone(self, name: str) -> None:
-        """Marginalise a clone out."""
-        self.engine.release(self.number, self._clone_blocks()[self.clones.index(name)])
-        self.clones.remove(name)
+    def add(self, variable: Variable, J: Mapping[Any, FloatArray]) -> None:
+        """Add a variable whose error is the sum of J times the errors that it names, and one of its own."""
+        size, s, count = self.options.landmark.size, variable.size, -(-variable.size // 3)
+        place = (size * np.arange(count)[:, None] + np.arange(3)).ravel()[:s]
+        numbers, walk = np.zeros((2, 3 * count))
+        numbers[:s] = variable.value
+        walk[:s] = 0.0 if variable.random_walk is None else variable.random_walk**2
+        blocks = np.zeros((count, self.engine.recipe.block_values))
+        blocks[:, :3] = numbers.reshape(-1, 3)
+        rows = np.concatenate([np.zeros(0, dtype=np.int64), *self.rows_of(J)])
+        by_rows, P = np.zeros((size * count, len(rows))), np.zeros((size * count, size * count))
+        by_rows[place] = np.hstack([np.zeros((s, 0)), *J.values()])
+        P[np.ix_(place, place)] = variable.covariance
+        none, anchors = np.zeros(0, dtype=np.int64), np.zeros((0, 2), dtype=np.int64)
+        kind = np.full(count, VECTOR if variable.in_world else PLAIN)
+        x = np.zeros(0)
+        first = self._count_held()
+        state = FilterState(x, x, P, blocks, blocks, kind, walk.reshape(-1, 3), none, none, anchors, none)
+        self.engine.hold(self.number, state, rows, by_rows)
+        self.held[variable.name] = Held(first, count, variable)
 
-    def clone_values(self) -> dict[str, FloatArray]:
-        """Position and orientation of each clone, (7,)."""
-        position, rotation = self._clone_blocks().T
-        values = self.engine.storage.blocks[self.number]
-        return dict(zip(self.clones, np.hstack([values[position, :3], values[rotation, :4]]), strict=True))
+    def move(self, name: str, value: FloatArray, F: FloatArray, Q: FloatArray, landmarks: MovedLandmarks) -> None:
+        """Step of an added variable, and of landmarks of W that it moves."""
+        S, b, layout, size = self.engine.storage, self.number, self.options.layout, self.options.landmark.size
+        own = S.own[b, np.searchsorted(self.ids, landmarks.ids)]
+        (rows,) = self.rows_of([name])
+        first = layout.size + size * own
+        self.engine.move(b, rows, F, Q, first, landmarks.by_landmark, landmarks.by_variable)
+        numbers = np.zeros(3 * self.held[name].count)
+        numbers[: len(value)] = value
+        blocks = self.blocks_of(name)
+        S.blocks[b, blocks, :3] = S.first[b, blocks, :3] = numbers.reshape(-1, 3)
+        S.first[b, own, :3] += landmarks.positions - S.blocks[b, own, :3]
+        S.blocks[b, own, :3] = landmarks.positions
+
+    def remove(self, name: str) -> None:
+        """Marginalise a clone or an added variable out."""
+        gone = self.held[name]
+        self.engine.release(self.number, self.blocks_of(name))
+        del self.held[name]
+        for other, one in self.held.items():
+            if one.first > gone.first:
+                self.held[other] = replace(one, first=one.first - gone.count)
+
+    def held_values(self) -> dict[str, FloatArray]:
+        """Value of each clone, position and orientation (7,), and of each added variable."""
+        values, numbers = self.engine.storage.blocks[self.number], dict[str, FloatArray]()
+        for name, one in self.held.items():
+            blocks = values[self.blocks_of(name)]
+            if one.variable is None:
+                numbers[name] = np.concatenate([blocks[0, :3], blocks[1, :4]])
+            else:
+                numbers[name] = blocks[:, :3].ravel()[: one.variable.size]
+        return numbers
 
     def joint(self, *names: str) -> FloatArray:
         """Covariance of the errors of some variables and clones together."""
@@ -256,7 +216,13 @@ class Row:
         """A copy of what it knows; to be assigned after a change."""
         state, values = self.engine.export(self.number), ValuePlaces(self.options.layout)
         size = self.options.landmark.value_size
-        clones = clones_at(state.blocks, state.kind, state.held)
+        clones, added = dict[str | int, Clone](), dict[str, AddedVariable]()
+        for name, one in self.held.items():
+            blocks = self.blocks_of(name).copy()
+            if one.variable is None:
+                clones[name] = Clone(state.blocks[blocks[0], :3], state.blocks[blocks[1], :4], blocks)
+            else:
+                added[name] = AddedVariable(one.variable, blocks)
         return JointState(
             self.options.layout,
             values.camera(state.x),
@@ -269,13 +235,15 @@ class Row:
             state.own,
             state.anchor[:, 0],
             held=state.held,
-            clones={**dict(zip(self.clones, clones.values(), strict=True)), **anchor_poses(state.blocks, state.anchor)},
+            clones={**clones, **anchor_poses(state.blocks, state.anchor)},
+            added=added,
         )
 
     @state.setter
     def state(self, state: JointState) -> None:
         own, size = state.parameter_block, state.blocks.shape[1]
         blocks, first = np.zeros((2, len(state.blocks), self.engine.recipe.block_values))
+        walk = np.zeros((len(blocks), 3))
         kind = np.full(len(blocks), POINT)
         blocks[:, :size], first[:, :size] = state.blocks, state.first_blocks
         free = state.anchor_block < 0
@@ -290,6 +258,12 @@ class Row:
             kind[position], kind[rotation] = CLONE_POSITION, CLONE_ROTATION
             for values in (blocks, first):
                 values[position, :3], values[rotation, :4] = clone.position, clone.orientation
+        for one in state.added.values():
+            kind[one.blocks] = VECTOR if one.variable.in_world else PLAIN
+            if one.variable.random_walk is not None:
+                rates = np.zeros(3 * len(one.blocks))
+                rates[: one.variable.size] = one.variable.random_walk**2
+                walk[one.blocks] = rates.reshape(-1, 3)
         values_of = ValuePlaces(state.layout)
         self.engine.load(
             self.number,
@@ -300,13 +274,20 @@ class Row:
                 blocks=blocks,
                 first=first,
                 kind=kind,
+                walk=walk,
                 ids=state.ids,
                 own=own,
                 anchor=np.column_stack([state.anchor_block, turns]),
                 held=state.held,
             ),
         )
-        self.clones = [name for name in state.clones if isinstance(name, str)]
+        places = {block: number for number, block in enumerate(state.held.tolist())}
+        self.held = {
+            name: Held(places[int(clone.blocks[0])], 2) for name, clone in state.clones.items() if isinstance(name, str)
+        }
+        for name, one in state.added.items():
+            self.held[name] = Held(places[int(one.blocks[0])], len(one.blocks), one.variable)
+        self.held = dict(sorted(self.held.items(), key=lambda item: item[1].first))
 
     def move_to(self, camera: CameraState) -> None:
         """Put the values of the named variables elsewhere."""

@@ -13,19 +13,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from filters.contract.inputs import BodyVelocity, InertialSamples, Start, StereoObservation
-from filters.contract.noise import LandmarkDrift, StereoNoise, gate_limit
-from filters.contract.outputs import Correction, Forecast, LandmarkBelief, PoseBelief, UpdateReport, VelocityBelief
-from filters.contract.stereo_filter import AT_ORIGIN, StereoFilter, check_rig, check_start, check_step
+from filters.contract.noise import LandmarkDrift, StereoNoise
+from filters.contract.outputs import Forecast, LandmarkBelief, PoseBelief, UpdateReport, VelocityBelief
+from filters.contract.stereo_filter import AT_ORIGIN, check_rig, check_start, check_step
 from filters.contract.validation import (
-    covariance_matrix,
     finite_array,
-    gate_probability,
-    require_known,
     unique_ids,
     unit_quaternion,
 )
-from filters.contract.variables import POSE, VELOCITY, VariableBelief
+from filters.contract.variables import POSE, VELOCITY
 from filters.engine.marginals import forecast, joint_covariance, landmark_belief, pose_landmark_covariances
+from filters.engine.named_variables import VariableFilter
 from filters.engine.options import Options
 from filters.errors.error_definition import ErrorDefinition
 from filters.geometry.arrays import FloatArray, IntArray
@@ -48,7 +46,7 @@ _STEP = "begin of the step"
 """Clone of the pose before a step of samples, while odometry of that step is fused."""
 
 
-class StereoEKF(StereoFilter):
+class StereoEKF(VariableFilter):
     """Extended Kalman filter for stereo SLAM, composed by options.
 
     Parameters
@@ -164,12 +162,12 @@ class StereoEKF(StereoFilter):
             return
         self._row.clone_pose(_STEP)  # samples have moved the belief: odometry measures how far
         self._row.predict(dt, given)
-        begun, now = self._row.clone_values()[_STEP], self._row.camera
+        begun, now = self._row.held_values()[_STEP], self._row.camera
         first, last = Pose(begun[:3], begun[3:]), Pose(now.position, now.orientation)
         innovation, R = moved_by(odometry, dt, first.inverse() @ last)
         H = relative_jacobian(first, last)
         self.correct(innovation, {_STEP: H[:, :6], POSE: H[:, 6:]}, R)
-        self._row.forget_clone(_STEP)
+        self._row.remove(_STEP)
 
     def update(self, observation: StereoObservation) -> UpdateReport:
         """Known ids correct the state, unseen ones leave, new ones enter; see `StereoFilter.update`."""
@@ -189,45 +187,6 @@ class StereoEKF(StereoFilter):
         assumed = replace(self.options, **options)
         self._row.assume(self.camera, assumed)
         self.noise, self.options = noise, assumed
-
-    def correct(
-        self, innovation: ArrayLike, H: Mapping[Any, ArrayLike], R: ArrayLike, gate: float | None = None
-    ) -> Correction:
-        """Correct with any measurement, linearised: zero velocity, GPS, wheels, a plane, a loop, a window of poses.
-
-        Parameters
-        ----------
-        innovation : (k,) array_like
-            Measured minus predicted.
-        H : mapping of str, int or tuple of them to (k, s) array_like
-            Jacobian of the measurement by the errors of variables and clones ("pose", "velocity", "bias", ...), and of
-            landmarks by their ids: of the anchor (3), where the landmark has one, then its own (3, or as many as it
-            has); of a tuple by those of all its names. What is not named does not matter to the measurement.
-        R : (k, k) array_like
-            Covariance of the measurement; zero rows are constraints.
-        gate : float, optional
-            Probability with which a consistent measurement is used. None: it always is.
-
-        Returns
-        -------
-        Correction
-            Whether it was used, and its normalised innovation squared.
-
-        Raises
-        ------
-        ValueError
-            There is no such variable or landmark, a shape is wrong, or a number is not finite.
-        """
-        limit, nu = np.inf, finite_array("innovation", innovation, ("k",))
-        if len(nu) == 0 or not isinstance(H, Mapping) or not H:
-            raise ValueError("H must name at least one variable, and innovation must have at least one number")
-        if (gate := gate_probability(gate)) is not None:
-            limit = gate_limit(gate, len(nu))
-        rows = self._row.rows_of(H)
-        parts = [finite_array(f"H of {n!r}", H[n], (len(nu), len(at))) for n, at in zip(H, rows, strict=True)]
-        R = covariance_matrix("R", R, len(nu))
-        nis, used = self._row.correct(nu, np.concatenate(rows), np.hstack(parts), R, limit)
-        return Correction(used, nis, len(nu))
 
     def forecast(self, ids: Sequence[int] | IntArray | None = None) -> Forecast:
         """Predicted (u, v, d) and S of landmarks at the current pose."""
@@ -271,11 +230,6 @@ class StereoEKF(StereoFilter):
         self._row.move_to(camera)
 
     @property
-    def camera_state(self) -> CameraState:
-        """Values of pose, velocity and variables, without their covariance."""
-        return self._row.camera
-
-    @property
     def does_as_the_engine(self) -> bool:
         """Whether it does what the engine does, nothing else, as in a `FilterBatch`; a subclass may say so itself."""
         own = (getattr(type(self), name) is not getattr(StereoEKF, name) or name in vars(self) for name in _ENGINE_DOES)
@@ -292,11 +246,6 @@ class StereoEKF(StereoFilter):
         self.reset()
 
     @property
-    def ids(self) -> IntArray:
-        """Landmarks in the map, (N,), in no order; cheaper to ask than `landmarks`."""
-        return self._row.ids
-
-    @property
     def pose(self) -> PoseBelief:
         """Pose of the left camera."""
         camera = self.camera_state
@@ -307,73 +256,6 @@ class StereoEKF(StereoFilter):
         """Velocity of the left camera."""
         camera = self.camera_state
         return VelocityBelief(camera.linear_velocity, camera.angular_velocity, self._row.joint(VELOCITY))
-
-    def belief(self, *names: str) -> VariableBelief:
-        """Belief of named variables: "pose", "velocity", one that a part has asked for, or a clone of the pose.
-
-        Of several, their values one after the other, and their joint covariance.
-
-        Raises
-        ------
-        ValueError
-            There is no variable of such a name.
-        """
-        camera = self.camera_state
-        there = {
-            POSE: np.concatenate([camera.position, camera.orientation]),
-            VELOCITY: np.concatenate([camera.linear_velocity, camera.angular_velocity]),
-            **camera.variables,
-            **self._row.clone_values(),
-        }
-        require_known("there is no variable", names, there)
-        return VariableBelief(np.concatenate([there[name] for name in names]), self._row.joint(*names))
-
-    @property
-    def clones(self) -> tuple[str, ...]:
-        """Names of the clones of the pose, in the order in which they were made."""
-        return tuple(self._row.clones)
-
-    def clone_pose(self, name: str) -> None:
-        """Keep the present pose as a variable of that name, correlated with all others, until it is forgotten.
-
-        Raises
-        ------
-        ValueError
-            There is a variable of that name already.
-        """
-        if not isinstance(name, str):
-            raise ValueError(f"name must be a string, got {name!r}")
-        if name in (*self.options.layout.places, *self._row.clones):
-            raise ValueError(f"name must be new, there is a variable {name!r} already: forget_clone it first")
-        self._row.clone_pose(name)
-
-    def forget_clone(self, name: str) -> None:
-        """Marginalise a clone of the pose out.
-
-        Raises
-        ------
-        ValueError
-            There is no clone of that name.
-        """
-        require_known("there is no clone", [name], self._row.clones)
-        self._row.forget_clone(name)
-
-    def relative_pose(self, name: str) -> PoseBelief:
-        """Pose of the camera as seen from a clone of an earlier one: how the camera has moved since.
-
-        Its covariance holds the correlation of both poses, so what is common to both, such as the error of an early
-        heading, is not in it.
-
-        Raises
-        ------
-        ValueError
-            There is no clone of that name.
-        """
-        require_known("there is no clone", [name], self._row.clones)
-        camera, clone = self._row.camera, self._row.clone_values()[name]
-        first, last = Pose(clone[:3], clone[3:]), Pose(camera.position, camera.orientation)
-        J, moved = relative_jacobian(first, last), first.inverse() @ last
-        return PoseBelief(moved.position, moved.orientation, J @ self._row.joint(name, POSE) @ J.T)
 
     @property
     def landmarks(self) -> LandmarkBelief:

@@ -47,3 +47,52 @@ def spread_by(theta: Any, v: Any) -> Any:
     else:
         c = (1.0 - np.sinc(np.sqrt(square) * (1.0 / np.pi))) / square
     return _series(theta, v, b, c)
+
+
+@compiled
+def plus(a: Any, b: Any, scale: Any) -> Any:
+    """a + scale b."""
+    return a[0] + scale * b[0], a[1] + scale * b[1], a[2] + scale * b[2]
+
+
+@compiled
+def scaled(scale: Any, v: Any) -> Any:
+    """scale v."""
+    return scale * v[0], scale * v[1], scale * v[2]
+
+
+@compiled
+def quaternion(theta: Any) -> Any:
+    """Unit quaternion xyzw of a rotation vector; smooth at zero, so that derivatives are."""
+    half = 0.5 * np.sqrt(theta[0] * theta[0] + theta[1] * theta[1] + theta[2] * theta[2])
+    ratio = 0.5 * np.sinc(half * (1.0 / np.pi))
+    return ratio * theta[0], ratio * theta[1], ratio * theta[2], np.cos(half)
+
+
+@compiled
+def product(p: Any, q: Any) -> Any:
+    """Product of two quaternions xyzw, normalised: the rotation by q, then by p."""
+    x = p[3] * q[0] + q[3] * p[0] + p[1] * q[2] - p[2] * q[1]
+    y = p[3] * q[1] + q[3] * p[1] + p[2] * q[0] - p[0] * q[2]
+    z = p[3] * q[2] + q[3] * p[2] + p[0] * q[1] - p[1] * q[0]
+    w = p[3] * q[3] - p[0] * q[0] - p[1] * q[1] - p[2] * q[2]
+    over = 1.0 / np.sqrt(x * x + y * y + z * z + w * w)
+    return x * over, y * over, z * over, w * over
+
+
+@compiled
+def rotate(q: Any, v: Any) -> Any:
+    """R(q) v of a unit quaternion xyzw."""
+    across = cross(q, v)
+    twice = cross(q, across)
+    return (
+        v[0] + 2.0 * (q[3] * across[0] + twice[0]),
+        v[1] + 2.0 * (q[3] * across[1] + twice[1]),
+        v[2] + 2.0 * (q[3] * across[2] + twice[2]),
+    )
+
+
+@compiled
+def inverse(q: Any) -> Any:
+    """Unit quaternion xyzw of the rotation back."""
+    return -q[0], -q[1], -q[2], q[3]

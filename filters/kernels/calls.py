@@ -126,7 +126,7 @@ SIGNATURES: Mapping[str, tuple[Any, ...]] = {
     "scale_blocks": (PLAN, MATRIX, INT, SCRATCH),
     "shear": (MATRIX, INT, SCRATCH),
     "walk_gauge": (CALLS, PLAN, STORAGE, INT, SCRATCH, VECTOR),
-    # parts of the filter, see `LandmarkKernels`, `MeasurementKernels` and `MotionKernels`
+    # parts of the filter, see `Functions`
     "point": (VECTOR, MATRIX, MATRIX, MATRICES),
     "start": (VECTOR, MATRIX, MATRIX, MATRICES, FLAGS),
     "turn": (VECTOR, MATRIX, VECTOR, MATRIX, MATRIX, MATRICES, MATRICES),
@@ -254,16 +254,14 @@ def of_part(kernels: Any, name: str) -> Any:
     function = getattr(function, "py_func", function)
     include(function.__module__)
     has_file = getattr(function, "has_source", Path(function.__code__.co_filename).exists())  # else nowhere to keep it
-    called = "project" if name == "predict" else name
     try:
-        compiled = Unit(called, function, **{**KEPT, "cache": has_file})
+        compiled = Unit(name, function, **{**KEPT, "cache": has_file})
         _LOADED.append(compiled)
         return compiled.address
     except NumbaError as error:
         reason = " ".join(_COLOUR.sub("", str(error)).split())[:_LONGEST]
         raise ValueError(
-            f"{type(kernels).__name__}.{name} {function.__qualname__} must be a function that Numba can compile: "
-            f"{reason}"
+            f"{name} {function.__qualname__} must be a function that Numba can compile: {reason}"
         ) from None
 
 

@@ -86,13 +86,14 @@ def combined(typing_context: Any, a: Any, slope: Any, b: Any, other: Any) -> Any
 @intrinsic(prefer_literal=True)
 def _variables(typing_context: Any, row: Any, count: Any, first: Any, slopes: Any) -> Any:
     """The first `count` numbers of a row as variables first, first + 1, ... of `slopes`."""
-    n, begin, kind = count.literal_value, first.literal_value, DualType(slopes.literal_value)
+    n, kind = count.literal_value, DualType(slopes.literal_value)
     returned = types.UniTuple(kind, n)
 
     def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         data, result = context.make_array(signature.args[0])(context, builder, values[0]).data, []
         for k in range(n):
-            unit = [context.get_constant(types.float64, float(j == begin + k)) for j in range(kind.n)]
+            at = [builder.icmp_signed("==", values[2], values[2].type(j - k)) for j in range(kind.n)]
+            unit = [builder.select(one, *(context.get_constant(types.float64, x) for x in (1.0, 0.0))) for one in at]
             result.append(_made(context, builder, kind, builder.load(cgutils.gep(builder, data, k)), unit))
         return context.make_tuple(builder, returned, result)
 

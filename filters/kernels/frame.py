@@ -43,7 +43,7 @@ from filters.kernels.linearisation import AGAIN, FIRST, linearise_selected, prep
 from filters.kernels.recipe import Plan
 from filters.kernels.retraction import CORRECTED, SETTLED, correct_state
 from filters.kernels.scratch import Scratch
-from filters.kernels.storage import BEHIND, BLOCKS, FAILED, GATED, LANDMARKS, OWN, USED, FrameArrays, Storage
+from filters.kernels.storage import BEHIND, BLOCKS, FAILED, GATED, LANDMARKS, OWN, USED, VECTOR, FrameArrays, Storage
 
 
 @entry(_nrt=False)
@@ -125,6 +125,11 @@ def _predict(calls: Calls, plan: Plan, S: Storage, b: int, s: Scratch, frame: Fr
         for i in range(7):
             s.before[i] = x[i]
     call(calls.predict, (calls, plan, P, n, x, S.predicted[b], frame, b, s))
+    for c in range(S.counts[b, BLOCKS]):
+        if S.kind[b, c] >= VECTOR:
+            for a in range(3):
+                row = plan.leading + plan.size * c + a
+                P[row, row] += S.walk[b, c, a] * frame.dt[b]
     if plan.gauge_walk > 0.0:
         if plan.walks_by_numbers and not ask(calls, TO_WALK, b, s, 0, 0, 0, 0):
             return

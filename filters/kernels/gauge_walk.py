@@ -19,7 +19,7 @@ from filters.kernels.linearisation import clear_all, from_camera, take_points
 from filters.kernels.prediction import orientation
 from filters.kernels.recipe import Plan
 from filters.kernels.scratch import Scratch
-from filters.kernels.storage import BLOCKS, LANDMARKS, OWN, POINT, Storage
+from filters.kernels.storage import BLOCKS, LANDMARKS, OWN, POINT, VECTOR, Storage
 
 TURN_WEIGHT = 5.0
 """Of the flow that a turn makes. It moves all points in the same direction, and so do the errors that it brings; ahead,
@@ -93,6 +93,8 @@ def _find_directions(calls: Calls, plan: Plan, S: Storage, b: int, s: Scratch, n
             away = cross_matrix(blocks[c, 0] - x[0], blocks[c, 1] - x[1], blocks[c, 2] - x[2])
             _put_columns(B, 0, column, away, -1.0)
             _put_columns(B, 3, column, IDENTITY, 1.0)
+        elif S.kind[b, c] == VECTOR:
+            _put_columns(B, 0, column, cross_matrix(blocks[c, 0], blocks[c, 1], blocks[c, 2]), -1.0)
     if turning > 0:
         clear_all(s.effect, turning)
         call(calls.rotation, (plan.landmark, s.values_taken[:turning], s.effect[:turning]))

@@ -89,6 +89,8 @@ def close_gaps(plan: Plan, S: Storage, b: int) -> None:
         for i in range(S.blocks.shape[2]):
             S.blocks[b, gap, i], S.first[b, gap, i] = S.blocks[b, last, i], S.first[b, last, i]
         S.kind[b, gap] = S.kind[b, last]
+        for i in range(3):
+            S.walk[b, gap, i] = S.walk[b, last, i]
         for i in range(S.counts[b, LANDMARKS]):
             if own[i] == last:
                 own[i] = gap

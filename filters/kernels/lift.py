@@ -6,152 +6,26 @@ columns where it can and row by row where it branches on its numbers.
 
 from __future__ import annotations
 
-import dataclasses
-import re
-from collections import namedtuple
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
-from types import FunctionType
 from typing import Any
 
 import numpy as np
 
+from filters.contract.inputs import InertialSamples
 from filters.contract.variables import VELOCITY
-from filters.geometry.machine_code import Compiled, compiled
 from filters.geometry.retractions import ADDITIVE
 from filters.geometry.vectors import turned_by
 from filters.kernels.blas import kernel
-from filters.kernels.calls import of_part
-from filters.kernels.compilation import include, sources_digest
 from filters.kernels.duals import added, numbers, variables, write
-from filters.landmarks.landmark_model import LandmarkKernels, LandmarkModel
-from filters.measurements.measurement_model import MeasurementKernels, MeasurementModel
+from filters.kernels.lifted_motion import motion_functions
+from filters.kernels.plain import CAMERA, Keyed, Layout, plain, settings_layout, size_of, tried
+from filters.kernels.recipe import Functions
+from filters.landmarks.landmark_model import LandmarkModel
+from filters.measurements.measurement_model import MeasurementModel
+from filters.motions.motion_model import MotionModel
 from filters.parts import kernels_of
-
-Layout = tuple[tuple[str, int], ...]
-"""Names of numbers, and how many each has; 0: a single number, no tuple."""
-CAMERA: Layout = tuple((name, 0) for name in ("fx", "fy", "cx", "cy", "baseline"))
-
-
-def _again(*what: Any) -> None:
-    """Never called: what it is called with makes the key by which machine code is kept."""
-
-
-class Keyed(Compiled):
-    """Compiled function of no module, with what distinguishes it from others for the key of the machine code."""
-
-    def __init__(self, function: Callable[..., Any], *key: Any) -> None:
-        super().__init__(function)
-        self._key = key
-
-    def __reduce__(self) -> Any:
-        """What the key of machine code is made of."""
-        return _again, self._key
-
-
-def _grouped(layout: Layout) -> Callable[[Any], Any]:
-    """Function that names the numbers of a flat tuple."""
-    if not layout:
-        return lambda flat: None
-    record: Any = namedtuple("Numbers", [name.replace("-", "_") for name, _ in layout])  # type: ignore[misc]
-    parts, first = Keyed(_nothing), _size(layout)
-    for _, size in reversed(layout):
-        last, first = first, first - max(size, 1)
-        parts = Keyed(_with_part(first, last, bool(size), parts))
-    return lambda flat: record(*parts(flat))
-
-
-def _nothing(flat: Any) -> Any:
-    return ()
-
-
-def _with_part(first: int, last: int, is_row: bool, rest: Keyed) -> Callable[[Any], Any]:
-    """Function that puts a number or a row of a flat tuple before others."""
-    if is_row:
-        return lambda flat: (flat[first:last], *rest(flat))
-    return lambda flat: (flat[first], *rest(flat))
-
-
-def _size(layout: Layout) -> int:
-    return sum(max(size, 1) for _, size in layout)
-
-
-def _with_compiled_helpers(function: Any) -> Any:
-    """The function, with the functions of its module that it calls marked as ones that kernels may call."""
-    room = function.__globals__
-    globals_there = {name: room.get(name) for name in function.__code__.co_names}
-    helpers = {
-        name: one for name, one in globals_there.items() if isinstance(one, FunctionType) and one is not function
-    }
-    if not helpers:
-        return function
-    room = {**room, **{name: compiled(_with_compiled_helpers(helper)) for name, helper in helpers.items()}}
-    return FunctionType(function.__code__, room, function.__name__, function.__defaults__, function.__closure__)
-
-
-def plain(method: Callable[..., Any], *groups: Layout) -> Keyed:
-    """Method of a part as kernels call it: `self` is its settings by name.
-
-    Parameters
-    ----------
-    method : callable
-        As the class has it.
-    groups : sequence of layouts
-        Of the settings; of a sensor also of the camera and, where it takes them, of the values of its variables.
-    """
-    include(method.__module__)
-    key = method.__module__, method.__qualname__, groups, sources_digest(method.__module__)
-    called = kernel(_with_compiled_helpers(method))
-    named, sizes = [compiled(_grouped(group)) for group in groups], [_size(group) for group in groups]
-    own, n = named[0], sizes[0]
-    if len(groups) == 1:
-        return Keyed(lambda settings, *arguments: called(own(numbers(settings, n)), *arguments), *key)
-    rig, m = named[1], sizes[1]
-    if len(groups) == 2:
-        return Keyed(lambda settings, camera, x: called(own(numbers(settings, n)), rig(numbers(camera, m)), x), *key)
-    others = named[2]
-
-    def with_values(settings: Any, camera: Any, x: Any, values: Any) -> Any:
-        return called(own(numbers(settings, n)), rig(numbers(camera, m)), x, others(values))
-
-    return Keyed(with_values, *key)
-
-
-def _settings(part: Any) -> Layout:
-    """Fields of a part that are numbers (None is NaN), or rows of numbers; whatever else it has is not for kernels."""
-    layout = []
-    for field in dataclasses.fields(part) if dataclasses.is_dataclass(part) else ():
-        value = getattr(part, field.name)
-        numbers_there = value is None or isinstance(value, (bool, int, float, tuple, list, np.ndarray))
-        row = np.array(np.nan if value is None else value) if numbers_there else np.array("")
-        if row.dtype.kind in "biuf" and row.ndim < 2:
-            layout.append((field.name, row.size if row.ndim else 0))
-    return tuple(layout)
-
-
-def _tried(method: Callable[..., Any], kernels: Any, names: Sequence[str]) -> Any:
-    """These kernels of a part with this method; why Numba cannot compile them, where they are a stranger's.
-
-    Machine code is kept on disk only where the source of the part is a file.
-    """
-    has_source = Path(method.__code__.co_filename).exists()
-    for one in vars(kernels).values():
-        if isinstance(one, FunctionType):
-            vars(one)["has_source"] = has_source
-    if method.__module__.startswith("filters."):
-        return kernels
-    try:
-        for name in names:
-            of_part(kernels, name)
-    except ValueError as error:
-        reason = _STEPS.sub("", str(error).partition("Numba can compile: ")[2])
-        return f"{method.__qualname__}: {reason}"
-    return kernels
-
-
-_STEPS = re.compile(r"Failed in \w+ mode pipeline \(step: [^)]*\) ")
 
 
 def _sum(settings: Any, y: Any, c: Any) -> Any:
@@ -165,13 +39,13 @@ def _second(settings: Any, y: Any, other: Any) -> Any:
 
 
 @cache
-def landmark_functions(cls: type[LandmarkModel], layout: Layout) -> LandmarkKernels | str:
+def landmark_functions(cls: type[LandmarkModel], layout: Layout) -> Functions | str:
     """Compiled functions of a landmark, or why there are none."""
     made_by = landmark_functions, cls, layout
-    return _tried(cls.point_of, replace(_landmark_kernels(cls, layout), made_by=made_by), ("point", "start"))
+    return tried(cls.point_of, replace(_landmark_kernels(cls, layout), made_by=made_by), ("point", "start"))
 
 
-def _landmark_kernels(cls: type[LandmarkModel], layout: Layout) -> LandmarkKernels:
+def _landmark_kernels(cls: type[LandmarkModel], layout: Layout) -> Functions:
     n, v, k, adds = cls.size, cls.value_size, cls.seen_size, cls.retract_by is LandmarkModel.retract_by
     point, start, able = (plain(getattr(cls, name), layout) for name in ("point_of", "start_from", "can_start_from"))
     retract = Keyed(_sum, "sum") if adds else plain(cls.retract_by, layout)
@@ -193,7 +67,7 @@ def _landmark_kernels(cls: type[LandmarkModel], layout: Layout) -> LandmarkKerne
 
     names = tuple(name for name, _ in layout)
     if cls.in_world:
-        return LandmarkKernels(point_kernel, start_kernel, settings=names)
+        return Functions(point=point_kernel, start=start_kernel, settings=names)
 
     def rotation_kernel(settings: Any, values: Any, effect: Any) -> None:
         still, none = np.zeros(3), np.zeros(n)
@@ -211,7 +85,14 @@ def _landmark_kernels(cls: type[LandmarkModel], layout: Layout) -> LandmarkKerne
 
     become = None if cls.steady else become_kernel
     turn_kernel = _turn(_moved(cls, layout, point, start, retract, adds), local, n, v)
-    return LandmarkKernels(point_kernel, start_kernel, turn_kernel, rotation_kernel, become, settings=names)
+    return Functions(
+        point=point_kernel,
+        start=start_kernel,
+        turn=turn_kernel,
+        rotation=rotation_kernel,
+        become=become,
+        settings=names,
+    )
 
 
 def _moved(cls: type[LandmarkModel], layout: Layout, point: Any, start: Any, retract: Any, adds: bool) -> Any:
@@ -255,14 +136,14 @@ def _turn(moved_by: Any, local: Any, n: int, v: int) -> Callable[..., None]:
 
 
 @cache
-def sensor_functions(cls: type[MeasurementModel], layout: Layout, values: Layout) -> MeasurementKernels | str:
+def sensor_functions(cls: type[MeasurementModel], layout: Layout, values: Layout) -> Functions | str:
     """Compiled functions of a sensor with these settings and values of variables, or why there are none."""
     kernels = replace(_sensor_kernels(cls, layout, values), made_by=(sensor_functions, cls, layout, values))
-    return _tried(cls.project, kernels, ("predict", "backproject"))
+    return tried(cls.project, kernels, ("project", "backproject"))
 
 
-def _sensor_kernels(cls: type[MeasurementModel], layout: Layout, values_layout: Layout) -> MeasurementKernels:
-    m, size, k = cls.size, _size(values_layout), cls.seen_size
+def _sensor_kernels(cls: type[MeasurementModel], layout: Layout, values_layout: Layout) -> Functions:
+    m, size, k = cls.size, size_of(values_layout), cls.seen_size
     groups = (layout, CAMERA, values_layout) if values_layout else (layout, CAMERA)
     project, unproject = plain(cls.project, *groups), plain(cls.unproject, *groups)
     can_see, slopes_of_point, slopes_of_uvd = plain(cls.can_see, layout), k + size, 3 + size
@@ -299,8 +180,8 @@ def _sensor_kernels(cls: type[MeasurementModel], layout: Layout, values_layout: 
 
     names = tuple(name for name, _ in layout)
     if values_layout:
-        return MeasurementKernels(predict_with_values, backproject_with_values, settings=names)
-    return MeasurementKernels(predict, backproject, settings=names)
+        return Functions(project=predict_with_values, backproject=backproject_with_values, settings=names)
+    return Functions(project=predict, backproject=backproject, settings=names)
 
 
 @kernel
@@ -318,7 +199,8 @@ _COLUMNS = (
     *("rotated", "world_rotation", "turned", "turned_jacobians", "first_estimates", "become_points"),
 )
 _SENSED = ("predict", "backproject", "in_front", "stages", "jacobians", "backprojection_jacobians")
-"""Functions of columns of a landmark and of a sensor, which follow from the plain ones."""
+_MOVED = ("predict", "odometry_measurement")
+"""Functions of a landmark, a sensor and a motion that follow from the plain ones."""
 
 
 def _changes(cls: type, base: type, names: Sequence[str]) -> bool:
@@ -330,11 +212,11 @@ def _changes(cls: type, base: type, names: Sequence[str]) -> bool:
 
 
 def compiled_functions(part: Any) -> Any:
-    """Compiled functions of a part: those that its class states, or those made of its plain ones; None: none."""
-    if "kernels" in vars(type(part)):
-        return kernels_of(part)
-    functions = functions_of(part)
-    return None if isinstance(functions, str) else functions
+    """Compiled functions of a part, or what its class states as `kernels`; None: it has none."""
+    if isinstance(part, LandmarkModel | MeasurementModel | MotionModel):
+        functions = functions_of(part)
+        return None if isinstance(functions, str) else functions
+    return kernels_of(part)
 
 
 def functions_of(part: Any) -> Any:
@@ -343,9 +225,13 @@ def functions_of(part: Any) -> Any:
     Parts of other kinds, and such whose landmarks have several vectors or a pose for an anchor, have none.
     """
     cls: Any = type(part)
-    layout = _settings(part)
+    if not part.in_machine_code or any(
+        variable.retraction is not ADDITIVE for variable in getattr(part, "variables", ())
+    ):
+        return None
+    layout = settings_layout(part)
     if isinstance(part, LandmarkModel):
-        plain_form = cls.point_of is not LandmarkModel.point_of and part.in_machine_code
+        plain_form = cls.point_of is not LandmarkModel.point_of
         if not plain_form or cls.in_anchor or cls.seen_vectors != 1 or _changes(cls, LandmarkModel, _COLUMNS):
             return None
         return landmark_functions(cls, layout)
@@ -353,20 +239,23 @@ def functions_of(part: Any) -> Any:
         plain_form = cls.project is not MeasurementModel.project and cls.seen_vectors == 1
         if not plain_form or _changes(cls, MeasurementModel, _SENSED):
             return None
-        if any(variable.retraction is not ADDITIVE for variable in part.variables):
-            return None
         values = tuple((variable.name, variable.size) for variable in part.variables)
         if part.sees_velocity:
             values = (*values, (VELOCITY, 6))
         return sensor_functions(cls, layout, values)
-    return None
+    if cls.step is MotionModel.step or _changes(cls, MotionModel, _MOVED):
+        return None
+    if not part.driven:
+        return motion_functions(cls, layout, part.layout, len(part.sigmas(1.0)), "noise")
+    samples = part.takes is InertialSamples
+    return motion_functions(cls, layout, part.layout, 12 if samples else 6, "samples" if samples else "odometry")
 
 
 def how_it_runs(part: Any) -> str:
-    """How a landmark or a sensor runs in a filter, as a report says it; nothing for other parts."""
-    if not isinstance(part, (LandmarkModel, MeasurementModel)):
+    """How a landmark, a sensor or a motion runs in a filter, as a report says it; nothing for other parts."""
+    if not isinstance(part, LandmarkModel | MeasurementModel | MotionModel):
         return ""
-    functions = None if "kernels" in vars(type(part)) else functions_of(part)
+    functions = functions_of(part)
     if functions is None:
         return "in Python, on columns"
     if isinstance(functions, str):

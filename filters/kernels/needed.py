@@ -72,7 +72,7 @@ def compiled_calls(recipe: Recipe, fuses: bool, ask: Any) -> Calls:
         ("start", recipe.landmark, "start", seen),
         *((name, recipe.landmark, name, moved) for name in ("turn", "rotation")),
         ("become", recipe.landmark, "become", plan.changes),
-        ("project", recipe.sensor, "predict", not plan.by_numbers),
+        ("project", recipe.sensor, "project", not plan.by_numbers),
         ("backproject", recipe.sensor, "backproject", not plan.by_numbers),
         ("step", recipe.motion, "step", True),
         ("measure", recipe.motion, "measure", fuses),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -9,12 +10,51 @@ import numpy as np
 
 from filters.contract.noise import gate_limit
 from filters.geometry.arrays import FloatArray, IntArray
-from filters.landmarks.landmark_model import LandmarkKernels
-from filters.measurements.measurement_model import MeasurementKernels, StageRows
-from filters.motions.motion_model import CAMERA_SIZE, POSE_SIZE, MotionKernels
+from filters.measurements.measurement_model import StageRows
+from filters.motions.motion_model import CAMERA_SIZE, POSE_SIZE
 
 MOST_ROWS, MOST_STAGES = 4, 4  # of a landmark's measurement in one stage, and of these
+Function = Callable[..., None]
 _NONE, _NOWHERE = np.zeros(0), np.zeros(0, dtype=np.int64)
+
+
+@dataclass(frozen=True)
+class Functions:
+    """Functions of a part for all its landmarks, points or steps at once, made of its plain ones.
+
+    Arrays are C-ordered. The first argument is the settings; results are written into the last ones, zero before. A
+    landmark is related to its anchor, or to the origin of W where it has none. Of the k numbers by which it is seen the
+    first four are those of a point; n are its error numbers, v those of its value.
+    """
+
+    point: Function | None = None
+    """(values (M, v), points (M, k), J (M, k, n)): points, and what else is seen, with Jacobians by the errors."""
+    start: Function | None = None
+    """(points (M, k), values (M, v), J (M, n, k), possible (M,)): the inverse, and where a landmark can start."""
+    turn: Function | None = None
+    """(values (M, v), theta (3,), correction (M, n), moved (M, v), J (M, n, n), J_theta (M, n, 3)): corrected, and
+    turned with the world. None: values are points of W, and numbers behind them that do not turn."""
+    rotation: Function | None = None
+    """(values (M, v), effect (M, n, 3)): of a rotation of the world on the errors."""
+    become: Function | None = None
+    """(to_anchor (M, 3), values (M, v), variances (M, n), becomes (M,)): which become points, by the way from the
+    camera to the anchor."""
+    project: Function | None = None
+    """(camera (5,), points (M, k), values of variables, numbers (M, s), J (M, s, k), J by the values, ahead (M,))."""
+    backproject: Function | None = None
+    """(camera (5,), uvd (M, 3), values of variables, points (M, k), J (M, k, 3), J by the values)."""
+    step: Function | None = None
+    """(state (v,), dt, odometry (K, w), moved (v,), F (m, m), Q (m, m)): a step of what a motion moves."""
+    measure: Function | None = None
+    """(moved (v,), dt, odometry (K, w), innovation (6,), H (6, m), R (6, 6)): odometry as a measurement after it."""
+    settings: tuple[str, ...] = ()
+    """Attributes of the part whose numbers are the first argument."""
+    made_by: tuple[Any, ...] = ()
+    """Function that has made them, and its arguments: by these a copy in another process is made."""
+
+    def __reduce__(self) -> Any:
+        """How to make them again."""
+        return self.made_by[0], self.made_by[1:]
 
 
 class Plan(NamedTuple):
@@ -109,9 +149,9 @@ class Recipe:
 
     plan: Plan = Plan()  # noqa: RUF009
     """As the kernels read it."""
-    landmark: LandmarkKernels | None = None
-    sensor: MeasurementKernels | None = None
-    motion: MotionKernels | None = None
+    landmark: Functions | None = None
+    sensor: Functions | None = None
+    motion: Functions | None = None
     """Of the parts; None: they go by numbers."""
     sensor_size: int = 3
     value_size: int = 3

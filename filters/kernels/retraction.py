@@ -21,7 +21,7 @@ from filters.kernels.linearisation import clear_all
 from filters.kernels.prediction import clear, orientation
 from filters.kernels.recipe import Plan
 from filters.kernels.scratch import Scratch
-from filters.kernels.storage import BLOCKS, CLONE_ROTATION, OWN, POINT, Storage
+from filters.kernels.storage import BLOCKS, CLONE_ROTATION, OWN, PLAIN, POINT, Storage
 
 CORRECTED, SETTLED = range(2)
 """What a correction does to first estimates: landmarks leave them, odometry and other measurements move them along."""
@@ -198,7 +198,7 @@ def turn_with_world(plan: Plan, S: Storage, b: int, s: Scratch) -> None:
             before = multiply(transposed(_orientation(blocks, k)), R)
             for i in range(9):
                 W[row + i // 3, i % 3] -= before[i]
-        elif kind[k] != OWN:
+        elif kind[k] != OWN and kind[k] != PLAIN:
             _put_shift(W, row, blocks[k], moved_blocks[k], 0, R)
 
 

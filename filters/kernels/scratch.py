@@ -124,7 +124,7 @@ def scratch(
     n, blocks, leading, M = storage.P.shape[1], storage.blocks.shape[1], plan.leading, max(1, measurements)
     keeps = plan.iterations > 1 and plan.relinearise_above > 0.0
     at_once = plan.consensus or plan.iterations > 1
-    used = 0 if recipe.motion is None else recipe.motion.rows
+    used = plan.odometry_rows
     rows = max(8, max(rows, used) + MOST_ROWS, M * MOST_ROWS if at_once else min(M * MOST_ROWS, CHUNK_ROWS + MOST_ROWS))
     size, seen = plan.size, recipe.seen_size
     width, others, most = plan.measured + 3 * plan.anchors + size, plan.measured - POSE_SIZE, max(MOST_ROWS, size)

@@ -44,8 +44,9 @@ def aligned(*shape: int) -> FloatArray:
 
 
 LANDMARKS, BLOCKS = 0, 1
-POINT, OWN, CLONE_POSITION, CLONE_ROTATION = range(4)
-"""Kinds of blocks: points of W, a landmark's own numbers, and the two blocks of a clone of the pose."""
+POINT, OWN, CLONE_POSITION, CLONE_ROTATION, VECTOR, PLAIN = range(6)
+"""Kinds of blocks: points of W, a landmark's own numbers, the two blocks of a clone of the pose, and those of a
+variable that was added: a vector in W, or numbers that do not turn with the world."""
 USED, BEHIND, GATED, FAILED, STARTED, REJECTED = range(6)
 """Outcome of a measurement: used, behind the camera, gated, no Cholesky factor of S; started a landmark, or not."""
 
@@ -71,6 +72,7 @@ _STORAGE: Rows = (
     ),
     ("users", INT, "filters blocks", "landmarks that use each block, and one more where it is held"),
     ("kind", INT, "filters blocks", "what each block is"),
+    ("walk", REAL, "filters blocks 3", "variance that numbers of an added variable gain in a second"),
     (
         "held",
         INT,
@@ -158,6 +160,8 @@ class FilterState:
     """and when they entered."""
     kind: IntArray
     """(C,): what each block is."""
+    walk: FloatArray
+    """(C, 3): variance that numbers of added variables gain in a second."""
     ids: IntArray
     """(N,): landmarks in ascending order."""
     own: IntArray
@@ -193,6 +197,7 @@ def exported(storage: Storage, recipe: Recipe, filter_index: int) -> FilterState
         blocks=storage.blocks[b, :blocks].copy(),
         first=storage.first[b, :blocks].copy(),
         kind=storage.kind[b, :blocks].copy(),
+        walk=storage.walk[b, :blocks].copy(),
         ids=storage.ids[b, :landmarks].copy(),
         own=storage.own[b, :landmarks].copy(),
         anchor=storage.anchor[b, :landmarks].copy(),
@@ -206,7 +211,7 @@ def load(storage: Storage, filter_index: int, state: FilterState) -> None:
     storage.P[b, :n, :n] = state.P
     storage.x[b], storage.predicted[b] = state.x, state.predicted
     storage.blocks[b, :blocks], storage.first[b, :blocks] = state.blocks, state.first
-    storage.kind[b, :blocks] = state.kind
+    storage.kind[b, :blocks], storage.walk[b, :blocks] = state.kind, state.walk
     order = np.argsort(state.ids)
     storage.ids[b, :landmarks] = state.ids[order]
     storage.own[b, :landmarks], storage.anchor[b, :landmarks] = state.own[order], state.anchor[order]

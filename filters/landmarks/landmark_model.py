@@ -8,7 +8,6 @@ is made of them, in machine code and for columns of landmarks; Jacobians are tho
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -73,40 +72,6 @@ class InverseDistances:
     by_parameters: FloatArray
 
 
-@dataclass(frozen=True)
-class LandmarkKernels:
-    """Compiled functions of a parametrisation: all its landmarks in C-ordered arrays at once, outputs zero before.
-
-    A kernel is a function that Numba can compile; it writes what it is to give into its last arguments. A landmark is
-    related to its anchor, or to the origin of W where it has none; the engine does the rest. The first four of the k
-    numbers by which it is seen are those of a point; the others are the same from everywhere. It has n error numbers.
-    """
-
-    point: Callable[..., None]
-    """Function (settings, values (M, v), points (M, k), J (M, k, n)): homogeneous points, direction in W and scale, and
-    what else is seen, and their Jacobians by the error numbers."""
-    start: Callable[..., None]
-    """Function (settings, points (M, k), values (M, v), J (M, n, k), possible (M,) bool): the inverse: values, the
-    Jacobians of their error numbers, and where a landmark can start."""
-    turn: Callable[..., None] | None = None
-    """Function (settings, values (M, v), theta (3,), correction (M, n), moved (M, v), J (M, n, n), J_theta (M, n, 3)):
-    `LandmarkModel.turned` and its Jacobians by the correction and theta. None: values are points of W, and numbers
-    behind them that do not turn."""
-    rotation: Callable[..., None] | None = None
-    """Function (settings, values (M, v), effect (M, n, 3)): `LandmarkModel.world_rotation`."""
-    become: Callable[..., None] | None = None
-    """Function (settings, to_anchor (M, 3), values (M, v), variances (M, n), becomes (M,) bool): `become_points`, from
-    the way from the camera to the anchor. The other kernels are of landmarks that have not become points."""
-    settings: tuple[str, ...] = ()
-    """Attributes of the part whose numbers are the first argument."""
-    made_by: tuple[Any, ...] = ()
-    """Function that has made them of plain ones, and its arguments: by these a copy in another process is made."""
-
-    def __reduce__(self) -> Any:
-        """How to make them again."""
-        return self.made_by[0], self.made_by[1:]
-
-
 class LandmarkModel:
     """Parametrisation of landmarks: its start, its place relative to a camera, its retraction, and their Jacobians.
 
@@ -137,7 +102,7 @@ class LandmarkModel:
     in_anchor: ClassVar[bool] = False
     """Whether values are in the frame of the camera from which the landmark was first seen. That pose is its anchor, a
     clone in the state. All functions are in that frame: the camera position is zero when a landmark starts, and there
-    are no anchors, kernels or first-estimates Jacobians."""
+    are no anchors, no machine code and no first-estimates Jacobians."""
     prior: FloatArray | None = None
     """Covariance (size - 3, size - 3) of the error numbers behind the third, which the first measurement of a landmark
     leaves open: about the values from `parameters_of`, independent of all else."""
@@ -150,12 +115,10 @@ class LandmarkModel:
     """Whether `SubmapEKF` can keep such landmarks: their retraction is addition."""
     follows: ClassVar[tuple[int, ...]] = ()
     """Numbers of the value that first-estimates Jacobians take from the present estimate."""
-    kernels: ClassVar[LandmarkKernels | None] = None
-    """A class that states None runs in Python, on columns."""
     in_world: ClassVar[bool] = False
     """Whether the first three numbers of a value are a point of W, m, and others do not turn."""
     in_machine_code: bool = True
-    """Whether the plain functions are all that it does, so that they can be compiled."""
+    """Whether the plain functions are all that it does, so that they can be compiled; else they run on columns."""
 
     # --- what a part gives: plain functions of tuples of numbers ---
 

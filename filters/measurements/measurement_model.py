@@ -85,31 +85,6 @@ class StageRows:
         return Stage(z, np.array(self.T), noise)
 
 
-@dataclass(frozen=True)
-class MeasurementKernels:
-    """Compiled functions of a measurement model: all its points in C-ordered arrays at once, outputs zero before.
-
-    A kernel is a function that Numba can compile; it writes what it is to give into its last arguments. `camera` is fx,
-    fy, cx, cy and the baseline; `values` those of the variables of the model, one after the other, and J_values the
-    Jacobian by their errors. The stages are those of `MeasurementModel.rows`.
-    """
-
-    predict: Callable[..., None]
-    """(settings, camera, points (M, 4), values, numbers (M, s), J (M, s, 4), J_values, in_front (M,)):
-    `MeasurementModel.predict`, its Jacobians, and `in_front`."""
-    backproject: Callable[..., None]
-    """(settings, camera, uvd (M, 3), values, points (M, 4), J (M, 4, 3), J_values): `MeasurementModel.backproject` and
-    its Jacobians."""
-    settings: tuple[str, ...] = ()
-    """Attributes of the part whose numbers are the first argument."""
-    made_by: tuple[Any, ...] = ()
-    """Function that has made them of plain ones, and its arguments: by these a copy in another process is made."""
-
-    def __reduce__(self) -> Any:
-        """How to make them again."""
-        return self.made_by[0], self.made_by[1:]
-
-
 class MeasurementModel:
     """A function of points in the camera frame and of the variables that it names, vectorised over points.
 
@@ -133,8 +108,8 @@ class MeasurementModel:
     sees_velocity: ClassVar[bool] = False
     """Whether it depends on the velocity, as with rows read in turn or an unknown delay: then there is a value
     "velocity", linear (m/s) and angular (rad/s), both in the camera frame, behind those of the variables."""
-    kernels: ClassVar[MeasurementKernels | None] = None
-    """A class that states None runs in Python, on columns."""
+    in_machine_code: bool = True
+    """Whether the plain functions are compiled; else they run in Python, on columns."""
 
     # --- what a part gives: plain functions of tuples of numbers ---
 

@@ -9,9 +9,11 @@ Derivation: docs/derivations/motion.md.
 
 from __future__ import annotations
 
+from collections import namedtuple
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from functools import cached_property
+from dataclasses import dataclass, field, replace
+from functools import cache, cached_property, partial
+from itertools import pairwise
 from typing import Any, ClassVar
 
 import numpy as np
@@ -21,8 +23,7 @@ from filters.contract.stereo_filter import StereoFilter
 from filters.contract.variables import POSE, VELOCITY, Variable
 from filters.geometry import derivatives, rotations
 from filters.geometry.arrays import FloatArray
-from filters.geometry.machine_code import settings_of
-from filters.geometry.retractions import RotationVector
+from filters.geometry.retractions import ADDITIVE, RotationVector
 
 POSITION, ROTATION, LINEAR, ANGULAR = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
 """Errors of pose and velocity."""
@@ -31,6 +32,12 @@ CAMERA_SIZE = POSE_SIZE + VELOCITY_SIZE
 _ROTATION_VECTOR = RotationVector()
 StepInput = BodyVelocity | InertialSamples
 """What may be known of a step besides its length."""
+_CAMERA = (("position", 3), ("orientation", 4), ("linear_velocity", 3), ("angular_velocity", 3))
+
+
+@cache
+def _record_type(layout: tuple[tuple[str, int], ...]) -> Any:
+    return namedtuple("State", [name for name, _ in layout])
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,31 +92,11 @@ class LinearMeasurement:
     R: FloatArray
 
 
-@dataclass(frozen=True)
-class MotionKernels:
-    """Compiled functions of a motion, in C-ordered arrays; outputs are zero before.
-
-    A kernel is a function that Numba can compile; it writes what it is to give into its last arguments. The state is
-    what the model moves, in one vector: position (3), orientation xyzw (4), linear (3) and angular velocity (3), then
-    the values of its variables. Errors are in the order of `MotionPrediction.F`.
-    """
-
-    step: Callable[..., None]
-    """(settings, state (v,), dt, odometry (K, w), moved (v,), F (m, m), Q (m, m)): the state after dt seconds, its
-    Jacobian, and the covariance that the step adds."""
-    measure: Callable[..., None] | None = None
-    """(settings, moved (v,), dt, odometry (K, w), innovation (r,), H (r, m), R (r, r)): odometry as a measurement of
-    the state after the step, where there is odometry."""
-    rows: int = 0
-    """Numbers r of that measurement."""
-    settings: tuple[str, ...] = ()
-    """Attributes of the part whose numbers are the first argument."""
-
-
 class MotionModel:
     """Motion of the camera between two frames.
 
-    A part gives `move` and `noise`, and has numerical Jacobians; or it gives `predict` with its own; or `kernels`.
+    A part gives `step`, a plain function of tuples of numbers, and the standard deviations of its noise or
+    `driven = True`; Jacobians follow. What cannot be a plain function overrides `predict`.
 
     References
     ----------
@@ -120,67 +107,144 @@ class MotionModel:
     variables: tuple[Variable, ...] = ()
     """Variables of the state that it moves or needs besides pose and velocity, such as biases. Their random walks are
     added by the filter."""
-    kernels: ClassVar[MotionKernels | None] = None
-    """The same, compiled. They hold for the class that states them, not for its subclasses."""
-
     takes: ClassVar[type[BodyVelocity] | type[InertialSamples]] = BodyVelocity
-    """What it is given of a step as `odometry`: velocities, or `InertialSamples`, which filters have as `inertial`."""
+    """Input of a step that it can use: odometry, or inertial samples."""
+    driven: ClassVar[bool] = False
+    """Whether that input is the motion; it is then needed in every step."""
+    in_machine_code: bool = True
+    """Whether the plain functions are compiled; else they run in Python."""
 
-    def check_odometry(self, odometry: Any) -> None:
-        """Raise a `ValueError` if the model cannot make a step with this odometry."""
+    def step(self, x: Any, dt: float, n: Any) -> Any:
+        """State after `dt` > 0 seconds.
 
-    def move(self, state: CameraState, dt: float, odometry: Any, noise: FloatArray) -> CameraState:
-        """State after `dt` > 0 seconds with this noise (k,)."""
-        raise NotImplementedError(f"{type(self).__name__} must have move and noise, or predict: see MotionModel")
+        Parameters
+        ----------
+        x : named tuple of tuples
+            position (W, m), orientation (xyzw), linear_velocity (W, m/s), angular_velocity (camera frame, rad/s), then
+            the values of `variables` in their order, with _ for - in their names.
+        dt : float
+            Seconds; with inertial samples those that a sample stands for.
+        n : tuple
+            Noise of the standard deviations `sigmas`. Where odometry drives: linear and angular velocity, with their
+            errors. Where inertial samples do: angular rate and specific force with their errors, walks of the two
+            biases, position and orientation of the unit in the camera frame.
 
-    def noise(self, dt: float, odometry: Any) -> FloatArray:
-        """Covariance (k, k) of the noise of a step."""
-        raise NotImplementedError(f"{type(self).__name__} must have move and noise, or predict: see MotionModel")
+        Returns
+        -------
+        tuple of tuples
+            The state in the same order.
+        """
+        raise NotImplementedError(f"{type(self).__name__} must have step, or predict: see MotionModel")
 
-    def predict(self, state: CameraState, dt: float, odometry: Any) -> MotionPrediction:
+    def sigmas(self, dt: float) -> tuple[float, ...]:
+        """Standard deviations of the noise of a step, where nothing drives it."""
+        raise NotImplementedError(f"{type(self).__name__} must have sigmas, or driven = True: see MotionModel")
+
+    def odometry(self, x: Any, dt: float) -> Any:
+        """Expected odometry of the step that has led to x: linear and angular velocity, camera frame.
+
+        A model that has it fuses odometry as a measurement after the step.
+        """
+        raise NotImplementedError(f"{type(self).__name__} expects no odometry")
+
+    def check_odometry(self, odometry: StepInput | None) -> None:
+        """Raise a `ValueError` if the model cannot make a step with this input."""
+        if self.driven and odometry is None:
+            name = "inertial" if self.takes is InertialSamples else "odometry"
+            raise ValueError(
+                f"{name} must be given in every predict with motion={type(self).__name__}(): "
+                f"pass {self.takes.__name__}, or use motion=ConstantVelocity(...)"
+            )
+
+    def predict(self, state: CameraState, dt: float, odometry: StepInput | None) -> MotionPrediction:
         """Predicted state, its Jacobians and its noise after `dt` > 0 seconds (Eq. 6, 12)."""
-        size = _size(self)
-        if self.kernels is not None:
-            self.check_odometry(odometry)
-            before, F, Q = self.numbers_of(state), np.zeros((size, size)), np.zeros((size, size))
-            moved, given = before.copy(), self.odometry_numbers(odometry)
-            self.kernels.step(settings_of(self, self.kernels), before, dt, given, moved, F, Q)
-            return MotionPrediction(self.state_of(moved), F, np.eye(size), Q)
-        Q = self.noise(dt, odometry)
-        still = np.zeros(len(Q))
-        there = self.move(state, dt, odometry, still)
-
-        def by_state(delta: FloatArray) -> FloatArray:
-            return self.difference(there, self.move(self.corrected(state, delta), dt, odometry, still))
-
-        F = derivatives.jacobian(by_state, size)
-        G = derivatives.jacobian(lambda n: self.difference(there, self.move(state, dt, odometry, n)), len(Q))
-        return MotionPrediction(there, F, G, Q)
+        self.check_odometry(odometry)
+        if not self.driven:
+            sigmas = np.array(self.sigmas(dt))
+            return MotionPrediction(*self._stepped(state, dt, 0.0 * sigmas, lambda n: n), np.diag(sigmas**2))
+        if isinstance(odometry, BodyVelocity):
+            n = np.concatenate([odometry.linear, odometry.angular])
+            return MotionPrediction(*self._stepped(state, dt, n, lambda n: (n[:3], n[3:])), odometry.covariance)
+        samples: Any = odometry
+        unit, size, begin = samples.unit, _size(self), 0.0
+        F, Q, unit_pose = np.eye(size), np.zeros((size, size)), (tuple(unit.position), tuple(unit.orientation))
+        for end, *sample in zip([*samples.times[:-1], dt], samples.angular_rates, samples.specific_forces, strict=True):
+            h, begin, n = end - begin, end, np.concatenate([*sample, np.zeros(6)])
+            sigmas = np.array([unit.gyro_density, unit.accelerometer_density]) / np.sqrt(h)
+            walks = np.array([unit.gyro_walk, unit.accelerometer_walk]) * np.sqrt(h)
+            noise = np.repeat(np.concatenate([sigmas, walks]), 3)
+            state, A, B = self._stepped(state, h, n, lambda n: (n[:3], n[3:6], n[6:9], n[9:], *unit_pose))
+            F, Q = A @ F, A @ Q @ A.T + (B * noise**2) @ B.T
+        return MotionPrediction(state, F, np.eye(size), Q)
 
     def odometry_measurement(self, state: CameraState, dt: float, odometry: Any) -> LinearMeasurement | None:
         """Odometry of the step as a measurement of the predicted state; None: the prediction has used it up."""
-        if self.kernels is None or self.kernels.measure is None:
+        if self.driven or not self.expects_odometry:
             return None
-        r, size, given = self.kernels.rows, _size(self), self.odometry_numbers(odometry)
-        measured = LinearMeasurement(np.zeros(r), np.zeros((r, size)), np.zeros((r, r)))
-        written = measured.innovation, measured.H, measured.R
-        self.kernels.measure(settings_of(self, self.kernels), self.numbers_of(state), dt, given, *written)
-        return measured
 
-    def odometry_numbers(self, odometry: Any) -> FloatArray:
-        """What kernels take of the odometry of a step, (K, w): velocities, then their covariance; none: no rows."""
-        if odometry is None:
-            return np.zeros((0, 6))
-        return np.vstack([np.concatenate([odometry.linear, odometry.angular]), odometry.covariance])
+        def expected(numbers: Any) -> Any:
+            linear, angular = self.odometry(self._record(numbers), dt)
+            return (*linear, *angular)
+
+        (predicted,), (J,) = derivatives.jacobian_of(expected, self.numbers_of(state)[None])
+        measured = np.concatenate([odometry.linear, odometry.angular])
+        return LinearMeasurement(measured - predicted, J @ self._by_errors(state), odometry.covariance)
+
+    @property
+    def expects_odometry(self) -> bool:
+        """Whether the model says which odometry it expects."""
+        return type(self).odometry is not MotionModel.odometry
+
+    def _stepped(
+        self, state: CameraState, dt: float, n: FloatArray, grouped: Callable[[Any], Any]
+    ) -> tuple[CameraState, FloatArray, FloatArray]:
+        """State after a step with the noise n (k,), as `step` takes it by groups, and its Jacobians F and G."""
+        values = self.numbers_of(state)
+        v = len(values)
+
+        def stepped(numbers: Any) -> Any:
+            return [x for part in self.step(self._record(numbers[:v]), dt, grouped(numbers[v:])) for x in part]
+
+        (after,), (J,) = derivatives.jacobian_of(stepped, np.concatenate([values, n])[None])
+        moved = self.state_of(after)
+        moved = replace(moved, variables={**state.variables, **moved.variables})
+        to_errors = np.linalg.pinv(self._by_errors(moved))
+        return moved, to_errors @ J[:, :v] @ self._by_errors(state), to_errors @ J[:, v:]
+
+    def _record(self, numbers: Any) -> Any:
+        """Numbers of a state as the plain functions take them."""
+        stops = np.cumsum([0, *(size for _, size in self.layout)]).tolist()
+        return _record_type(self.layout)(*(tuple(numbers[i:j]) for i, j in pairwise(stops)))
+
+    @property
+    def layout(self) -> tuple[tuple[str, int], ...]:
+        """Names of what the model moves, and how many numbers each value has."""
+        return (*_CAMERA, *((variable.name.replace("-", "_"), len(variable.value)) for variable in self.variables))
+
+    def _by_errors(self, state: CameraState) -> FloatArray:
+        """Derivatives (v, m) of the numbers of a state by its errors."""
+        x, y, z, w = 0.5 * state.orientation
+        by_turn = np.array([[w, -z, y], [z, w, -x], [-y, x, w], [-x, -y, -z]])  # of q x (delta / 2, 1)
+        blocks = [np.eye(3), by_turn, np.eye(VELOCITY_SIZE)]
+        for variable in self.variables:
+            corrected = partial(variable.retraction.retract, state.variables[variable.name])
+            adds = variable.retraction is ADDITIVE
+            blocks.append(np.eye(variable.size) if adds else derivatives.jacobian(corrected, variable.size))
+        row, column, J = 0, 0, np.zeros(np.sum([block.shape for block in blocks], axis=0))
+        for block in blocks:
+            rows, columns = block.shape
+            J[row : row + rows, column : column + columns] = block
+            row, column = row + rows, column + columns
+        return J
 
     def numbers_of(self, state: CameraState) -> FloatArray:
-        """What the model moves as kernels take it: pose, velocities, values of its variables; (v,)."""
+        """Pose, velocities and values of its variables in one vector; (v,)."""
         camera = state.position, state.orientation, state.linear_velocity, state.angular_velocity
         return np.concatenate([*camera, *(state.variables[variable.name] for variable in self.variables)])
 
     def state_of(self, numbers: FloatArray) -> CameraState:
         """The state that has these numbers."""
-        stops = np.cumsum([3, 4, 3, 3, *(len(variable.value) for variable in self.variables)])[:-1]
+        stops = np.cumsum([size for _, size in self.layout])[:-1]
         position, orientation, linear, angular, *own = np.split(numbers, stops)
         variables = {variable.name: value for variable, value in zip(self.variables, own, strict=True)}
         return CameraState(position, orientation, linear, angular, variables)

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from filters.contract.inputs import Start
+from filters.contract.variables import Variable
 from filters.geometry import rotations, symmetric
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.landmarks.landmark_model import LandmarkModel, StartedLandmarks
@@ -44,6 +45,14 @@ class Clone:
 
     position: FloatArray
     orientation: FloatArray
+    blocks: IntArray
+
+
+@dataclass(frozen=True, eq=False)
+class AddedVariable:
+    """Variable that came after the start: its blocks hold its value, three numbers each."""
+
+    variable: Variable
     blocks: IntArray
 
 
@@ -87,6 +96,8 @@ class JointState:
     """(H,): blocks that stay whether or not a landmark uses them, in the order in which they were held."""
     clones: dict[str | int, Clone] = field(default_factory=dict)
     """Clones of the pose by name; their blocks are held. Anchors of landmarks `in_anchor`, by their first block."""
+    added: dict[str, AddedVariable] = field(default_factory=dict)
+    """Variables that came after the start, by name; their blocks are held."""
 
     @classmethod
     def at(cls, start: Start, layout: StateLayout, model: LandmarkModel) -> JointState:
@@ -176,6 +187,9 @@ class JointState:
         effect[self.parameter_block] = self.model.world_rotation(self.anchors(), self.parameters())
         for clone in self.clones.values():
             effect[clone.blocks, :3] = -rotations.skew(clone.position), rotations.matrix(clone.orientation).T
+        for one in self.added.values():
+            if not one.variable.in_world:
+                effect[one.blocks] = 0.0
         return np.vstack([world_rotation_of_variables(self.layout, self.camera), effect.reshape(-1, 3)])
 
     def world_translation(self) -> FloatArray:
@@ -187,6 +201,8 @@ class JointState:
             effect[self.parameter_block[free]] = self.model.world_translation(self.parameters(free))
         for clone in self.clones.values():
             effect[clone.blocks[1]] = 0.0
+        for one in self.added.values():
+            effect[one.blocks] = 0.0
         leading = np.zeros((self.layout.size, 3))
         leading[POSITION] = np.eye(3)
         return np.vstack([leading, effect.reshape(-1, 3)])
@@ -279,3 +295,4 @@ class JointState:
         self.blocks, self.first_blocks = self.blocks[kept], self.first_blocks[kept]
         self.parameter_block, self.anchor_block, self.held = number[own], number[anchors], number[held]
         self.clones = {name: replace(clone, blocks=number[clone.blocks]) for name, clone in self.clones.items()}
+        self.added = {name: replace(one, blocks=number[one.blocks]) for name, one in self.added.items()}

@@ -257,13 +257,9 @@ def shows_write_a_filter(names, printed):
 
 
 def shows_write_a_part(names, printed):
-    assert "InverseVector must have point_of" in printed  # the empty file
-    for part in ("InverseVector", "LooseCentre", "Coasting", "RodriguesError"):
-        assert re.search(f"^{part}: . checks passed, 0 failed", printed, re.MULTILINE)
-    for part in ("InverseVector", "WithBias", "BiasedPair", "LooseCentre"):
-        assert re.search(f"^{part}: .* runs in machine code, with Jacobians by dual numbers$", printed, re.MULTILINE)
-    assert re.search("^Careless: . checks passed, . failed; runs", printed, re.MULTILINE)
-    assert "failed: A landmark is seen where it was started" in printed
+    for part in ("InverseVector", "WithBias", "BiasedPair", "LooseCentre", "Coasting"):
+        found = rf"^{part}: . checks passed, 0 failed; runs in machine code, with Jacobians by dual numbers$"
+        assert re.search(found, printed, re.MULTILINE)
     assert re.search("^mine: .* checks passed, 0 failed$", printed, re.MULTILINE)
     figures = {summary.filter_name: summary for summary in names["comparison"].summaries}
     assert figures["mine"].position_rmse_m < 2.0 * figures["inverse-depth"].position_rmse_m

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from filters import BodyVelocity, MotionModel, VelocityDriven
+from filters import BodyVelocity, MotionModel
 from filters.geometry import rotations
 from filters.geometry.retractions import AdditiveQuaternion, RotationVector
 from filters.landmarks.landmark_model import LandmarkModel
@@ -123,18 +123,9 @@ def _odometry(s: Situation, error: np.ndarray) -> BodyVelocity:
     return BodyVelocity(linear, s.camera.angular_velocity + error[3:], np.eye(6))
 
 
-def moves_itself(model: MotionModel) -> bool:
-    return type(model).move is not MotionModel.move
-
-
 def pushed(model: MotionModel, camera: CameraState, s: Situation, noise: np.ndarray) -> CameraState:
-    """State after a step with this noise: that of odometry, or impulses (V, Omega) before the step (Eq. 6).
-
-    A model that has `move` says so itself; others are asked without noise.
-    """
-    if moves_itself(model):
-        return model.move(camera, s.dt, _odometry(s, np.zeros(6)), noise)
-    if isinstance(model, VelocityDriven):
+    """State after a step with this noise: that of odometry, or impulses (V, Omega) before the step (Eq. 6)."""
+    if model.driven:
         return model.predict(camera, s.dt, _odometry(s, noise)).state
     return model.predict(moved(camera, np.concatenate([np.zeros(6), noise])), s.dt, None).state
 
@@ -149,8 +140,6 @@ for _name, _motion in {**MOTIONS, "with variables": BiasedOdometry()}.items():
 
         def function(e: np.ndarray) -> np.ndarray:
             other = moved(camera, e, own)
-            if moves_itself(model):  # its Jacobian is numerical: asking for it again takes long
-                return difference(predicted.state, model.move(other, s.dt, odometry, np.zeros(6)), own)
             return difference(predicted.state, model.predict(other, s.dt, odometry).state, own)
 
         return function, predicted.F
@@ -162,7 +151,7 @@ for _name, _motion in {**MOTIONS, "with variables": BiasedOdometry()}.items():
         predicted = model.predict(camera, s.dt, _odometry(s, np.zeros(6)))
         return lambda n: difference(predicted.state, pushed(model, camera, s, n), own), predicted.G
 
-    if type(_motion).odometry_measurement is not MotionModel.odometry_measurement:
+    if _motion.expects_odometry:
 
         @case(f"motion {_name}: H of odometry")
         def _(s: Situation, model=_motion):

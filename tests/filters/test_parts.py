@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
@@ -14,7 +13,6 @@ from filters import (
     Euclidean,
     Hybrid,
     LeftThenRight,
-    MotionModel,
     RangeBearing,
     RightInvariant,
     StereoEKF,
@@ -25,7 +23,7 @@ from filters import (
     make_part,
 )
 from filters.checks.conformance import REFERENCE_CAMERA, REFERENCE_NOISE
-from filters.parts import SLOTS, kernels_of
+from filters.parts import SLOTS
 
 RIG = {"camera": REFERENCE_CAMERA, "noise": REFERENCE_NOISE}
 EVERY = [(slot, name) for slot in SLOTS for name in SLOTS[slot].named]
@@ -105,16 +103,6 @@ def test_an_impossible_setting_is_refused_by_the_part() -> None:
 def test_a_filter_takes_every_part_that_goes_with_the_others(slot: str, name: str) -> None:
     slam = StereoEKF(**RIG, **{slot: name})
     assert type(getattr(slam.options, slot)) is type(make_part(slot, name))
-
-
-def test_a_subclass_has_no_kernels_unless_it_states_them() -> None:
-    @dataclass(frozen=True)
-    class Changed(ConstantVelocity):
-        """Changes something."""
-
-    assert kernels_of(ConstantVelocity()) is ConstantVelocity.kernels
-    assert kernels_of(Changed()) is None
-    assert kernels_of(MotionModel()) is None
 
 
 # --- third parties ---

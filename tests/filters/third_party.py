@@ -6,10 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from filters import BodyVelocity, CameraState, MeasurementModel, MotionModel, StereoCamera, Variable
+from filters import MeasurementModel, MotionModel, StereoCamera, Variable
 from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray
 from filters.geometry.retractions import RotationVector
+from filters.geometry.vectors import plus, product, quaternion, rotate, scaled
 from filters.measurements.measurement_model import Values
 
 DISPARITY_ERRORS = Variable("disparity-errors", [1.02, 0.003], np.diag([0.01, 0.002]) ** 2)
@@ -50,17 +51,13 @@ class BiasedOdometry(MotionModel):
 
     variables: tuple[Variable, ...] = (BIAS, MOUNTING)
 
-    def move(self, state: CameraState, dt: float, odometry: BodyVelocity | None, noise: FloatArray) -> CameraState:
-        """The measured velocity less bias and noise, turned into the camera frame."""
-        assert odometry is not None
-        measured = np.concatenate([odometry.linear, odometry.angular]) - state.variables["bias"] - noise
-        mounted = rotations.matrix(state.variables["mounting"])
-        linear, angular = mounted @ measured[:3], mounted @ measured[3:]
-        orientation = rotations.multiply(state.orientation, rotations.exp_quaternion(angular * dt))
-        velocity = state.R_wc @ linear
-        return CameraState(state.position + velocity * dt, orientation, velocity, angular, state.variables)
+    driven = True
 
-    def noise(self, dt: float, odometry: BodyVelocity | None) -> FloatArray:
-        """That of the odometer."""
-        assert odometry is not None
-        return odometry.covariance
+    def step(self, x, dt, n):
+        """The measured velocity less bias, turned into the camera frame."""
+        bias, mounting = x.bias, x.mounting
+        linear = rotate(mounting, plus(n[0], bias[:3], -1.0))
+        angular = rotate(mounting, plus(n[1], bias[3:], -1.0))
+        velocity = rotate(x.orientation, linear)
+        orientation = product(x.orientation, quaternion(scaled(dt, angular)))
+        return plus(x.position, velocity, dt), orientation, velocity, angular, bias, mounting

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from filters.checks.conformance import require
 from filters.contract.variables import Variable
 from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray
-from filters.geometry.machine_code import settings_of
 from filters.motions.motion_model import CameraState
-from filters.parts import kernels_of
 
 TOLERANCE = 1e-6
 """Largest error of a Jacobian, as a share of the largest entry of its row; that of differences is about 1e-9."""
@@ -54,37 +50,3 @@ def moved_world(camera: CameraState, shift: FloatArray = SHIFT, variables: tuple
         camera.angular_velocity,
         {**camera.variables, **{x.name: x.turned(camera.variables[x.name], TURN) for x in variables}},
     )
-
-
-class Kernels:
-    """Kernels of a part, called as Python functions on arrays that are zero, as the engine does.
-
-    Parameters
-    ----------
-    part : LandmarkModel, MeasurementModel or MotionModel
-        A part with kernels.
-    """
-
-    def __init__(self, part: Any) -> None:
-        self._kernels = kernels_of(part)
-        self._settings = settings_of(part, self._kernels)
-
-    def of(self, name: str, *given: Any, **results: Any) -> list[Any]:
-        """What a kernel writes into arrays of these shapes (tuples), or into these; it must compile, too."""
-        from filters.kernels.calls import of_part
-
-        written = [np.zeros(r) if isinstance(r, tuple) else r for r in results.values()]
-        arrays = [np.ascontiguousarray(x) if isinstance(x, np.ndarray) else x for x in given]
-        with np.errstate(all="ignore"):
-            getattr(self._kernels, name)(self._settings, *arrays, *written)
-        try:
-            of_part(self._kernels, name)
-        except ValueError as error:
-            raise AssertionError(str(error)) from None
-        return written
-
-
-def assert_same(kernel: str, **pairs: tuple[FloatArray, FloatArray]) -> None:
-    """Raise an `AssertionError` where what a kernel has written is not what NumPy says."""
-    for what, (written, wanted) in pairs.items():
-        assert_close(f"{what} of kernel {kernel}", written, wanted)

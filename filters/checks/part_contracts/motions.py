@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 import numpy as np
 
 from filters.checks.conformance import require
-from filters.checks.part_contracts.comparison import Kernels, assert_close, assert_refusal, assert_same, moved_world
+from filters.checks.part_contracts.comparison import assert_close, assert_refusal, moved_world
 from filters.contract.inputs import BodyVelocity, InertialSamples, InertialUnit
 from filters.geometry import derivatives, rotations
 from filters.geometry.arrays import FloatArray
@@ -19,7 +20,6 @@ from filters.motions.motion_model import (
     measure_odometry,
     predict_camera,
 )
-from filters.parts import kernels_of
 
 DT = 0.1
 
@@ -66,11 +66,13 @@ def check_motion_jacobians(motion: MotionModel) -> None:
         return motion.predict(motion.corrected(state, e), DT, odometry).state
 
     assert_close("F", predicted.F, derivatives.jacobian(lambda e: motion.difference(predicted.state, after(e)), size))
-    if type(motion).move is not MotionModel.move:
-        pushed = derivatives.jacobian(
-            lambda n: motion.difference(predicted.state, motion.move(state, DT, odometry, n)), len(predicted.Q)
-        )
-        assert_close("G", predicted.G, pushed)
+    if motion.driven and isinstance(odometry, BodyVelocity):
+
+        def pushed(n: FloatArray) -> FloatArray:
+            other = replace(odometry, linear=odometry.linear + n[:3], angular=odometry.angular + n[3:])
+            return motion.difference(predicted.state, motion.predict(state, DT, other).state)
+
+        assert_close("G", predicted.G, derivatives.jacobian(pushed, 6))
     measured = measure_odometry(motion, state, DT, odometry)
     if measured is not None:
 
@@ -95,27 +97,8 @@ def check_motion_invariance(motion: MotionModel) -> None:
         assert_close(f"{name} in a moved world", in_another.variables[name], expected.variables[name], 1e-9)
 
 
-def check_motion_kernels(motion: MotionModel) -> None:
-    """Compiled functions, where there are any, say what those in NumPy do."""
-    if kernels_of(motion) is None:
-        return
-    kernels, (state, odometry) = Kernels(motion), _before(motion)
-    before, m = motion.numbers_of(state), CAMERA_SIZE + sum(v.size for v in motion.variables)
-    given = motion.odometry_numbers(odometry)
-    moved, F, Q = kernels.of("step", before, DT, given, moved=before.shape, F=(m, m), Q=(m, m))
-    wanted = motion.predict(state, DT, odometry)
-    added = wanted.G @ wanted.Q @ wanted.G.T
-    assert_same("step", moved=(moved, motion.numbers_of(wanted.state)), F=(F, wanted.F), Q=(Q, added))
-    measured, r = motion.odometry_measurement(wanted.state, DT, odometry), kernels_of(motion).rows
-    require((measured is None) == (r == 0), f"rows of the kernels is {r}, odometry_measurement gives {measured}")
-    if measured is not None:
-        nu, H, R = kernels.of("measure", moved, DT, given, innovation=(r,), H=(r, m), R=(r, r))
-        assert_same("measure", innovation=(nu, measured.innovation), H=(H, measured.H), R=(R, measured.R))
-
-
 CHECKS: tuple[Callable[..., None], ...] = (
     check_motion_prediction,
     check_motion_jacobians,
     check_motion_invariance,
-    check_motion_kernels,
 )

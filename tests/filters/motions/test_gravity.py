@@ -10,7 +10,6 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from filters import (
-    BodyVelocity,
     CameraState,
     FirstEstimates,
     MotionModel,
@@ -22,6 +21,7 @@ from filters import (
     check_part,
 )
 from filters.geometry import symmetric
+from filters.geometry.vectors import plus, product, quaternion, scaled
 from filters.state.joint_state import world_rotation_of_variables
 from filters.state.layout import StateLayout
 
@@ -39,13 +39,13 @@ class Thrown(MotionModel):
 
     variables: tuple[Variable, ...] = (Variable("gravity", G, UNKNOWN, in_world=True),)
 
-    def move(self, state: CameraState, dt: float, odometry: BodyVelocity | None, noise: np.ndarray) -> CameraState:
-        g, v, w = state.variables["gravity"], state.linear_velocity + noise[:3], state.angular_velocity + noise[3:]
-        after = Rotation.from_quat(state.orientation) * Rotation.from_rotvec(dt * w)
-        return CameraState(state.position + dt * v + 0.5 * dt**2 * g, after.as_quat(), v + dt * g, w, state.variables)
+    def step(self, x, dt, n):
+        v, w, g = plus(x.linear_velocity, n[:3], 1.0), plus(x.angular_velocity, n[3:], 1.0), x.gravity
+        r = plus(plus(x.position, v, dt), g, 0.5 * dt * dt)
+        return r, product(x.orientation, quaternion(scaled(dt, w))), plus(v, g, dt), w, g
 
-    def noise(self, dt: float, odometry: BodyVelocity | None) -> np.ndarray:
-        return np.diag(np.repeat([0.01, 0.02], 3) ** 2)
+    def sigmas(self, dt):
+        return 0.01, 0.01, 0.01, 0.02, 0.02, 0.02
 
 
 def flown(prior: np.ndarray, error: object, orientation: float = 0.2) -> StereoEKF:

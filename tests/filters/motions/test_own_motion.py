@@ -12,7 +12,6 @@ from scipy.stats import chi2
 
 from filters import (
     BodyVelocity,
-    CameraState,
     MotionModel,
     Start,
     StereoCamera,
@@ -22,6 +21,7 @@ from filters import (
     Variable,
     check_part,
 )
+from filters.geometry.vectors import plus, product, quaternion, rotate, scaled, turned_by
 
 CAMERA = StereoCamera(721.5, 721.5, 672.0, 195.5, 0.571, 1344, 391)
 NOISE = StereoNoise.independent_pixels(1.0)
@@ -38,18 +38,13 @@ class BiasedRates(MotionModel):
 
     variables: tuple[Variable, ...] = (Variable("rate-bias", np.zeros(6), np.diag(BIASES**2), random_walk=WALKS),)
 
-    def move(self, state: CameraState, dt: float, odometry: BodyVelocity | None, noise: np.ndarray) -> CameraState:
-        if odometry is None:
-            raise ValueError("odometry must be given in every predict with motion=BiasedRates()")
-        bias = state.variables["rate-bias"] if self.variables else 0.0
-        v, w = np.split(np.concatenate([odometry.linear, odometry.angular]) - bias - noise, 2)
-        before = Rotation.from_quat(state.orientation)
-        v_w = (before * Rotation.from_rotvec(0.5 * dt * w)).apply(v)
-        after = (before * Rotation.from_rotvec(dt * w)).as_quat()
-        return CameraState(state.position + dt * v_w, after, v_w, w, state.variables)
+    driven = True
 
-    def noise(self, dt: float, odometry: BodyVelocity | None) -> np.ndarray:
-        return np.zeros((6, 6)) if odometry is None else odometry.covariance
+    def step(self, x, dt, n):
+        bias = (*x[4:], (0.0, 0.0, 0.0, 0.0, 0.0, 0.0))[0]
+        v, w = plus(n[0], bias[:3], -1.0), plus(n[1], bias[3:], -1.0)
+        v_w = rotate(x.orientation, turned_by(scaled(0.5 * dt, w), v))
+        return plus(x.position, v_w, dt), product(x.orientation, quaternion(scaled(dt, w))), v_w, w, *x[4:]
 
 
 WITHOUT_BIASES = replace(BiasedRates(), variables=())

@@ -1,0 +1,110 @@
+"""Options of a filter as its recipe: plain numbers and compiled functions, as kernels read them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from filters.contract.variables import VELOCITY
+from filters.engine.frames import ValuePlaces
+from filters.engine.options import Options
+from filters.errors.error_definition import ErrorKernels
+from filters.geometry.arrays import FloatArray, IntArray
+from filters.geometry.camera import StereoCamera
+from filters.geometry.machine_code import settings_of
+from filters.geometry.retractions import ADDITIVE
+from filters.kernels.lift import compiled_functions
+from filters.kernels.recipe import Plan, Recipe, stage_tables
+from filters.measurements.measurement_model import MeasurementModel
+from filters.parts import SLOTS
+
+
+def recipe_of(camera: StereoCamera, options: Options) -> Recipe:
+    """What a filter does, in plain numbers; where parts have no kernels, by their numbers."""
+    layout, model, sensor, motion = options.layout, options.landmark, options.measurement, options.motion
+    landmark, error = compiled_functions(model), compiled_functions(options.error)
+    # Kernels know no other linearisation point and no other constraint than those of `FirstEstimates`.
+    own_jacobians = error is None and (options.error.constrains or not options.error.linearises_at_the_state)
+    own_stages = type(sensor).stages is not MeasurementModel.stages
+    seen = None if own_stages else compiled_functions(sensor)
+    driven = None if own_jacobians else compiled_functions(motion)
+    by_numbers = own_jacobians or landmark is None or seen is None or not compiled_functions(options.update)
+    sigma_points = options.update.sigma_points(layout.measured + 3 * model.anchored + model.size)
+    by_numbers |= bool(sigma_points) and landmark is not None and landmark.turn is None and not model.additive
+    turns = error is not None and error.turns
+    moves_by_numbers = (
+        error is None
+        or (landmark is None and (turns or not model.additive))
+        or any(variable.retraction is not ADDITIVE for variable in layout.variables)
+    )
+    has_place = landmark is not None and (model.anchored or landmark.turn is None)
+    values, flags = ValuePlaces(layout), error or ErrorKernels()
+    v = layout.places[VELOCITY].start
+    tables = ((), ()) if by_numbers else (sensor.rows(False), sensor.rows(True))
+    prior = np.zeros((0, 0)) if model.prior is None else np.array(model.prior, dtype=np.float64)
+    plan = Plan(
+        camera=np.array((camera.fx, camera.fy, camera.cx, camera.cy, camera.baseline)),
+        landmark=_settings(model, landmark),
+        sensor=_settings(sensor, None if by_numbers else seen),
+        motion=_settings(motion, driven),
+        size=model.size,
+        prior=prior,
+        memory=np.inf if model.memory is None else float(model.memory),
+        anchors=2 if model.in_anchor else int(model.anchored),
+        shares_anchors=model.shares_anchors,
+        additive=model.additive,
+        points=landmark is not None and landmark.turn is None,
+        follows=_places(model.follows),
+        additive_quaternion=flags.additive_quaternion,
+        first_estimates=flags.first_estimates,
+        turns=flags.turns,
+        resets=flags.turns and options.error.reset,
+        by_numbers=by_numbers,
+        moves_by_numbers=moves_by_numbers,
+        changes=not model.steady,
+        most_landmarks=options.max_landmarks or 0,
+        walks_by_numbers=bool(options.gauge_walk) and (own_jacobians or not has_place),
+        driven_by_numbers=driven is None,
+        odometry_rows=0 if driven is None or driven.measure is None else 6,
+        consensus=options.consensus,
+        tail_dof=np.inf if options.tail_dof is None else float(options.tail_dof),
+        iterations=options.iterations,
+        relinearise_above=float(options.relinearise_above),
+        drop_unseen=options.drop_unseen,
+        sigma_points=np.array(() if by_numbers else sigma_points),
+        min_disparity=-np.inf if options.min_disparity is None else float(options.min_disparity),
+        measured=layout.measured,
+        velocity=v,
+        sees_velocity=layout.sees_velocity,
+        leading=layout.size,
+        sensed=_places(values.of_variables(tuple(variable.name for variable in sensor.variables))),
+        moved=_places(() if driven is None else values.of_camera(motion.moves[2:])),
+        moved_rows=_places(() if driven is None else layout.rows_of(motion.moves)),
+        in_world=_places([layout.places[x.name].start for x in layout.variables if x.in_world]),
+        considered=layout.considered,
+        walk=np.zeros(layout.size) if layout.walk_rates is None else layout.walk_rates,
+        drift=np.zeros((2, 4)) if options.drift is None else options.drift.parts,
+        gauge_walk=float(options.gauge_walk),
+        **stage_tables(tables, sensor.size, options.gate),
+    )
+    return Recipe(
+        plan,
+        landmark,
+        None if by_numbers else seen,
+        driven,
+        sensor.size,
+        model.value_size,
+        model.seen_size,
+        values.size,
+        tuple(getattr(options, slot) for slot in SLOTS if not compiled_functions(getattr(options, slot))),
+    )
+
+
+def _settings(part: object, kernels: Any) -> FloatArray:
+    return np.zeros(0) if kernels is None else settings_of(part, kernels)
+
+
+def _places(numbers: Sequence[int] | IntArray) -> IntArray:
+    return np.array(numbers, dtype=np.int64)

@@ -1,0 +1,211 @@
+"""Compiled code of a motion from its plain functions, with Jacobians by dual numbers.
+
+Errors are those of `filters.motions.motion_model`. A step that inertial samples drive is one of each sample.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from filters.geometry.machine_code import compiled
+from filters.kernels.blas import kernel
+from filters.kernels.duals import numbers, variables, write
+from filters.kernels.plain import Keyed, Layout, grouped, plain, size_of, tried
+from filters.kernels.recipe import Functions
+from filters.motions.motion_model import MotionModel
+
+TOGETHER = 6
+"""Derivatives of a step that are carried along at once: more take longer to compile."""
+
+
+@cache
+def motion_functions(cls: type[MotionModel], layout: Layout, state: Layout, k: int, driver: str) -> Functions | str:
+    """Compiled functions of a motion with these settings and k numbers of noise, or why there are none.
+
+    `state` is what it moves; `driver` is what drives it: "noise", "odometry" or "samples" of an inertial unit.
+    """
+    functions = replace(
+        _motion_kernels(cls, layout, state, k, driver), made_by=(motion_functions, cls, layout, state, k, driver)
+    )
+    return tried(cls.step, functions, ("step",))
+
+
+def _motion_kernels(cls: type[MotionModel], layout: Layout, state: Layout, k: int, driver: str) -> Functions:
+    v, step = size_of(state), plain(cls.step, layout)
+    m = v - 1
+    count, flat = -(-(m + k) // TOGETHER), Keyed(_flat(len(state)), "flat", len(state))
+    at, names = Keyed(_state_at(v, grouped(state)), "state", state), tuple(name for name, _ in layout)
+    noise: Any = Keyed({"noise": _no_noise(k), "odometry": _odometry, "samples": _sample}[driver], driver, k)
+    sigmas: Any = plain(cls.sigmas, layout) if driver == "noise" else None
+
+    def forward(
+        settings: Any, x: Any, dt: Any, odometry: Any, row: Any, moved: Any, J: Any, none: Any, by_values: Any
+    ) -> None:
+        for group in range(count):
+            first = -TOGETHER * group
+            given = noise(odometry, row, first + m, none)
+            new = flat(step(settings, at(x, first, none), dt, given))
+            write(moved, by_values, new)
+            write(none, J[:, TOGETHER * group : TOGETHER * (group + 1)], _errors(moved, new))
+            for i in range(m):
+                none[i] = 0.0
+
+    stepped = Keyed(forward, step, at, noise, count, m)
+
+    def by_noise(settings: Any, x: Any, dt: Any, odometry: Any, moved: Any, F: Any, Q: Any) -> None:
+        J, none, by_values, U = (
+            np.zeros((m, TOGETHER * count)),
+            np.zeros(v + k),
+            np.zeros((v, TOGETHER)),
+            np.zeros((k, k)),
+        )
+        stepped(settings, x, dt, odometry, 0, moved, J, none, by_values)
+        write(none, by_values, sigmas(settings, dt))
+        for i in range(k):
+            U[i, i] = none[i] * none[i]
+        _put(J, U, F, Q)
+
+    def by_odometry(settings: Any, x: Any, dt: Any, odometry: Any, moved: Any, F: Any, Q: Any) -> None:
+        J, none, by_values = np.zeros((m, TOGETHER * count)), np.zeros(v + k), np.zeros((v, TOGETHER))
+        stepped(settings, x, dt, odometry, 0, moved, J, none, by_values)
+        _put(J, odometry[1:], F, Q)
+
+    def by_samples(settings: Any, x: Any, dt: Any, odometry: Any, moved: Any, F: Any, Q: Any) -> None:
+        J, none, by_values, U = (
+            np.zeros((m, TOGETHER * count)),
+            np.zeros(v + k),
+            np.zeros((v, TOGETHER)),
+            np.zeros((k, k)),
+        )
+        A, B, before, begin = np.zeros((m, m)), np.zeros((m, m)), x.copy(), 0.0
+        for i in range(m):
+            F[i, i] = 1.0
+        for row in range(3, len(odometry)):
+            end = dt if row == len(odometry) - 1 else odometry[row, 0]
+            h, begin = end - begin, end
+            for i in range(3):
+                U[i, i], U[3 + i, 3 + i] = odometry[0, 3] ** 2 / h, odometry[0, 4] ** 2 / h
+                U[6 + i, 6 + i], U[9 + i, 9 + i] = odometry[2, 0] ** 2 * h, odometry[2, 1] ** 2 * h
+            stepped(settings, before, h, odometry, row, moved, J, none, by_values)
+            _put(J, U, A, B)
+            _follow(A, F, J)
+            _follow(A, Q, J)
+            _follow(A, Q.T, J)
+            for i in range(m):
+                for j in range(m):
+                    Q[i, j] += B[i, j]
+            before[:] = moved
+
+    kernel_of = {"noise": by_noise, "odometry": by_odometry, "samples": by_samples}
+    if driver != "noise" or cls.odometry is MotionModel.odometry:
+        return Functions(step=kernel_of[driver], settings=names)
+    expected = plain(cls.odometry, layout)
+
+    def measure(settings: Any, x: Any, dt: Any, odometry: Any, innovation: Any, H: Any, R: Any) -> None:
+        J, none = np.zeros((6, TOGETHER * count)), np.zeros(v)
+        for group in range(count):
+            linear, angular = expected(settings, at(x, -TOGETHER * group, none), dt)
+            write(innovation, J[:, TOGETHER * group : TOGETHER * (group + 1)], linear + angular)
+        for i in range(6):
+            innovation[i] = odometry[0, i] - innovation[i]
+            for j in range(m):
+                H[i, j] = J[i, j]
+            for j in range(6):
+                R[i, j] = odometry[1 + i, j]
+
+    return Functions(step=by_noise, measure=measure, settings=names)
+
+
+def _state_at(v: int, record: Any) -> Any:
+    """Function of the state that carries the derivatives by its errors from -first on."""
+    named, behind = Keyed(record, "record", v), v - 7
+
+    def at(x: Any, first: Any, none: Any) -> Any:
+        q, (a, b, c) = numbers(x[3:], 4), variables(none, 3, first + 3, TOGETHER)
+        a, b, c = 0.5 * a, 0.5 * b, 0.5 * c  # q x (half the rotation, 1)
+        turned = (
+            q[0] + (q[3] * a + q[1] * c - q[2] * b),
+            q[1] + (q[3] * b + q[2] * a - q[0] * c),
+            q[2] + (q[3] * c + q[0] * b - q[1] * a),
+            q[3] - (q[0] * a + q[1] * b + q[2] * c),
+        )
+        return named(variables(x, 3, first, TOGETHER) + turned + variables(x[7:], behind, first + 6, TOGETHER))
+
+    return at
+
+
+def _no_noise(k: int) -> Any:
+    return lambda odometry, row, first, none: variables(none, k, first, TOGETHER)
+
+
+def _odometry(odometry: Any, row: Any, first: Any, none: Any) -> Any:
+    """Velocities of odometry."""
+    return variables(odometry[0], 3, first, TOGETHER), variables(odometry[0, 3:], 3, first + 3, TOGETHER)
+
+
+def _sample(odometry: Any, row: Any, first: Any, none: Any) -> Any:
+    """Numbers of an inertial sample, walks of the biases, and where the unit is (`InertialUnit.rows`)."""
+    return (
+        variables(odometry[row, 1:], 3, first, TOGETHER),
+        variables(odometry[row, 4:], 3, first + 3, TOGETHER),
+        variables(none, 3, first + 6, TOGETHER),
+        variables(none, 3, first + 9, TOGETHER),
+        numbers(odometry[0], 3),
+        numbers(odometry[1], 4),
+    )
+
+
+def _flat(count: int) -> Any:
+    """Function that joins so many tuples."""
+    if count == 1:
+        return lambda parts: parts[0]
+    rest = Keyed(_flat(count - 1), "flat", count - 1)
+    return lambda parts: parts[0] + rest(parts[1:])
+
+
+@compiled
+def _errors(moved: Any, x: Any) -> Any:
+    """Errors of a state, with its derivatives, relative to its values."""
+    q, p = x[3:7], numbers(moved[3:], 4)
+    turn = (
+        2.0 * (p[3] * q[0] - p[0] * q[3] + p[2] * q[1] - p[1] * q[2]),
+        2.0 * (p[3] * q[1] - p[1] * q[3] + p[0] * q[2] - p[2] * q[0]),
+        2.0 * (p[3] * q[2] - p[2] * q[3] + p[1] * q[0] - p[0] * q[1]),
+    )
+    return x[:3] + turn + x[7:]
+
+
+@kernel
+def _put(J: Any, U: Any, F: Any, Q: Any) -> None:
+    """F and Q = G U G^T from (F, G) side by side."""
+    m, k = len(F), len(U)
+    for i in range(m):
+        for j in range(m):
+            F[i, j], Q[i, j] = J[i, j], 0.0
+        for a in range(k):
+            along = 0.0
+            for b in range(k):
+                along += J[i, m + b] * U[b, a]
+            if along != 0.0:
+                for j in range(m):
+                    Q[i, j] += along * J[j, m + a]
+
+
+@kernel
+def _follow(A: Any, F: Any, room: Any) -> None:
+    """F = A F; rows of A that are those of the identity change nothing."""
+    m = len(A)
+    for i in range(m):
+        for j in range(m):
+            room[i, j] = 0.0
+        for a in range(m):
+            if A[i, a] != 0.0:
+                for j in range(m):
+                    room[i, j] += A[i, a] * F[a, j]
+    for i in range(m):
+        for j in range(m):
+            F[i, j] = room[i, j]
