@@ -32,7 +32,7 @@ import stereo_slam_env as sse
 from filters import ColouredNoise
 from filters.geometry import rotations
 from filters.geometry.arrays import BoolArray, FloatArray
-from filters.kernels.gauge_walk import TURN_WEIGHT
+from filters.kernels.process_noise import TURN_WEIGHT
 from harness import arguments, mean_and_error, show
 from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary

@@ -86,8 +86,7 @@ class UpdateReport:
     """(K,): known ids whose measurement failed the chi-square gate (Mahalanobis distance too large), in the first or in
     a later stage of the update; the stages before it have used the measurement."""
     rejected: IntArray = field(default_factory=_no_ids)
-    """(K,): new ids the filter did not initialise from: it could not (for XYZ: d <= 0 or below `min_disparity`), or it
-    has room for better ones only (`max_landmarks`)."""
+    """(K,): new ids the filter could not initialise from (for XYZ: d <= 0 or below `min_disparity`)."""
     behind_camera: IntArray = field(default_factory=_no_ids)
     """(K,): known ids predicted behind the camera, so not used."""
     failed: IntArray = field(default_factory=_no_ids)

@@ -27,7 +27,7 @@ from filters.engine.frames import FrameOutcome, Observations, Odometry
 from filters.engine.row import Row, report
 from filters.engine.stereo_ekf import StereoEKF
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
-from filters.kernels.readout import relative_landmarks
+from filters.kernels.entries import relative_landmarks
 from filters.motions.motion_model import input_of
 
 

@@ -15,7 +15,6 @@ import numpy as np
 from filters.contract.inputs import StereoObservation
 from filters.contract.noise import gate_limit
 from filters.contract.validation import unchecked
-from filters.engine import selection
 from filters.engine.frames import ValuePlaces
 from filters.engine.new_landmarks import can_start, start_landmarks
 from filters.engine.options import Options
@@ -25,9 +24,8 @@ from filters.geometry.camera import StereoCamera
 from filters.kernels.blas import PLAIN
 from filters.kernels.linearisation import FIRST, MOVED
 from filters.kernels.recipe import MOST_ROWS, MOST_STAGES, Recipe
+from filters.kernels.records import CLONE_POSITION, POINT, REJECTED, STARTED, FrameArrays, Scratch, Storage
 from filters.kernels.retraction import SETTLED
-from filters.kernels.scratch import Scratch
-from filters.kernels.storage import CLONE_POSITION, POINT, REJECTED, STARTED, FrameArrays, Storage
 from filters.measurements.measurement_model import Stage
 from filters.motions.motion_model import ROTATION, StepInput, measure_odometry, predict_camera
 from filters.state.joint_state import Clone, JointState, world_rotation_of_variables
@@ -86,7 +84,6 @@ class Doors:
             self._linearise,
             self._move,
             self._start,
-            self._select,
             self._change,
             self._walk,
             self._drift,
@@ -265,27 +262,6 @@ class Doors:
         room.values_noise[:count] = new.noise
         room.anchored[:count] = anchored
         room.by_anchor[:] = by_anchor
-
-    def _select(self, b: int, room: Scratch, first: int, known: int, new: int, _: int) -> None:
-        """Of the landmarks in view, the most informative stay in the map or start."""
-        frame, options, most = self._room.frame, self._options, self._options.max_landmarks
-        assert most is not None
-        chosen = first + room.place[:new]
-        candidates = selection.next_measurements(
-            options.measurement,
-            self._rig,
-            self.view(b),
-            room.land[:known],
-            room.noise[:known],
-            frame.uvd[chosen],
-            frame.R[chosen],
-        )
-        kept = selection.most_informative(candidates, most)
-        room.gone[room.land[:known]] = ~kept[:known]
-        starts = kept[known:]
-        frame.fates[chosen[~starts]] = REJECTED
-        room.result[0] = count = int(starts.sum())
-        room.place[:count] = room.place[:new][starts]
 
     def _change(self, b: int, room: Scratch, *_: int) -> None:
         """Landmarks that are practically Gaussian in XYZ become XYZ (Eq. 4)."""

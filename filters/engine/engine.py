@@ -11,25 +11,35 @@ import numpy as np
 from filters.contract.inputs import InertialSamples
 from filters.engine.doors import Doors, Parts
 from filters.engine.frames import FrameOutcome, Observations, Odometry
+from filters.engine.recipes import compiled_calls
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
-from filters.kernels.between_frames import CLONE, CLOSE_GAPS, FORGET, carry_along, change, correct_by
 from filters.kernels.calls import Packed
+from filters.kernels.entries import (
+    CLONE,
+    CLOSE_GAPS,
+    FORGET,
+    carry_along,
+    change,
+    compile_forecasts,
+    correct_by,
+    forecasts,
+    points_at,
+)
 from filters.kernels.frame import run_frames
-from filters.kernels.needed import compiled_calls
-from filters.kernels.readout import compile_forecasts, forecasts, points_at
 from filters.kernels.recipe import Recipe
-from filters.kernels.scratch import Scratch, scratch
-from filters.kernels.storage import (
+from filters.kernels.records import (
     BLOCKS,
     LANDMARKS,
     FilterState,
     FrameArrays,
+    Scratch,
     Storage,
     empty_frame,
     empty_storage,
     exported,
     grown,
     load,
+    scratch,
 )
 
 _ROOM = 32  # blocks, at first

@@ -44,7 +44,6 @@ class Options:
     relinearise_above: float
     drop_unseen: bool
     min_disparity: float | None
-    max_landmarks: int | None
 
     @classmethod
     def of(
@@ -85,8 +84,6 @@ class Options:
             isinstance(self.min_disparity, float | int) and math.isfinite(self.min_disparity)
         ):
             raise ValueError(f"min_disparity must be a finite number of px, or None, got {self.min_disparity!r}")
-        if self.max_landmarks is not None and (type(self.max_landmarks) is not int or self.max_landmarks < 1):
-            raise ValueError(f"max_landmarks must be an integer >= 1, or None for no limit, got {self.max_landmarks!r}")
         _check_landmark(self.landmark)
         for name in ("seen_size", "seen_vectors"):
             wanted, taken = getattr(self.landmark, name), getattr(self.measurement, name)

@@ -20,8 +20,8 @@ from filters.engine.options import Options
 from filters.engine.recipes import recipe_of
 from filters.geometry.arrays import FloatArray, IntArray
 from filters.geometry.camera import StereoCamera
-from filters.kernels import storage as fates
-from filters.kernels.storage import CLONE_POSITION, CLONE_ROTATION, OWN, PLAIN, POINT, VECTOR, FilterState
+from filters.kernels import records as fates
+from filters.kernels.records import CLONE_POSITION, CLONE_ROTATION, OWN, PLAIN, POINT, VECTOR, FilterState
 from filters.motions.motion_model import CameraState, StepInput
 from filters.state.joint_state import AddedVariable, Clone, JointState
 

@@ -88,8 +88,6 @@ class StereoEKF(VariableFilter):
         The paper's policy: a landmark not in the current observation leaves the map.
     min_disparity : float, optional
         A landmark is not started from a smaller disparity, px. None: whatever the parametrisation can do.
-    max_landmarks : int, optional
-        Of the landmarks in view, keep at most so many: those that say most about the pose. None: all.
 
     Raises
     ------
@@ -99,7 +97,7 @@ class StereoEKF(VariableFilter):
 
     open_options = frozenset(
         {"motion", "gate", "landmark", "measurement", "error", "update", "consensus", "tail_dof", "drift", "gauge_walk"}
-        | {"iterations", "relinearise_above", "drop_unseen", "min_disparity", "max_landmarks"}
+        | {"iterations", "relinearise_above", "drop_unseen", "min_disparity"}
     )
 
     def __init__(
@@ -121,7 +119,6 @@ class StereoEKF(VariableFilter):
         relinearise_above: float = 0.0,
         drop_unseen: bool = True,
         min_disparity: float | None = None,
-        max_landmarks: int | None = None,
     ) -> None:
         from filters.engine.row import Row  # Numba takes longer to import than all the rest
 
@@ -143,7 +140,6 @@ class StereoEKF(VariableFilter):
             relinearise_above=relinearise_above,
             drop_unseen=drop_unseen,
             min_disparity=min_disparity,
-            max_landmarks=max_landmarks,
         )
         self._row = Row.of(camera, self.options)
         self.reset()

@@ -28,8 +28,7 @@ from numba.extending import infer_getattr, intrinsic, lower_getattr_generic, mod
 from filters.kernels.blas import CHOLESKY, PLAIN, kernel
 from filters.kernels.compilation import KEPT, include, stamped
 from filters.kernels.recipe import Recipe
-from filters.kernels.scratch import Scratch, scratch
-from filters.kernels.storage import empty_frame, empty_storage
+from filters.kernels.records import Scratch, empty_frame, empty_storage, scratch
 
 
 class Address(types.Type):
@@ -203,7 +202,7 @@ def _exists_plainly(function: Any) -> bool:
 call, exists = (_call_plainly, _exists_plainly) if PLAIN else (_call, _exists)
 
 
-TO_LINEARISE, TO_MOVE, TO_START, TO_SELECT, TO_CHANGE, TO_WALK, TO_DRIFT = range(7)
+TO_LINEARISE, TO_MOVE, TO_START, TO_CHANGE, TO_WALK, TO_DRIFT = range(6)
 """What a part without compiled functions is asked for."""
 
 

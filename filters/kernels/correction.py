@@ -15,7 +15,7 @@ from filters.kernels.blas import cholesky, kernel, multiply_panel, solve_triangu
 from filters.kernels.calls import Calls, unit
 from filters.kernels.covariance import take_leading, take_row, take_rows
 from filters.kernels.recipe import Plan
-from filters.kernels.scratch import CHUNK_ROWS, Scratch
+from filters.kernels.records import CHUNK_ROWS, Scratch
 
 DROWNED = 1e12
 """Times R: a landmark as good as in the image plane has an S so large that R is lost in its rounding."""

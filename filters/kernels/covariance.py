@@ -6,7 +6,7 @@ from filters.geometry.arrays import FloatArray, IntArray
 from filters.kernels.blas import kernel
 from filters.kernels.calls import unit
 from filters.kernels.recipe import Plan
-from filters.kernels.scratch import Scratch
+from filters.kernels.records import Scratch
 
 LOST = 1e-10
 """Share of a variance of the pose that rounding may have made up."""

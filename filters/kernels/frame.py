@@ -22,7 +22,6 @@ from numba import types
 from filters.kernels.blas import PLAIN, entry, kernel
 from filters.kernels.calls import (
     TO_CHANGE,
-    TO_SELECT,
     TO_START,
     TO_WALK,
     Calls,
@@ -41,9 +40,20 @@ from filters.kernels.gating import reweight
 from filters.kernels.landmarks import close_gaps, find, marginalise
 from filters.kernels.linearisation import AGAIN, FIRST, linearise_selected, prepare, take_numbers
 from filters.kernels.recipe import Plan
+from filters.kernels.records import (
+    BEHIND,
+    BLOCKS,
+    FAILED,
+    GATED,
+    LANDMARKS,
+    OWN,
+    USED,
+    VECTOR,
+    FrameArrays,
+    Scratch,
+    Storage,
+)
 from filters.kernels.retraction import CORRECTED, SETTLED, correct_state
-from filters.kernels.scratch import Scratch
-from filters.kernels.storage import BEHIND, BLOCKS, FAILED, GATED, LANDMARKS, OWN, USED, VECTOR, FrameArrays, Storage
 
 
 @entry(_nrt=False)
@@ -112,7 +122,7 @@ def _frame(calls: Calls, plan: Plan, S: Storage, b: int, s: Scratch, frame: Fram
         keep_definite(P, before, s.half)
         for m in range(known):
             frame.fates[first + s.place[m]] = s.fates[m]
-    if plan.changes or plan.most_landmarks > 0 or known < last - first:
+    if plan.changes or known < last - first:
         _renew(calls, plan, S, b, s, frame, first, last, known)
 
 
@@ -286,28 +296,12 @@ def _renew(
     last: int,
     found: int,
 ) -> None:
-    """Landmarks enter, the least informative leave where there is a limit, and some change over to points."""
-    landmarks, new, gone = S.counts[b, LANDMARKS], 0, 0
-    s.gone[:landmarks] = False
+    """Landmarks enter, and some change over to points."""
+    new = 0
     if last - first > found:
         new = _candidates(calls, plan, S, b, s, frame, first, last)
-    if 0 < plan.most_landmarks < found + new:
-        if not ask(calls, TO_SELECT, b, s, first, found, new, 0):
-            return
-        new = int(s.result[0])
-        if not plan.by_numbers:
-            call(calls.initialise, (calls, plan, S, b, s, frame, first, new))
-        elif new > 0 and not ask(calls, TO_START, b, s, first, last, new, 0):
-            return
     if s.door[1] != 0:
         return
-    for i in range(landmarks):
-        if s.gone[i]:
-            gone += 1
-    if gone > 0:
-        marginalise(
-            S.ids[b], S.own[b], S.anchor[b], S.users[b], S.counts[b], s.gone, frame.dropped[b, frame.outcome[b, 0] :]
-        )
     if plan.changes:
         s.result[0] = 1.0
         if exists(calls.become):
@@ -316,9 +310,8 @@ def _renew(
             return
     if new > 0:
         call(calls.augment, (plan, S, b, s, frame, first, new))
-    if gone > 0 or plan.changes:
+    if plan.changes:
         close_gaps(plan, S, b)
-    frame.outcome[b, 0] += gone
 
 
 @kernel

@@ -8,9 +8,9 @@ from filters.geometry.arrays import FloatArray, IntArray
 from filters.kernels.blas import kernel, multiply_panel
 from filters.kernels.calls import unit
 from filters.kernels.correction import take_columns, take_leading_columns, times_covariance
-from filters.kernels.landmark_drift import step_covariance
+from filters.kernels.process_noise import step_covariance
 from filters.kernels.recipe import Plan
-from filters.kernels.scratch import Scratch
+from filters.kernels.records import Scratch
 
 
 @kernel

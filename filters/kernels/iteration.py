@@ -11,9 +11,8 @@ from filters.kernels.correction import explained, factorise, innovation_covarian
 from filters.kernels.linearisation import MOVED, linearise_selected
 from filters.kernels.prediction import orientation
 from filters.kernels.recipe import Plan
+from filters.kernels.records import BLOCKS, Scratch, Storage
 from filters.kernels.retraction import CORRECTED, move, scales_blocks
-from filters.kernels.scratch import Scratch
-from filters.kernels.storage import BLOCKS, Storage
 
 
 @unit("iterate")

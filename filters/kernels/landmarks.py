@@ -12,8 +12,7 @@ from filters.kernels.covariance import move_block, take_leading
 from filters.kernels.linearisation import by_velocity, clear_all, sense, take_variables
 from filters.kernels.prediction import clear, constrain, orientation, world_rotation
 from filters.kernels.recipe import Plan
-from filters.kernels.scratch import Scratch
-from filters.kernels.storage import (
+from filters.kernels.records import (
     BLOCKS,
     CLONE_POSITION,
     LANDMARKS,
@@ -22,6 +21,7 @@ from filters.kernels.storage import (
     REJECTED,
     STARTED,
     FrameArrays,
+    Scratch,
     Storage,
 )
 

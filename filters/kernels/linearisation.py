@@ -8,8 +8,7 @@ from filters.kernels.blas import kernel
 from filters.kernels.calls import TO_LINEARISE, Calls, ask, call, unit
 from filters.kernels.prediction import clear, orientation
 from filters.kernels.recipe import Plan
-from filters.kernels.scratch import Scratch
-from filters.kernels.storage import BLOCKS, LANDMARKS, OWN, POINT, Storage
+from filters.kernels.records import BLOCKS, LANDMARKS, OWN, POINT, Scratch, Storage
 
 FIRST, AGAIN, MOVED = range(3)
 """Where to linearise: at the state for the first time in a stage, there again, or where a correction leads."""

@@ -12,8 +12,7 @@ from filters.kernels.calls import Calls, call, unit
 from filters.kernels.correction import correct_rows
 from filters.kernels.covariance import identity, transform_leading
 from filters.kernels.recipe import Plan
-from filters.kernels.scratch import Scratch
-from filters.kernels.storage import FrameArrays
+from filters.kernels.records import FrameArrays, Scratch
 
 
 @kernel

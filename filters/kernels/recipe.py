@@ -91,8 +91,6 @@ class Plan(NamedTuple):
     """Whether parts move the state by numbers."""
     changes: bool = False
     """Whether landmarks may become points after a frame."""
-    most_landmarks: int = 0
-    """Of the landmarks in view, 0: no limit."""
     walks_by_numbers: bool = False
     driven_by_numbers: bool = True
     odometry_rows: int = 0
@@ -168,7 +166,7 @@ class Recipe:
         plan = self.plan
         numbers = plan.by_numbers or plan.moves_by_numbers or plan.walks_by_numbers
         changes = plan.changes and (self.landmark is None or self.landmark.become is None)
-        return numbers or changes or plan.most_landmarks > 0
+        return numbers or changes
 
     @property
     def block_values(self) -> int:

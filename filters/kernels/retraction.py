@@ -20,8 +20,7 @@ from filters.kernels.covariance import identity, scale_block, transform_leading
 from filters.kernels.linearisation import clear_all
 from filters.kernels.prediction import clear, orientation
 from filters.kernels.recipe import Plan
-from filters.kernels.scratch import Scratch
-from filters.kernels.storage import BLOCKS, CLONE_ROTATION, OWN, PLAIN, POINT, Storage
+from filters.kernels.records import BLOCKS, CLONE_ROTATION, OWN, PLAIN, POINT, Scratch, Storage
 
 CORRECTED, SETTLED = range(2)
 """What a correction does to first estimates: landmarks leave them, odometry and other measurements move them along."""

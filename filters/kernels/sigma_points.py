@@ -15,8 +15,7 @@ from filters.kernels.calls import Calls, call, unit
 from filters.kernels.linearisation import chain, clear_all, compare, see, sense
 from filters.kernels.prediction import clear, orientation
 from filters.kernels.recipe import Plan
-from filters.kernels.scratch import Scratch
-from filters.kernels.storage import POINT, Storage
+from filters.kernels.records import POINT, Scratch, Storage
 from filters.motions.motion_model import POSE_SIZE
 from filters.updates.unscented import NEGLIGIBLE
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import gymnasium as gym
 import pytest
 
-from filters.kernels.gauge_walk import TURN_WEIGHT
+from filters.kernels.process_noise import TURN_WEIGHT
 from stereo_slam_env import wrappers
 from stereo_slam_env.files.folders import claimed_folder
 

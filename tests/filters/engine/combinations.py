@@ -37,8 +37,6 @@ OPTIONS: dict[str, dict[str, Any]] = {
     "kept map": {"drop_unseen": False},
     "near ones only": {"min_disparity": 20.0},
     "everything": {"consensus": True, "tail_dof": 4.0, "iterations": 2, "drop_unseen": False},
-    "few": {"max_landmarks": 9},
-    "few,kept": {"max_landmarks": 9, "drop_unseen": False},
 }
 DRIFTS = (0.4, {"pixels": (1.2, 1.0, 0.5), "gate_pixels": (0.4, 0.4, 0.2)}, {"share": 0.2, "pixels": (0.5, 0.5, 0.1)})
 CALIBRATED = (

@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 
 from filters.kernels import blas
-from filters.kernels.storage import padded
+from filters.kernels.records import padded
 
 LANES = 8
 _libc = ctypes.CDLL(None, use_errno=True)

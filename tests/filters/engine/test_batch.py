@@ -20,7 +20,7 @@ OPTIONS = [
     {},
     {"landmark": "shared-anchor", "consensus": True},
     {"measurement": "sequential", "iterations": 2},
-    {"landmark": "hybrid", "max_landmarks": 9},
+    {"landmark": "hybrid", "tail_dof": 4.0},
     {"landmark": "spherical", "error": "right-invariant", "measurement": ShearedPair(), "motion": BiasedOdometry()},
     {"update": "unscented", "error": "so3"},
 ]

@@ -13,7 +13,7 @@ from filters.engine.engine import Engine
 from filters.engine.frames import Observations
 from filters.geometry import symmetric
 from filters.kernels.recipe import Recipe
-from filters.kernels.storage import FAILED, FilterState
+from filters.kernels.records import FAILED, FilterState
 
 from ..drives import CAMERA
 

@@ -16,7 +16,7 @@ import json, multiprocessing, sys
 import numpy as np
 
 def seen():
-    from filters.kernels.readout import relative_landmarks
+    from filters.kernels.entries import relative_landmarks
     x = np.zeros((1, 13)); x[0, 6] = 1.0
     own, none = np.zeros((1, 1), dtype=np.int64), np.full((1, 1, 2), -1)
     p_c, P_c, located = np.zeros((1, 3)), np.zeros((1, 3, 3)), np.zeros(1, dtype=np.bool_)
@@ -226,7 +226,7 @@ COUNTED = """
 import logging
 from numba import njit
 from filters.kernels.compilation import include
-from filters.kernels.progress import counted
+from filters.kernels.compilation import counted
 
 @njit
 def double(x):
@@ -300,7 +300,7 @@ def test_it_is_silent_if_logging_says_so(tmp_path, terminal):
 def test_where_logging_is_set_up_it_is_a_record_there(tmp_path):
     setting = "logging.basicConfig(format='%(levelname)s %(name)s %(message)s')"
     told = shown(tmp_path, COUNTED.format(setting=setting), terminal=True)
-    assert told.startswith("WARNING filters.kernels.progress compiling machine code")
+    assert told.startswith("WARNING filters.kernels.compilation compiling machine code")
     assert told.count("\n") == 1
 
 

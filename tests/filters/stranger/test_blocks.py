@@ -106,7 +106,6 @@ def beliefs(slam: StereoEKF) -> np.ndarray:
         {"drift": 0.3},
         {"consensus": True},
         {"tail_dof": 4.0},
-        {"max_landmarks": 8},
         {"drop_unseen": False},
         {"gauge_walk": 1e-3},
     ],

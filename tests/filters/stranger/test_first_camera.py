@@ -176,7 +176,6 @@ def test_pose_and_map_are_consistent_and_nearly_those_of_anchors_that_are_points
         {"consensus": True, "gate": 0.99},
         {"tail_dof": 4.0},
         {"update": "unscented"},
-        {"max_landmarks": 8},
         {"measurement": "sequential"},
         {"error": "right-invariant", "gauge_walk": 1e-3},
     ],

@@ -75,9 +75,7 @@ def test_kernels_lead_where_the_numbers_do(slot: str, compiled: object, by_numbe
     )
 
 
-@pytest.mark.parametrize(
-    "option", [{"drift": 0.3}, {"consensus": True}, {"tail_dof": 4.0}, {"max_landmarks": 8}], ids=str
-)
+@pytest.mark.parametrize("option", [{"drift": 0.3}, {"consensus": True}, {"tail_dof": 4.0}], ids=str)
 def test_options_work_with_kernels_as_with_numbers(option: dict[str, object]) -> None:
     for compiled, by_numbers in (
         ({"measurement": DoubleSphere()}, {"measurement": CameraByNumbers()}),
