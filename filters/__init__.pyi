@@ -72,6 +72,7 @@ from .measurements.calibrated_pair import PairWithLastingErrors as PairWithLasti
 from .measurements.measurement_model import MeasurementModel as MeasurementModel
 from .measurements.measurement_model import SensorJacobians as SensorJacobians
 from .measurements.measurement_model import Stage as Stage
+from .measurements.measurement_model import StageRows as StageRows
 from .measurements.other_cameras import DepthCamera as DepthCamera
 from .measurements.other_cameras import FisheyePair as FisheyePair
 from .measurements.other_cameras import UnrectifiedPair as UnrectifiedPair

@@ -13,7 +13,6 @@ from typing import Any, Protocol
 import numpy as np
 
 from filters.contract.inputs import StereoObservation
-from filters.contract.noise import gate_limit
 from filters.contract.validation import unchecked
 from filters.engine.frames import ValuePlaces
 from filters.engine.new_landmarks import can_start, start_landmarks
@@ -23,7 +22,7 @@ from filters.geometry.arrays import FloatArray, IntArray
 from filters.geometry.camera import StereoCamera
 from filters.kernels.blas import PLAIN
 from filters.kernels.linearisation import FIRST, MOVED
-from filters.kernels.recipe import MOST_ROWS, MOST_STAGES, Recipe
+from filters.kernels.recipe import Recipe
 from filters.kernels.records import CLONE_POSITION, POINT, REJECTED, STARTED, FrameArrays, Scratch, Storage
 from filters.kernels.retraction import SETTLED
 from filters.measurements.measurement_model import Stage
@@ -78,7 +77,8 @@ class Doors:
         self._values = ValuePlaces(parts.options.layout)
         rows = parts.options.layout.rows_of(parts.options.motion.moves)
         self._moved = None if np.array_equal(rows, parts.options.layout.rows) else rows
-        self._stages: dict[tuple[int, int], Stage] = {}
+        self._rows = tuple(parts.options.measurement.rows(with_right) for with_right in (False, True))
+        self._noise: dict[int, FloatArray] = {}
         self._after: dict[int, tuple[JointState, Transport]] = {}
         self._answers = (
             self._linearise,
@@ -125,27 +125,6 @@ class Doors:
             H[:, rows] = measured.H
         return (*step, measured.innovation, H, measured.R)
 
-    def put_stages(self, frame: FrameArrays, which: IntArray, variant: int, with_right: bool, M: int) -> None:
-        """Stages of the measurements at `which`, of filters without (0) or with (1) a measured right row."""
-        measurement, gate = self._options.measurement, self._options.gate
-        v_right = frame.v_right[which] if with_right else None
-        R = frame.R[which]
-        seen = unchecked(StereoObservation, ids=frame.ids[which], uvd=frame.uvd[which], v_right=v_right, R=R)
-        stages = measurement.stages(seen, R)
-        if len(stages) > MOST_STAGES or any(stage.z.shape[1] > MOST_ROWS for stage in stages):
-            raise ValueError(
-                f"measurement {type(measurement).__name__} must have at most {MOST_STAGES} stages of {MOST_ROWS} rows"
-            )
-        frame.stages[variant] = len(stages)
-        for number, stage in enumerate(stages):
-            size = stage.z.shape[1]
-            self._stages[variant, number] = stage
-            frame.sizes[variant, number] = size
-            frame.limits[variant, number] = np.inf if gate is None else gate_limit(gate ** (1 / len(stages)), size)
-            frame.T[variant, number, :size] = stage.T[:, :3]
-            frame.stage_z[number, which, :size] = stage.z
-            frame.stage_R[number, which, :size, :size] = stage.R
-
     # --- the state, as parts see it ---
 
     def view(self, b: int, room: Scratch | None = None) -> JointState:
@@ -174,20 +153,21 @@ class Doors:
 
     def _linearise(self, b: int, room: Scratch, count: int, where: int, variant: int, number: int) -> None:
         """Innovation, H and R of the selected measurements."""
-        options, frame = self._options, self._room.frame
+        options = self._options
         moved_here = where == MOVED and self._room.recipe.plan.moves_by_numbers
         state = self._after[int(room.door[0])][0] if moved_here else self.view(b, room if where == MOVED else None)
         selected = room.select[:count]
         if where == FIRST:
+            self._noise[int(room.door[0])] = room.R.copy()
             ahead = options.measurement.in_front(points_in_camera(state, room.land[selected]))
             room.ahead[selected] = ahead
             selected = selected[ahead]
         if len(selected) == 0:
             return
-        index, rows, size = room.land[selected], frame.offsets[b] + room.place[selected], frame.sizes[variant, number]
+        index, T = room.land[selected], np.array(self._rows[variant][number].T)
         weighted = where == MOVED and options.tail_dof is not None
-        R = room.R[selected, :size, :size] if weighted else frame.stage_R[number, rows, :size, :size]
-        stage = Stage(room.z[selected, :size], self._stages[variant, number].T, R)
+        R = room.R if weighted else self._noise[int(room.door[0])]
+        stage = Stage(room.z[selected, : len(T)], T, R[selected, : len(T), : len(T)])
         point = options.error.linearisation_point(state)
         linear = options.update.linearise(options.measurement, self._rig, state, index, stage, point)
         if moved_here:
@@ -232,18 +212,15 @@ class Doors:
             room.W[:size] = 0.0
             room.W[size:n] = np.linalg.solve(step.leading[ROTATION, ROTATION].T, step.by_rotation.T).T
 
-    def _start(self, b: int, room: Scratch, first: int, last: int, count: int, _: int) -> None:
-        """Landmarks at the `count` measurements in `place`, or, for 0, at those of first to last - 1 that can start."""
+    def _start(self, b: int, room: Scratch, first: int, last: int, *_: int) -> None:
+        """Landmarks at those of the measurements first to last - 1 that can start."""
         state, frame, options = self.view(b), self._room.frame, self._options
-        if count == 0:
-            unknown = first + np.flatnonzero(room.where[: last - first] < 0)
-            least = -np.inf if options.min_disparity is None else options.min_disparity
-            able = can_start(options.measurement, self._rig, state, frame.uvd[unknown], least)
-            frame.fates[unknown] = np.where(able, STARTED, REJECTED)
-            chosen = unknown[able]
-            room.place[: len(chosen)] = chosen - first
-        else:
-            chosen = first + room.place[:count]
+        unknown = first + np.flatnonzero(room.where[: last - first] < 0)
+        least = -np.inf if options.min_disparity is None else options.min_disparity
+        able = can_start(options.measurement, self._rig, state, frame.uvd[unknown], least)
+        frame.fates[unknown] = np.where(able, STARTED, REJECTED)
+        chosen = unknown[able]
+        room.place[: len(chosen)] = chosen - first
         room.result[0] = count = len(chosen)
         if count == 0:
             return

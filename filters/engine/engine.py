@@ -274,12 +274,6 @@ class Engine:
             frame.ids[:M], frame.uvd[:M], frame.R[:M] = o.ids, o.uvd, o.R
             if o.v_right is not None:
                 frame.v_right[:M] = o.v_right
-            if self.recipe.plan.by_numbers and self._doors is not None:
-                of_right = np.repeat(frame.with_right, np.diff(o.offsets))
-                for variant in (0, 1):
-                    which = np.flatnonzero(of_right == bool(variant))
-                    if len(which):
-                        self._doors.put_stages(frame, which, variant, bool(variant), M)
         before = self._kept(frame.seen | (frame.dt > 0.0)) if self._asks else []
         self._run()
         needed = int(frame.outcome[0, 1] if self.count == 1 else frame.outcome[:, 1].max())

@@ -31,7 +31,6 @@ from filters.kernels.process_noise import drift, fade, walk_gauge
 from filters.kernels.recipe import Plan, Recipe, stage_tables
 from filters.kernels.retraction import retract, retract_by_numbers, turn_own, turn_with_world
 from filters.kernels.sigma_points import fit
-from filters.measurements.measurement_model import MeasurementModel
 from filters.parts import SLOTS
 
 
@@ -41,8 +40,7 @@ def recipe_of(camera: StereoCamera, options: Options) -> Recipe:
     landmark, error = compiled_functions(model), compiled_functions(options.error)
     # Kernels know no other linearisation point and no other constraint than those of `FirstEstimates`.
     own_jacobians = error is None and (options.error.constrains or not options.error.linearises_at_the_state)
-    own_stages = type(sensor).stages is not MeasurementModel.stages
-    seen = None if own_stages else compiled_functions(sensor)
+    seen = compiled_functions(sensor)
     driven = None if own_jacobians else compiled_functions(motion)
     by_numbers = own_jacobians or landmark is None or seen is None or not compiled_functions(options.update)
     sigma_points = options.update.sigma_points(layout.measured + 3 * model.anchored + model.size)
@@ -56,7 +54,6 @@ def recipe_of(camera: StereoCamera, options: Options) -> Recipe:
     has_place = landmark is not None and (model.anchored or landmark.turn is None)
     values, flags = ValuePlaces(layout), error or ErrorKernels()
     v = layout.places[VELOCITY].start
-    tables = ((), ()) if by_numbers else (sensor.rows(False), sensor.rows(True))
     prior = np.zeros((0, 0)) if model.prior is None else np.array(model.prior, dtype=np.float64)
     plan = Plan(
         camera=np.array((camera.fx, camera.fy, camera.cx, camera.cy, camera.baseline)),
@@ -100,7 +97,7 @@ def recipe_of(camera: StereoCamera, options: Options) -> Recipe:
         walk=np.zeros(layout.size) if layout.walk_rates is None else layout.walk_rates,
         drift=np.zeros((2, 4)) if options.drift is None else options.drift.parts,
         gauge_walk=float(options.gauge_walk),
-        **stage_tables(tables, sensor.size, options.gate),
+        **stage_tables((sensor.rows(False), sensor.rows(True)), sensor.size, options.gate),
     )
     return Recipe(
         plan,

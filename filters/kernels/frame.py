@@ -38,7 +38,7 @@ from filters.kernels.calls import (
 from filters.kernels.covariance import keep_considered, keep_definite, pose_variances, restore_considered
 from filters.kernels.gating import reweight
 from filters.kernels.landmarks import close_gaps, find, marginalise
-from filters.kernels.linearisation import AGAIN, FIRST, linearise_selected, prepare, take_numbers
+from filters.kernels.linearisation import AGAIN, FIRST, linearise_selected, prepare
 from filters.kernels.recipe import Plan
 from filters.kernels.records import (
     BEHIND,
@@ -109,12 +109,9 @@ def _frame(calls: Calls, plan: Plan, S: Storage, b: int, s: Scratch, frame: Fram
             known += 1
     if known > 0:
         variant, before = 1 if frame.with_right[b] else 0, pose_variances(P)
-        for stage in range(frame.stages[variant] if plan.by_numbers else plan.stages[variant]):
-            if plan.by_numbers:
-                take_numbers(frame.stage_z[stage], frame.stage_R[stage], first, s, known)
-            else:
-                prepare(plan, variant, stage, frame.uvd, frame.R, frame.v_right, first, s, known)
-            nis, dof = _stage(calls, plan, variant, stage, S, b, s, frame, known)
+        for stage in range(plan.stages[variant]):
+            prepare(plan, variant, stage, frame.uvd, frame.R, frame.v_right, first, s, known)
+            nis, dof = _stage(calls, plan, variant, stage, S, b, s, known)
             if s.door[1] != 0:
                 return
             frame.nis[b] += nis
@@ -166,12 +163,11 @@ def _stage(
     S: Storage,
     b: int,
     s: Scratch,
-    frame: FrameArrays,
     known: int,
 ) -> tuple[float, int]:
     """One stage of the update, with the measurements whose fate so far is USED; NIS and dof."""
     x, blocks, P = S.x[b], S.blocks[b], S.P[b]
-    size, limit = _rows(plan, frame, variant, stage), _limit(plan, frame, variant, stage)
+    size, limit = plan.rows[variant, stage, 0], plan.limits[variant, stage]
     gated = limit < 1e300
     count = np.int64(0)
     for m in range(known):
@@ -200,8 +196,7 @@ def _stage(
     if not (gated and plan.consensus):
         return _apply(calls, plan, variant, stage, S, b, s, count, size)
     n = plan.leading + plan.size * S.counts[b, BLOCKS]
-    T = plan.T_uvd[variant, stage] if not plan.by_numbers else frame.T[variant, stage]
-    call(calls.agree, (plan, P, n, s, s.select, count, size, limit, T, stage))
+    call(calls.agree, (plan, P, n, s, s.select, count, size, limit, plan.T_uvd[variant, stage], stage))
     best = int(s.result[0])
     core = np.int64(0)
     for i in range(count):
@@ -222,18 +217,6 @@ def _stage(
     count = _gate(calls, plan, S, b, s, count, size, limit)
     more, rows = _apply(calls, plan, variant, stage, S, b, s, count, size)
     return nis + more, dof + rows
-
-
-@kernel
-def _rows(plan: Plan, frame: FrameArrays, variant: int, stage: int) -> int:
-    """Rows of a stage."""
-    return frame.sizes[variant, stage] if plan.by_numbers else plan.rows[variant, stage, 0]
-
-
-@kernel
-def _limit(plan: Plan, frame: FrameArrays, variant: int, stage: int) -> float:
-    """Squared distance up to which a measurement of a stage is believed."""
-    return frame.limits[variant, stage] if plan.by_numbers else plan.limits[variant, stage]
 
 
 @kernel
@@ -286,22 +269,20 @@ def _apply(
 
 @kernel
 def _renew(
-    calls: Calls,
-    plan: Plan,
-    S: Storage,
-    b: int,
-    s: Scratch,
-    frame: FrameArrays,
-    first: int,
-    last: int,
-    found: int,
+    calls: Calls, plan: Plan, S: Storage, b: int, s: Scratch, frame: FrameArrays, first: int, last: int, found: int
 ) -> None:
-    """Landmarks enter, and some change over to points."""
-    new = 0
+    """Landmarks enter, from measurements of unknown ones that can start one, and some change over to points."""
+    new = np.int64(0)
     if last - first > found:
-        new = _candidates(calls, plan, S, b, s, frame, first, last)
-    if s.door[1] != 0:
-        return
+        if not plan.by_numbers:
+            for i in range(first, last):
+                if s.where[i - first] < 0:
+                    s.place[new] = i - first
+                    new += 1
+            call(calls.initialise, (calls, plan, S, b, s, frame, first, new))
+        elif not ask(calls, TO_START, b, s, first, last, 0, 0):
+            return
+        new = np.int64(s.result[0])
     if plan.changes:
         s.result[0] = 1.0
         if exists(calls.become):
@@ -312,24 +293,6 @@ def _renew(
         call(calls.augment, (plan, S, b, s, frame, first, new))
     if plan.changes:
         close_gaps(plan, S, b)
-
-
-@kernel
-def _candidates(
-    calls: Calls, plan: Plan, S: Storage, b: int, s: Scratch, frame: FrameArrays, first: int, last: int
-) -> int:
-    """Landmarks that start from measurements of unknown ones, in `place`, with their fates; their number."""
-    if plan.by_numbers:
-        if not ask(calls, TO_START, b, s, first, last, 0, 0):
-            return 0
-        return int(s.result[0])
-    new = np.int64(0)
-    for i in range(first, last):
-        if s.where[i - first] < 0:
-            s.place[new] = i - first
-            new += 1
-    call(calls.initialise, (calls, plan, S, b, s, frame, first, new))
-    return int(s.result[0])
 
 
 @unit("may_change")

@@ -253,17 +253,6 @@ def prepare(
 
 
 @kernel
-def take_numbers(z: FloatArray, R: FloatArray, first: int, s: Scratch, count: int) -> None:
-    """z and its noise of a stage that is given by numbers."""
-    for m in range(count):
-        i = first + s.place[m]
-        for a in range(z.shape[1]):
-            s.z[m, a] = z[i, a]
-            for b in range(z.shape[1]):
-                s.R[m, a, b] = R[i, a, b]
-
-
-@kernel
 def linearise_selected(
     calls: Calls,
     plan: Plan,

@@ -13,7 +13,7 @@ from filters.geometry.arrays import FloatArray, IntArray
 from filters.measurements.measurement_model import StageRows
 from filters.motions.motion_model import CAMERA_SIZE, POSE_SIZE
 
-MOST_ROWS, MOST_STAGES = 4, 4  # of a landmark's measurement in one stage, and of these
+MOST_ROWS = 4  # of a landmark's measurement in one stage
 Function = Callable[..., None]
 _NONE, _NOWHERE = np.zeros(0), np.zeros(0, dtype=np.int64)
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from filters.geometry.arrays import FloatArray, IntArray
-from filters.kernels.recipe import MOST_ROWS, MOST_STAGES, Recipe
+from filters.kernels.recipe import MOST_ROWS, Recipe
 from filters.motions.motion_model import POSE_SIZE
 
 ALIGNED = "aligned"
@@ -111,12 +111,6 @@ _FRAME: Rows = (
     ("measured_nu", REAL, "driven rows", "its innovation"),
     ("measured_H", REAL, "driven rows leading", "its Jacobian"),
     ("measured_R", REAL, "driven rows rows", "its noise"),
-    ("stages", INT, "2", "number of stages by numbers without and with a measured right row"),
-    ("sizes", INT, "2 stages", "their rows"),
-    ("limits", REAL, "2 stages", "squared distances up to which they are believed"),
-    ("T", REAL, "2 stages 4 3", "their rows by (u, v, d)"),
-    ("stage_z", REAL, "stages numbers 4", "measurements of each stage"),
-    ("stage_R", REAL, "stages numbers 4 4", "their noise"),
 )
 Storage: Any = record_of(__name__, "Storage", _STORAGE)
 """State of B filters, each with room for C blocks, which have no gaps between them."""
@@ -179,11 +173,9 @@ def empty_frame(
     """A frame that brings nothing, with room for odometry (K, w), and for so many rows of it by numbers."""
     M, leading = measurements, recipe.plan.leading
     driven = filters if recipe.motion is None else 1
-    stages, numbers = (MOST_STAGES, M) if recipe.plan.by_numbers else (1, 1)
     (K, w), sizes = odometry, {"filters": filters, "blocks": blocks, "ends": filters + 1, "M": M, "leading": leading}
-    by_numbers = {"driven": driven, "stages": stages, "numbers": numbers, "rows": rows, "values": recipe.values}
-    limits = np.full((2, stages), np.inf)
-    return allocated(FrameArrays, _FRAME, {**sizes, **by_numbers, "K": K, "w": w}, limits=limits)
+    by_numbers = {"driven": driven, "rows": rows, "values": recipe.values}
+    return allocated(FrameArrays, _FRAME, {**sizes, **by_numbers, "K": K, "w": w})
 
 
 def exported(storage: Storage, recipe: Recipe, filter_index: int) -> FilterState:

@@ -17,6 +17,7 @@ from itertools import pairwise
 from typing import Any, ClassVar
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from filters.contract.inputs import BodyVelocity, InertialSamples, Start
 from filters.contract.stereo_filter import StereoFilter
@@ -230,11 +231,7 @@ class MotionModel:
             corrected = partial(variable.retraction.retract, state.variables[variable.name])
             adds = variable.retraction is ADDITIVE
             blocks.append(np.eye(variable.size) if adds else derivatives.jacobian(corrected, variable.size))
-        row, column, J = 0, 0, np.zeros(np.sum([block.shape for block in blocks], axis=0))
-        for block in blocks:
-            rows, columns = block.shape
-            J[row : row + rows, column : column + columns] = block
-            row, column = row + rows, column + columns
+        J: FloatArray = block_diag(*blocks)
         return J
 
     def numbers_of(self, state: CameraState) -> FloatArray:

@@ -25,7 +25,7 @@ from filters import (
     RotationVectorError,
     SensorJacobians,
     Spherical,
-    Stage,
+    StageRows,
     Variable,
     VelocityDriven,
     check_part,
@@ -163,11 +163,11 @@ class DepthEverywhere(DepthCamera):
         return points_c[:, 2] > 0.0
 
 
-class NoNoise(RangeBearing):
-    """Takes its measurements for exact."""
+class UsesNothing(RangeBearing):
+    """A row of its stage is no number of the sensor."""
 
-    def stages(self, observation: Any, R: Any) -> Any:
-        return (Stage(observation.uvd, np.eye(3), 0.0 * R),)
+    def rows(self, with_right: bool) -> Any:
+        return (StageRows(((1.0, 0.0, 0.0), (0.0, 0.0, 0.0))),)
 
 
 # --- motions ---
@@ -287,7 +287,7 @@ BROKEN = {
     ForgetsItsVariable(offset_sigma=1.0): "Jacobians of numbers and backprojection",
     OnlyOnePoint(): "Numbers have the documented shapes",
     DepthEverywhere(): "Numbers have the documented shapes",
-    NoNoise(): "Stages use the numbers of the sensor",
+    UsesNothing(): "Stages use the numbers of the sensor",
     HalfTheStep(): "F, G and the H of odometry",
     DriftsEast(): "In a world that is turned and shifted",
     Jumps(): "A prediction has the documented shapes",
