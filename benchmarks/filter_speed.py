@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass
 from typing import Any
 
 import cv2
@@ -31,12 +31,13 @@ from threadpoolctl import threadpool_limits
 
 from filters import (
     CalibratedPair,
-    ConstantVelocity,
     MeasurementModel,
+    MotionModel,
     Start,
     StereoEKF,
     StereoNoise,
     StereoObservation,
+    vectors,
 )
 from filters.checks.conformance import REFERENCE_CAMERA as CAMERA
 from harness import arguments, show, undisturbed
@@ -76,38 +77,28 @@ class OwnCompiledCamera(MeasurementModel):
 class OwnCamera(OwnCompiledCamera):
     """The same in Python, as where Numba cannot compile it."""
 
-    kernels = None
+    in_machine_code = False
 
 
-class OwnMotion(ConstantVelocity):
-    """A motion that has no kernels: its numbers come from NumPy."""
+@dataclass(frozen=True)
+class OwnCompiledMotion(MotionModel):
+    """Constant velocity as a stranger writes it."""
+
+    def sigmas(self, dt: float) -> tuple[float, ...]:
+        """Impulses."""
+        return 3.0 * dt, 3.0 * dt, 3.0 * dt, 0.6 * dt, 0.6 * dt, 0.6 * dt
+
+    def step(self, x: Any, dt: float, n: Any) -> Any:
+        """Eq. 6."""
+        v, w = vectors.plus(x.linear_velocity, n[:3], 1.0), vectors.plus(x.angular_velocity, n[3:], 1.0)
+        turn = vectors.quaternion(vectors.scaled(dt, w))
+        return vectors.plus(x.position, v, dt), vectors.product(x.orientation, turn), v, w
 
 
-def _own_step(settings, state, dt, odometry, moved, F, Q) -> None:  # type: ignore[no-untyped-def]
-    """Eq. 6 without rotation matrices: q' = q x q(w dt), J_r to second order."""
-    moved[:] = state
-    half = 0.5 * dt
-    x, y, z, w = state[3], state[4], state[5], state[6]
-    a, b, c = half * state[10], half * state[11], half * state[12]
-    moved[3], moved[4] = w * a + x + y * c - z * b, w * b - x * c + y + z * a
-    moved[5], moved[6] = w * c + x * b - y * a + z, w - x * a - y * b - z * c
-    moved[3:7] /= np.sqrt(np.sum(moved[3:7] ** 2))
-    variances = np.repeat((settings * dt) ** 2, 3)
-    for i in range(3):
-        moved[i] += dt * state[7 + i]
-        F[i, 6 + i] = F[3 + i, 9 + i] = dt
-    for i in range(12):
-        F[i, i] = 1.0
-    F[3, 4], F[3, 5], F[4, 5] = 2.0 * c, -2.0 * b, 2.0 * a
-    F[4, 3], F[5, 3], F[5, 4] = -2.0 * c, 2.0 * b, -2.0 * a
-    G = np.ascontiguousarray(F[:, 6:])
-    Q[:] = (G * variances) @ np.ascontiguousarray(G.T)
+class OwnMotion(OwnCompiledMotion):
+    """The same in Python."""
 
-
-class OwnCompiledMotion(ConstantVelocity):
-    """The same with kernels."""
-
-    kernels = replace(ConstantVelocity.kernels, step=_own_step)  # type: ignore[type-var]
+    in_machine_code = False
 
 
 CHOICES: dict[str, dict[str, object]] = {

@@ -300,3 +300,8 @@ class BodyVelocity:
         at_most("odometry.angular", self.angular, FASTEST, "rad/s")
         at_most("odometry.covariance", covariance, LARGEST_SPEED_VARIANCE, "m^2/s^2 or rad^2/s^2")
         object.__setattr__(self, "covariance", covariance)
+
+    @property
+    def rows(self) -> FloatArray:
+        """As kernels take them, (7, 6): the velocities; their covariance."""
+        return np.vstack([np.concatenate([self.linear, self.angular]), self.covariance])

@@ -17,6 +17,7 @@ from filters.contract.validation import unchecked
 from filters.engine.frames import ValuePlaces
 from filters.engine.new_landmarks import can_start, start_landmarks
 from filters.engine.options import Options
+from filters.engine.steps import measure_odometry, predict_camera
 from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray, IntArray
 from filters.geometry.camera import StereoCamera
@@ -26,7 +27,7 @@ from filters.kernels.recipe import Recipe
 from filters.kernels.records import CLONE_POSITION, POINT, REJECTED, STARTED, FrameArrays, Scratch, Storage
 from filters.kernels.retraction import SETTLED
 from filters.measurements.measurement_model import Stage
-from filters.motions.motion_model import ROTATION, StepInput, measure_odometry, predict_camera
+from filters.motions.motion_model import ROTATION, StepInput
 from filters.state.joint_state import Clone, JointState, world_rotation_of_variables
 from filters.state.layout import LinearisedMeasurements, Transport
 from filters.updates.extended import Extended, points_in_camera

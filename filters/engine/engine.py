@@ -250,10 +250,7 @@ class Engine:
         return uvd, S, in_front
 
     def step(
-        self,
-        dt: FloatArray | float,
-        observations: Observations | None,
-        odometry: Odometry | None = None,
+        self, dt: FloatArray | float, observations: Observations | None, odometry: Odometry | None = None
     ) -> FrameOutcome:
         """Predict by dt (B,) s, zero for none, and update, without returning to Python in between."""
         o = observations

@@ -47,15 +47,7 @@ class Options:
 
     @classmethod
     def of(
-        cls,
-        *,
-        motion: Any,
-        landmark: Any,
-        measurement: Any,
-        error: Any,
-        update: Any,
-        drift: Any,
-        **others: Any,
+        cls, *, motion: Any, landmark: Any, measurement: Any, error: Any, update: Any, drift: Any, **others: Any
     ) -> Options:
         """Options with the parts that their names stand for."""
         return cls(

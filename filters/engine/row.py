@@ -160,8 +160,7 @@ class Row:
         P[np.ix_(place, place)] = variable.covariance
         none, anchors = np.zeros(0, dtype=np.int64), np.zeros((0, 2), dtype=np.int64)
         kind = np.full(count, VECTOR if variable.in_world else PLAIN)
-        x = np.zeros(0)
-        first = self._count_held()
+        first, x = self._count_held(), np.zeros(0)
         state = FilterState(x, x, P, blocks, blocks, kind, walk.reshape(-1, 3), none, none, anchors, none)
         self.engine.hold(self.number, state, rows, by_rows)
         self.held[variable.name] = Held(first, count, variable)

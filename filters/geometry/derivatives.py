@@ -29,6 +29,25 @@ class Dual(NDArrayOperatorsMixin):
     def __init__(self, value: Any, slope: FloatArray) -> None:
         self.value, self.slope = value, slope
 
+    # Sums and products come most often: these do without the detour over NumPy's dispatch.
+
+    def __add__(self, other: Any) -> Dual:
+        if isinstance(other, Dual):
+            return Dual(self.value + other.value, self.slope + other.slope)
+        return Dual(self.value + other, self.slope)
+
+    def __sub__(self, other: Any) -> Dual:
+        if isinstance(other, Dual):
+            return Dual(self.value - other.value, self.slope - other.slope)
+        return Dual(self.value - other, self.slope)
+
+    def __mul__(self, other: Any) -> Dual:
+        if isinstance(other, Dual):
+            return Dual(self.value * other.value, other.value * self.slope + self.value * other.slope)
+        return Dual(self.value * other, other * self.slope)
+
+    __radd__, __rmul__ = __add__, __mul__
+
     def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any, **named: Any) -> Any:
         """Apply a function of NumPy by the chain rule; comparisons and signs are those of the values."""
         values = [x.value if isinstance(x, Dual) else x for x in inputs]
@@ -125,7 +144,7 @@ def jacobian_of(function: Callable[..., Any], *arrays: FloatArray, by: int = 0) 
         for k, one in enumerate(results):
             both[..., k, 0] = one.value if isinstance(one, Dual) else one
             if isinstance(one, Dual):
-                both[..., k, 1:] = np.moveaxis(one.slope, 0, -1)
+                both[..., k, 1:] = one.slope.T
         return both
 
     both = _of_rows(called, arrays)

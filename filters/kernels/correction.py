@@ -128,15 +128,7 @@ def explained(plan: Plan, s: Scratch, m: int, k: int) -> float:
 
 @kernel
 def _take(
-    calls: Calls,
-    plan: Plan,
-    P: FloatArray,
-    n: int,
-    s: Scratch,
-    select: IntArray,
-    first: int,
-    last: int,
-    size: int,
+    calls: Calls, plan: Plan, P: FloatArray, n: int, s: Scratch, select: IntArray, first: int, last: int, size: int
 ) -> float:
     """Correct P and delta with the measurements first to last - 1; the NIS, or -1 where S has no Cholesky factor."""
     times_covariance(plan, P, n, s, select, first, last, size)

@@ -128,13 +128,7 @@ def _row(rows: IntArray, landmarks: IntArray, i: int) -> int:
 
 @kernel
 def _add(
-    target: FloatArray,
-    before: FloatArray,
-    i: int,
-    w: int,
-    F: FloatArray,
-    by_landmark: FloatArray,
-    by_rows: FloatArray,
+    target: FloatArray, before: FloatArray, i: int, w: int, F: FloatArray, by_landmark: FloatArray, by_rows: FloatArray
 ) -> None:
     """Add row i of T P."""
     m, a = (i - w) // 3, (i - w) % 3
@@ -153,6 +147,21 @@ def _add(
 def points_at(calls_at: int, settings: FloatArray, values: FloatArray, points: FloatArray, J: FloatArray) -> None:
     """Homogeneous points of landmarks by the kernel of their parametrisation."""
     call(read_calls(calls_at).point, (settings, values, points, J))
+
+
+@entry
+def step_at(
+    calls_at: int,
+    settings: FloatArray,
+    x: FloatArray,
+    dt: float,
+    odometry: FloatArray,
+    moved: FloatArray,
+    F: FloatArray,
+    Q: FloatArray,
+) -> None:
+    """Step of a motion by its compiled function."""
+    call(read_calls(calls_at).step, (settings, x, dt, odometry, moved, F, Q))
 
 
 @entry

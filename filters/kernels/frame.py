@@ -156,14 +156,7 @@ def _predict(calls: Calls, plan: Plan, S: Storage, b: int, s: Scratch, frame: Fr
 
 @kernel
 def _stage(
-    calls: Calls,
-    plan: Plan,
-    variant: int,
-    stage: int,
-    S: Storage,
-    b: int,
-    s: Scratch,
-    known: int,
+    calls: Calls, plan: Plan, variant: int, stage: int, S: Storage, b: int, s: Scratch, known: int
 ) -> tuple[float, int]:
     """One stage of the update, with the measurements whose fate so far is USED; NIS and dof."""
     x, blocks, P = S.x[b], S.blocks[b], S.P[b]

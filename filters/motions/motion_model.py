@@ -17,7 +17,6 @@ from itertools import pairwise
 from typing import Any, ClassVar
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from filters.contract.inputs import BodyVelocity, InertialSamples, Start
 from filters.contract.stereo_filter import StereoFilter
@@ -167,7 +166,7 @@ class MotionModel:
             n = np.concatenate([odometry.linear, odometry.angular])
             return MotionPrediction(*self._stepped(state, dt, n, lambda n: (n[:3], n[3:])), odometry.covariance)
         samples: Any = odometry
-        unit, size, begin = samples.unit, _size(self), 0.0
+        unit, size, begin = samples.unit, self.size, 0.0
         F, Q, unit_pose = np.eye(size), np.zeros((size, size)), (tuple(unit.position), tuple(unit.orientation))
         for end, *sample in zip([*samples.times[:-1], dt], samples.angular_rates, samples.specific_forces, strict=True):
             h, begin, n = end - begin, end, np.concatenate([*sample, np.zeros(6)])
@@ -190,6 +189,11 @@ class MotionModel:
         (predicted,), (J,) = derivatives.jacobian_of(expected, self.numbers_of(state)[None])
         measured = np.concatenate([odometry.linear, odometry.angular])
         return LinearMeasurement(measured - predicted, J @ self._by_errors(state), odometry.covariance)
+
+    @property
+    def size(self) -> int:
+        """Error numbers m of what it moves."""
+        return CAMERA_SIZE + sum(variable.size for variable in self.variables)
 
     @property
     def expects_odometry(self) -> bool:
@@ -231,7 +235,11 @@ class MotionModel:
             corrected = partial(variable.retraction.retract, state.variables[variable.name])
             adds = variable.retraction is ADDITIVE
             blocks.append(np.eye(variable.size) if adds else derivatives.jacobian(corrected, variable.size))
-        J: FloatArray = block_diag(*blocks)
+        J, row, column = np.zeros((len(self.numbers_of(state)), self.size)), 0, 0
+        for block in blocks:
+            rows, columns = block.shape
+            J[row : row + rows, column : column + columns] = block
+            row, column = row + rows, column + columns
         return J
 
     def numbers_of(self, state: CameraState) -> FloatArray:
@@ -289,77 +297,3 @@ def input_of(
         slam.say_unused("inertial")
     motion.check_odometry(given)
     return given
-
-
-def predict_camera(motion: MotionModel, state: CameraState, dt: float, odometry: StepInput | None) -> MotionPrediction:
-    """Prediction of a motion model for one camera, with its shapes checked.
-
-    Raises
-    ------
-    ValueError
-        The model returned something else than a `MotionPrediction` with the shapes of its documentation.
-    """
-    predicted = motion.predict(state, dt, odometry)
-    _require_type(motion, "a MotionPrediction from predict", predicted, MotionPrediction)
-    _require_type(motion, "its predicted state as a CameraState", predicted.state, CameraState)
-    noises, size = _rows(predicted.Q), _size(motion)
-    _require_shapes(
-        motion,
-        ("state.position", predicted.state.position, (3,)),
-        ("state.orientation", predicted.state.orientation, (4,)),
-        ("state.linear_velocity", predicted.state.linear_velocity, (3,)),
-        ("state.angular_velocity", predicted.state.angular_velocity, (3,)),
-        ("F", predicted.F, (size, size)),
-        ("Q", predicted.Q, (noises, noises)),
-        ("G", predicted.G, (size, noises)),
-        *(
-            (f"state.variables[{variable.name!r}]", predicted.state.variables.get(variable.name), variable.value.shape)
-            for variable in motion.variables
-        ),
-    )
-    return predicted
-
-
-def measure_odometry(
-    motion: MotionModel, state: CameraState, dt: float, odometry: StepInput
-) -> LinearMeasurement | None:
-    """Odometry of one camera as a measurement, with its shapes checked; None: it adds nothing.
-
-    Raises
-    ------
-    ValueError
-        The model returned something else than None or a `LinearMeasurement` with the shapes of its documentation.
-    """
-    measured = motion.odometry_measurement(state, dt, odometry)
-    if measured is not None:
-        _require_type(motion, "a LinearMeasurement or None from odometry_measurement", measured, LinearMeasurement)
-        rows = _rows(measured.innovation)
-        _require_shapes(
-            motion,
-            ("the innovation of odometry", measured.innovation, (rows,)),
-            ("the H of odometry", measured.H, (rows, _size(motion))),
-            ("the R of odometry", measured.R, (rows, rows)),
-        )
-    return measured
-
-
-def _size(motion: MotionModel) -> int:
-    return CAMERA_SIZE + sum(variable.size for variable in motion.variables)
-
-
-def _rows(array: FloatArray) -> int:
-    shape = getattr(array, "shape", ())
-    return shape[0] if shape else 0
-
-
-def _require_type(motion: MotionModel, wanted: str, returned: object, kind: type) -> None:
-    if not isinstance(returned, kind):
-        raise ValueError(f"motion model {type(motion).__name__} must return {wanted}, got {type(returned).__name__}")
-
-
-def _require_shapes(motion: MotionModel, *parts: tuple[str, FloatArray | None, tuple[int, ...]]) -> None:
-    for name, array, wanted in parts:
-        shape = getattr(array, "shape", None)
-        if shape != wanted:
-            got = type(array).__name__ if shape is None else shape
-            raise ValueError(f"motion model {type(motion).__name__} must return {name} of shape {wanted}, got {got}")

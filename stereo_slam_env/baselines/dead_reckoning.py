@@ -30,8 +30,10 @@ from filters.contract.stereo_filter import AT_ORIGIN, check_rig, check_start, ch
 from filters.contract.validation import finite_array, unique_ids, unit_quaternion
 from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray, IntArray
-from filters.motions.motion_model import POSE_SIZE, predict_camera
+from filters.motions.motion_model import POSE_SIZE
 from filters.parts import Named, make_part
+
+_DRIVEN = VelocityDriven()
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +45,9 @@ class CameraBelief:
 
     def predicted(self, dt: float, odometry: BodyVelocity | None, motion: MotionModel) -> CameraBelief:
         """After `dt` seconds: driven by the odometry where there is one, by `motion` where not."""
-        step = predict_camera(motion if odometry is None else VelocityDriven(), self.state, dt, odometry)
+        from filters.engine.steps import predict_camera  # Numba takes longer to import than all the rest
+
+        step = predict_camera(motion if odometry is None else _DRIVEN, self.state, dt, odometry)
         P = step.F @ self.P @ step.F.T + step.G @ step.Q @ step.G.T
         return CameraBelief(step.state, symmetrised(P))
 

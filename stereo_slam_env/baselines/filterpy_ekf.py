@@ -23,6 +23,7 @@ from filters import (
 )
 from filters.contract.noise import gate_limit
 from filters.contract.validation import gate_probability, unique_ids
+from filters.engine.steps import measure_odometry, predict_camera
 from filters.geometry import rotations
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.motions.motion_model import (
@@ -32,8 +33,6 @@ from filters.motions.motion_model import (
     POSE_SIZE,
     POSITION,
     ROTATION,
-    measure_odometry,
-    predict_camera,
 )
 from filters.parts import Named
 from stereo_slam_env.baselines.dead_reckoning import CameraBelief, CameraFilter, symmetrised

@@ -13,12 +13,9 @@ from filters.contract.inputs import BodyVelocity, InertialSamples, InertialUnit
 from filters.geometry import derivatives, rotations
 from filters.geometry.arrays import FloatArray
 from filters.motions.motion_model import (
-    CAMERA_SIZE,
     CameraState,
     MotionModel,
     StepInput,
-    measure_odometry,
-    predict_camera,
 )
 
 DT = 0.1
@@ -46,13 +43,13 @@ def _before(motion: MotionModel, dt: float = DT) -> tuple[CameraState, StepInput
 def check_motion_prediction(motion: MotionModel) -> None:
     """A prediction has the documented shapes and a semi-definite noise, and no time moves the pose by nothing."""
     state, odometry = _before(motion)
-    predicted = predict_camera(motion, state, DT, odometry)
+    predicted = motion.predict(state, DT, odometry)
     require((np.linalg.eigvalsh(predicted.Q) >= -1e-12).all(), "Q is not positive semi-definite")
-    at_once = predict_camera(motion, state, 1e-9, _before(motion, 1e-9)[1]).state
+    at_once = motion.predict(state, 1e-9, _before(motion, 1e-9)[1]).state
     assert_close("position after no time", at_once.position, state.position)
     assert_close("orientation after no time", at_once.orientation, state.orientation)
     try:
-        predict_camera(motion, state, DT, None)
+        motion.predict(state, DT, None)
     except ValueError as error:
         assert_refusal(error, "inertial" if motion.takes is InertialSamples else "odometry")
 
@@ -60,7 +57,7 @@ def check_motion_prediction(motion: MotionModel) -> None:
 def check_motion_jacobians(motion: MotionModel) -> None:
     """F, G and the H of odometry are those of differences."""
     state, odometry = _before(motion)
-    predicted, size = motion.predict(state, DT, odometry), CAMERA_SIZE + sum(v.size for v in motion.variables)
+    predicted, size = motion.predict(state, DT, odometry), motion.size
 
     def after(e: FloatArray) -> CameraState:
         return motion.predict(motion.corrected(state, e), DT, odometry).state
@@ -73,7 +70,7 @@ def check_motion_jacobians(motion: MotionModel) -> None:
             return motion.difference(predicted.state, motion.predict(state, DT, other).state)
 
         assert_close("G", predicted.G, derivatives.jacobian(pushed, 6))
-    measured = measure_odometry(motion, state, DT, odometry)
+    measured = motion.odometry_measurement(state, DT, odometry)
     if measured is not None:
 
         def innovation(e: FloatArray) -> FloatArray:
