@@ -107,7 +107,7 @@ SIGNATURES: Mapping[str, tuple[Any, ...]] = {
     "predict": (CALLS, PLAN, MATRIX, INT, VECTOR, VECTOR, FRAME, INT, SCRATCH),
     "fuse_odometry": (CALLS, PLAN, MATRIX, INT, VECTOR, FRAME, INT, SCRATCH),
     "linearise": (CALLS, PLAN, INT, INT, STORAGE, INT, VECTOR, MATRIX, SCRATCH, INT),
-    "gate": (PLAN, MATRIX, SCRATCH, INDEX, INT, INT),
+    "distances": (PLAN, MATRIX, SCRATCH, INDEX, INT, INT),
     "agree": (PLAN, MATRIX, INT, SCRATCH, INDEX, INT, INT, types.float64, MATRIX, INT),
     "iterate": (CALLS, PLAN, INT, INT, STORAGE, INT, SCRATCH, INT, INT),
     "correct": (CALLS, PLAN, MATRIX, INT, SCRATCH, INDEX, INT, INT),

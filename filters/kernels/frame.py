@@ -4,7 +4,7 @@ In the words of a textbook, with x the state, P its covariance, z, R the measure
 
     x, F, G = f(x, dt);  P = F P F^T + G Q G^T                      predict            prediction.py
     h, H = measurement of the landmarks in the map                  linearise          linearisation.py
-    keep those with nu^T (H P H^T + R)^-1 nu <= limit, nu = z - h   gate               gating.py
+    keep those with nu^T (H P H^T + R)^-1 nu <= limit, nu = z - h   gate               here: `_gate`; gating.py
     S = H P H^T + R;  K = P H^T S^-1;  delta = K nu                 correct            correction.py
     P = (I - K H) P
     x = x [+] delta, and P in the tangent space there               retract            retraction.py
@@ -175,7 +175,7 @@ def _stage(
         m = s.select[i]
         if s.ahead[m]:
             s.select[ahead] = m
-            s.fates[m] = GATED
+            s.fates[m] = GATED  # until it passes the gate and is used
             ahead += 1
         else:
             s.fates[m] = BEHIND
@@ -216,7 +216,7 @@ def _stage(
 def _gate(calls: Calls, plan: Plan, S: Storage, b: int, s: Scratch, count: int, size: int, limit: float) -> int:
     """Gate the selected measurements, linearised; those that pass stay selected, their number."""
     kept = 0
-    call(calls.gate, (plan, S.P[b], s, s.select, count, size))
+    call(calls.distances, (plan, S.P[b], s, s.select, count, size))
     for i in range(count):
         m = s.select[i]
         if s.distances[m] <= limit:
@@ -239,7 +239,7 @@ def _apply(
         if s.door[1] != 0:
             return 0.0, 0
     if plan.tail_dof < 1e300:
-        call(calls.gate, (plan, P, s, s.select, count, size))
+        call(calls.distances, (plan, P, s, s.select, count, size))
         reweight(plan, s, s.select, count, size)
     for _ in range(plan.iterations - 1):
         call(calls.iterate, (calls, plan, variant, stage, S, b, s, count, size))

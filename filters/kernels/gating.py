@@ -1,4 +1,4 @@
-"""Kernels of the gate, of the joint compatibility of a frame and of heavy-tailed noise."""
+"""Kernels for the gate, which `frame` applies: squared distances, joint compatibility, and heavy-tailed noise."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def solve(S: FloatArray, x: FloatArray, size: int) -> float:
     return total
 
 
-@unit("gate")
+@unit("distances")
 def squared_distances(plan: Plan, P: FloatArray, s: Scratch, select: IntArray, count: int, size: int) -> None:
     """nu^T S^-1 nu of each selected measurement on its own, in the scratch."""
     measured = plan.measured

@@ -304,7 +304,7 @@ def _merge(
 
 @unit("augment")
 def augment(plan: Plan, S: Storage, b: int, s: Scratch, frame: FrameArrays, first: int, count: int) -> None:
-    """Add the `count` landmarks that have started (`JointState.augment`); there is room for them."""
+    """Add the `count` landmarks that have started to the map and to P: rows G_x P, and G_x P G_x^T + G_z R G_z^T."""
     P, x, blocks, users, counts = S.P[b], S.x[b], S.blocks[b], S.users[b], S.counts[b]
     measured, leading = plan.measured, plan.leading
     taken, made = s.entered, s.made  # parameter block of each, all anchor blocks

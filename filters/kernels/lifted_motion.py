@@ -24,7 +24,7 @@ TOGETHER = 6
 
 @cache
 def motion_functions(cls: type[MotionModel], layout: Layout, state: Layout, k: int, driver: str) -> Functions | str:
-    """Compiled functions of a motion with these settings and k numbers of noise, or why there are none.
+    """Compiled functions of a motion with these settings and k numbers of noise, or why there are zeros.
 
     `state` is what it moves; `driver` is what drives it: "noise", "odometry" or "samples" of an inertial unit.
     """
@@ -43,44 +43,36 @@ def _motion_kernels(cls: type[MotionModel], layout: Layout, state: Layout, k: in
     sigmas: Any = plain(cls.sigmas, layout) if driver == "noise" else None
 
     def forward(
-        settings: Any, x: Any, dt: Any, odometry: Any, row: Any, moved: Any, J: Any, none: Any, by_values: Any
+        settings: Any, x: Any, dt: Any, odometry: Any, row: Any, moved: Any, J: Any, zeros: Any, unused: Any
     ) -> None:
         for group in range(count):
-            first = -TOGETHER * group
-            given = noise(odometry, row, first + m, none)
-            new = flat(step(settings, at(x, first, none), dt, given))
-            write(moved, by_values, new)
-            write(none, J[:, TOGETHER * group : TOGETHER * (group + 1)], _errors(moved, new))
+            first = -TOGETHER * group  # column of the first error among the derivatives that are carried along
+            given = noise(odometry, row, first + m, zeros)
+            new = flat(step(settings, at(x, first, zeros), dt, given))
+            write(moved, unused, new)
+            write(zeros, J[:, TOGETHER * group : TOGETHER * (group + 1)], _errors(moved, new))
             for i in range(m):
-                none[i] = 0.0
+                zeros[i] = 0.0
 
     stepped = Keyed(forward, step, at, noise, count, m)
 
     def by_noise(settings: Any, x: Any, dt: Any, odometry: Any, moved: Any, F: Any, Q: Any) -> None:
-        J, none, by_values, U = (
-            np.zeros((m, TOGETHER * count)),
-            np.zeros(v + k),
-            np.zeros((v, TOGETHER)),
-            np.zeros((k, k)),
-        )
-        stepped(settings, x, dt, odometry, 0, moved, J, none, by_values)
-        write(none, by_values, sigmas(settings, dt))
+        J, U = np.zeros((m, TOGETHER * count)), np.zeros((k, k))
+        zeros, unused = np.zeros(v + k), np.zeros((v, TOGETHER))
+        stepped(settings, x, dt, odometry, 0, moved, J, zeros, unused)
+        write(zeros, unused, sigmas(settings, dt))
         for i in range(k):
-            U[i, i] = none[i] * none[i]
+            U[i, i] = zeros[i] * zeros[i]
         _put(J, U, F, Q)
 
     def by_odometry(settings: Any, x: Any, dt: Any, odometry: Any, moved: Any, F: Any, Q: Any) -> None:
-        J, none, by_values = np.zeros((m, TOGETHER * count)), np.zeros(v + k), np.zeros((v, TOGETHER))
-        stepped(settings, x, dt, odometry, 0, moved, J, none, by_values)
+        J, zeros, unused = np.zeros((m, TOGETHER * count)), np.zeros(v + k), np.zeros((v, TOGETHER))
+        stepped(settings, x, dt, odometry, 0, moved, J, zeros, unused)
         _put(J, odometry[1:], F, Q)
 
     def by_samples(settings: Any, x: Any, dt: Any, odometry: Any, moved: Any, F: Any, Q: Any) -> None:
-        J, none, by_values, U = (
-            np.zeros((m, TOGETHER * count)),
-            np.zeros(v + k),
-            np.zeros((v, TOGETHER)),
-            np.zeros((k, k)),
-        )
+        J, U = np.zeros((m, TOGETHER * count)), np.zeros((k, k))
+        zeros, unused = np.zeros(v + k), np.zeros((v, TOGETHER))
         A, B, before, begin = np.zeros((m, m)), np.zeros((m, m)), x.copy(), 0.0
         for i in range(m):
             F[i, i] = 1.0
@@ -90,7 +82,7 @@ def _motion_kernels(cls: type[MotionModel], layout: Layout, state: Layout, k: in
             for i in range(3):
                 U[i, i], U[3 + i, 3 + i] = odometry[0, 3] ** 2 / h, odometry[0, 4] ** 2 / h
                 U[6 + i, 6 + i], U[9 + i, 9 + i] = odometry[2, 0] ** 2 * h, odometry[2, 1] ** 2 * h
-            stepped(settings, before, h, odometry, row, moved, J, none, by_values)
+            stepped(settings, before, h, odometry, row, moved, J, zeros, unused)
             _put(J, U, A, B)
             _follow(A, F, J)
             _follow(A, Q, J)
@@ -106,9 +98,9 @@ def _motion_kernels(cls: type[MotionModel], layout: Layout, state: Layout, k: in
     expected = plain(cls.odometry, layout)
 
     def measure(settings: Any, x: Any, dt: Any, odometry: Any, innovation: Any, H: Any, R: Any) -> None:
-        J, none = np.zeros((6, TOGETHER * count)), np.zeros(v)
+        J, zeros = np.zeros((6, TOGETHER * count)), np.zeros(v)
         for group in range(count):
-            linear, angular = expected(settings, at(x, -TOGETHER * group, none), dt)
+            linear, angular = expected(settings, at(x, -TOGETHER * group, zeros), dt)
             write(innovation, J[:, TOGETHER * group : TOGETHER * (group + 1)], linear + angular)
         for i in range(6):
             innovation[i] = odometry[0, i] - innovation[i]
@@ -124,8 +116,8 @@ def _state_at(v: int, record: Any) -> Any:
     """Function of the state that carries the derivatives by its errors from -first on."""
     named, behind = Keyed(record, "record", v), v - 7
 
-    def at(x: Any, first: Any, none: Any) -> Any:
-        q, (a, b, c) = numbers(x[3:], 4), variables(none, 3, first + 3, TOGETHER)
+    def at(x: Any, first: Any, zeros: Any) -> Any:
+        q, (a, b, c) = numbers(x[3:], 4), variables(zeros, 3, first + 3, TOGETHER)
         a, b, c = 0.5 * a, 0.5 * b, 0.5 * c  # q x (half the rotation, 1)
         turned = (
             q[0] + (q[3] * a + q[1] * c - q[2] * b),
@@ -139,21 +131,21 @@ def _state_at(v: int, record: Any) -> Any:
 
 
 def _no_noise(k: int) -> Any:
-    return lambda odometry, row, first, none: variables(none, k, first, TOGETHER)
+    return lambda odometry, row, first, zeros: variables(zeros, k, first, TOGETHER)
 
 
-def _odometry(odometry: Any, row: Any, first: Any, none: Any) -> Any:
+def _odometry(odometry: Any, row: Any, first: Any, zeros: Any) -> Any:
     """Velocities of odometry."""
     return variables(odometry[0], 3, first, TOGETHER), variables(odometry[0, 3:], 3, first + 3, TOGETHER)
 
 
-def _sample(odometry: Any, row: Any, first: Any, none: Any) -> Any:
+def _sample(odometry: Any, row: Any, first: Any, zeros: Any) -> Any:
     """Numbers of an inertial sample, walks of the biases, and where the unit is (`InertialUnit.rows`)."""
     return (
         variables(odometry[row, 1:], 3, first, TOGETHER),
         variables(odometry[row, 4:], 3, first + 3, TOGETHER),
-        variables(none, 3, first + 6, TOGETHER),
-        variables(none, 3, first + 9, TOGETHER),
+        variables(zeros, 3, first + 6, TOGETHER),
+        variables(zeros, 3, first + 9, TOGETHER),
         numbers(odometry[0], 3),
         numbers(odometry[1], 4),
     )

@@ -104,6 +104,7 @@ def predict(
     clear(s.F_part)
     clear(Q)
     odometry = frame.odometry[b, : frame.odometry_rows[b]]
+    # F and Q by the motion's `step` on dual numbers: lifted_motion.py
     call(calls.step, (plan.motion, s.state, frame.dt[b], odometry, s.after, s.F_part, Q))
     identity(F)
     for i in range(len(x)):

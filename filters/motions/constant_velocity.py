@@ -1,6 +1,6 @@
 """Constant velocity with white accelerations (Eq. 6, 11, 12).
 
-Derivation: docs/derivations/motion.md.
+F and G are derived from `step` by dual numbers; docs/derivations/motion.md has them in closed form.
 """
 
 from __future__ import annotations

@@ -23,13 +23,12 @@ from filters.contract.stereo_filter import StereoFilter
 from filters.contract.variables import POSE, VELOCITY, Variable
 from filters.geometry import derivatives, rotations
 from filters.geometry.arrays import FloatArray
-from filters.geometry.retractions import ADDITIVE, RotationVector
+from filters.geometry.retractions import ADDITIVE
 
 POSITION, ROTATION, LINEAR, ANGULAR = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
 """Errors of pose and velocity."""
 POSE_SIZE, VELOCITY_SIZE = 6, 6
 CAMERA_SIZE = POSE_SIZE + VELOCITY_SIZE
-_ROTATION_VECTOR = RotationVector()
 StepInput = BodyVelocity | InertialSamples
 """What may be known of a step besides its length."""
 _CAMERA = (("position", 3), ("orientation", 4), ("linear_velocity", 3), ("angular_velocity", 3))
@@ -260,32 +259,14 @@ class MotionModel:
         return (POSE, VELOCITY, *(variable.name for variable in self.variables))
 
     def corrected(self, state: CameraState, delta: FloatArray) -> CameraState:
-        """The state with errors (m,) of what the model moves added."""
-        moved, row = dict(state.variables), CAMERA_SIZE
-        for variable in self.variables:
-            part = delta[row : row + variable.size]
-            moved[variable.name] = variable.retraction.retract(moved[variable.name], part)
-            row += variable.size
-        return CameraState(
-            state.position + delta[POSITION],
-            _ROTATION_VECTOR.retract(state.orientation, delta[ROTATION]),
-            state.linear_velocity + delta[LINEAR],
-            state.angular_velocity + delta[ANGULAR],
-            moved,
-        )
+        """State with errors (m,) of what the model moves added, to first order."""
+        moved = self.state_of(self.numbers_of(state) + self._by_errors(state) @ delta)
+        return replace(moved, variables={**state.variables, **moved.variables})
 
     def difference(self, state: CameraState, other: CameraState) -> FloatArray:
-        """Errors (m,) that take `state` to `other`."""
-        own = [x.retraction.local(state.variables[x.name], other.variables[x.name]) for x in self.variables]
-        return np.concatenate(
-            [
-                other.position - state.position,
-                _ROTATION_VECTOR.local(state.orientation, other.orientation),
-                other.linear_velocity - state.linear_velocity,
-                other.angular_velocity - state.angular_velocity,
-                *own,
-            ]
-        )
+        """Errors (m,) that take `state` to `other`, to first order."""
+        errors: FloatArray = np.linalg.pinv(self._by_errors(state)) @ (self.numbers_of(other) - self.numbers_of(state))
+        return errors
 
 
 def input_of(

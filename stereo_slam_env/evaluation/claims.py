@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from enum import StrEnum
 
 import numpy as np
 import scipy  # its `stats`, slow to import, is loaded where it is used
@@ -89,12 +90,29 @@ class ClaimScore:
         return per_axis(self.nees.mean, self.dof)
 
 
-def verdict_of(mean_nees: float, dof: int, band: tuple[float, float], runs: str = "one run") -> str:
-    """A mean NEES against its band, in words."""
+class Fit(StrEnum):
+    """A claim against the errors that there are."""
+
+    CONSISTENT = "consistent"
+    TIGHT = "too tight"
+    LOOSE = "too loose"
+    UNKNOWN = "unknown"
+
+
+def fit_of(mean_nees: float, band: tuple[float, float]) -> Fit:
+    """A mean NEES against its band."""
     low, high = band
     if low <= mean_nees <= high:
-        return f"consistent, as far as {runs} can tell"
-    return f"too {'tight' if mean_nees > high else 'loose'}, by {per_axis(mean_nees, dof):.3g} per axis"
+        return Fit.CONSISTENT
+    return Fit.TIGHT if mean_nees > high else Fit.LOOSE if mean_nees < low else Fit.UNKNOWN
+
+
+def verdict_of(mean_nees: float, dof: int, band: tuple[float, float], runs: str = "one run") -> str:
+    """A mean NEES against its band, in words."""
+    fit = fit_of(mean_nees, band)
+    if fit is Fit.CONSISTENT:
+        return f"{fit}, as far as {runs} can tell"
+    return "none: NEES is not finite" if fit is Fit.UNKNOWN else f"{fit}, by {per_axis(mean_nees, dof):.3g} per axis"
 
 
 def per_axis(mean_nees: float, dof: int) -> float:

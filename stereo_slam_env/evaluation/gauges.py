@@ -23,7 +23,7 @@ from filters.geometry import rotations
 from filters.geometry.arrays import BoolArray, FloatArray
 from filters.motions.motion_model import POSE_SIZE, POSITION, ROTATION
 from stereo_slam_env.evaluation import trajectory_metrics as metrics
-from stereo_slam_env.evaluation.claims import claimed_numbers, nees_of, verdict_of
+from stereo_slam_env.evaluation.claims import Fit, claimed_numbers, fit_of, nees_of, verdict_of
 from stereo_slam_env.evaluation.consistency import mean_band
 from stereo_slam_env.recording.trajectory import Trajectory, tangent_jacobian, transformed
 
@@ -225,8 +225,18 @@ class GaugeScore:
     """Numbers of an error: 6, or 3 of a position or in a plane."""
     position_rmse_m: float
     """Root mean square of the distance, m."""
-    verdict: str
-    """In words."""
+    fit: Fit
+    """The claim under it."""
+
+    @property
+    def per_axis(self) -> float:
+        """Standard deviation of the errors over the claimed one, root mean square over the axes."""
+        return float(np.sqrt(self.nees / self.dof))
+
+    @property
+    def verdict(self) -> str:
+        """The same in words."""
+        return verdict_of(self.nees, self.dof, mean_band(self.dof, 1))
 
 
 def claimed_through(
@@ -294,7 +304,7 @@ def score_gauges(
                 nees=mean,
                 dof=dof,
                 position_rmse_m=metrics.ate_unaligned(aligned.positions[scored], reference.positions[scored]),
-                verdict=verdict_of(mean, dof, mean_band(dof, 1)),
+                fit=fit_of(mean, mean_band(dof, 1)),
             )
         )
     return tuple(found)

@@ -18,7 +18,7 @@ from filters.contract.validation import finite_number, positive
 from filters.geometry.arrays import BoolArray, FloatArray
 from stereo_slam_env.evaluation import trajectory_metrics as metrics
 from stereo_slam_env.evaluation.body_frames import find_body_offset
-from stereo_slam_env.evaluation.claims import ClaimScore, score_claims
+from stereo_slam_env.evaluation.claims import ClaimScore, Fit, score_claims
 from stereo_slam_env.evaluation.comparability import explanation, find_obstacles, gauge_of, without_fillers
 from stereo_slam_env.evaluation.gauges import (
     UP,
@@ -41,6 +41,8 @@ from stereo_slam_env.recording.trajectory_files import load_trajectory
 
 SCHEMA = 4
 """Version of what `TrajectoryScore.as_dict` gives."""
+ANOTHER_SIZE = 2.0
+"""Ratio of errors to claims, per axis, between two alignments from which on the claim is another one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,8 +114,14 @@ class TrajectoryScore:
 
     @property
     def depends_on_the_gauge(self) -> bool:
-        """Whether no header says the gauge, and the claim on the pose is another one under another alignment."""
-        return self.gauge_is_open and len({gauge.verdict[:8] for gauge in self.gauges}) > 1
+        """Whether no header says the gauge, and the claim on the pose is another one under another alignment.
+
+        Another one is to fit otherwise, or to be wrong by another size: more than `ANOTHER_SIZE` times per axis.
+        """
+        sizes = [gauge.per_axis for gauge in self.gauges if gauge.fit is not Fit.UNKNOWN]
+        if not self.gauge_is_open or not sizes:
+            return False
+        return len({gauge.fit for gauge in self.gauges}) > 1 or max(sizes) > ANOTHER_SIZE * min(sizes)
 
     @property
     def verdict(self) -> str:
@@ -154,7 +162,10 @@ class TrajectoryScore:
             | {"verdict": claim.verdict}
             for name, claim in self.claims.items()
         }
-        lists = {name: [asdict(one) for one in getattr(self, name)] for name in ("gauges", "windows")}
+        lists = {
+            "gauges": [asdict(one) | {"verdict": one.verdict} for one in self.gauges],
+            "windows": [asdict(one) for one in self.windows],
+        }
         said = {"verdict": self.verdict, "depends_on_the_gauge": self.depends_on_the_gauge, "notes": list(self.notes)}
         return {"schema": SCHEMA} | plain | {"claims": claims} | lists | said
 

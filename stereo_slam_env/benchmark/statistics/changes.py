@@ -51,7 +51,8 @@ class Change:
     words: str
     brief: str  # `words` in few characters: "+30 % (+25 to +35 %)"; may be empty
     needed: int  # with fewer runs no outcome could be shown
-    tied: bool = False  # whether nothing has changed
+    tied: bool = False  # whether nothing has changed, to within `TIE_PERCENT`
+    identical: bool = False  # whether no value has changed at all
     cell: str = ""  # of the grid
 
     @property
@@ -160,6 +161,7 @@ def change_of(measure: Figure, difference: Difference, before: float, after: flo
         brief="" if difference.tied else brief + interval,
         needed=difference.needed,
         tied=difference.tied,
+        identical=difference.identical,
     )
 
 
@@ -187,6 +189,7 @@ def divergences_changed(after: BoolArray, before: BoolArray, *, paired: bool, co
         brief=f"of {len(before)} and {len(after)} runs",
         needed=(pairs_needed if paired else group_needed)(comparisons),
         tied=same,
+        identical=same,
     )
 
 
@@ -213,7 +216,7 @@ def headline(changes: Sequence[Change], *, paired: bool) -> str:
     if not others:
         return "Nothing could be compared" + (" but the time, of which no difference is shown." if changes else ".")
     if all(change.tied for change in others):
-        about = any(change.words.startswith("the same to within") for change in others)
+        about = not all(change.identical for change in others)
         return f"Nothing has changed{f' by {TIE_PERCENT:g} % or more' if about else ''} but perhaps the time."
     return f"No difference is shown in {len(changes)} comparisons{_too_few(others)}."
 

@@ -150,7 +150,7 @@ def _conclusion(
     for factor in by_share:
         own = [c for c in contrasts if c.factor == factor]
         shown = [c.words.replace(f"the {name}", "it") for c in own if c.finding is not Finding.NOT_SHOWN]
-        few = [c.words for c in own if "too few" in c.words]
+        few = [c.words for c in own if c.difference.too_few and not c.difference.tied]
         parts.append(f"{factor}: {', '.join(shown or few[:1]) or Finding.NOT_SHOWN.value}")
     parts += [f"{a} and {b} do not act independently" for a, b in sorted(together)]
     return f"{name[0].upper()}{name[1:]} – {'; '.join(parts)}."

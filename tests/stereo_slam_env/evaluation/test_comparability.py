@@ -11,6 +11,7 @@ import stereo_slam_env as sse
 from filters import Pose
 from filters.geometry import rotations
 from stereo_slam_env.evaluation.body_frames import find_body_offset, read_body
+from stereo_slam_env.evaluation.claims import Fit
 from stereo_slam_env.evaluation.comparability import without_fillers
 from stereo_slam_env.evaluation.synchronisation import find_time_offset, paired, share_at_risk
 
@@ -189,6 +190,23 @@ def test_the_verdict_says_where_it_hangs_on_an_alignment_that_no_header_says():
     assert "but it depends on the alignment" in score.verdict
     assert not sse.evaluate_trajectory(shifted, truth, align="rigid").depends_on_the_gauge
     assert not sse.evaluate_trajectory(replace(shifted, gauge="fixed"), truth).depends_on_the_gauge
+
+
+def test_a_claim_that_is_wrong_by_another_size_under_another_alignment_is_another_one():
+    """Ten times too tight however it is aligned, and a hundred times more where a common offset is not aligned away."""
+    estimate, truth = drive(gauge=None)
+    tight = replace(estimate, covariances=0.01 * estimate.covariances)
+    alike = sse.evaluate_trajectory(tight, truth)
+    assert {gauge.fit for gauge in alike.gauges} == {Fit.TIGHT}
+    assert not alike.depends_on_the_gauge
+    offset = replace(tight, positions=tight.positions + 0.5)
+    score = sse.evaluate_trajectory(offset, truth, align="none")
+    sizes = {gauge.alignment: gauge.per_axis for gauge in score.gauges}
+    assert sizes["none"] > 2.0 * sizes["rigid"]
+    assert not score.depends_on_the_gauge  # the caller has said which
+    open_one = replace(score, gauge_is_open=True)
+    assert open_one.depends_on_the_gauge
+    assert all(f"({kind})" in open_one.verdict for kind in sizes)
 
 
 def test_a_diverged_estimate_is_called_so_with_the_time():
