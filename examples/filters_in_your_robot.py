@@ -55,7 +55,6 @@ slam = make_filter(
     motion=VelocityDriven(),
     drop_unseen=False,
     gate=0.99,
-    max_landmarks=120,
 )
 slam.reset()  # the robot starts in the origin of its map
 slam.update(robot.look())
