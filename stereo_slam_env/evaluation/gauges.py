@@ -12,6 +12,7 @@ Scores of a claim under each alignment, with the covariances carried through it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -237,6 +238,17 @@ class GaugeScore:
     def verdict(self) -> str:
         """The same in words."""
         return verdict_of(self.nees, self.dof, mean_band(self.dof, 1))
+
+
+ANOTHER_SIZE = 2.0
+"""Ratio of errors to claims, per axis, between two alignments from which on the claim is another one."""
+
+
+def claims_differ(gauges: Sequence[GaugeScore]) -> bool:
+    """Whether a claim fits otherwise under another alignment, or is wrong by another size."""
+    sizes = [gauge.per_axis for gauge in gauges if gauge.fit is not Fit.UNKNOWN]
+    otherwise = len({gauge.fit for gauge in gauges}) > 1
+    return otherwise or (bool(sizes) and max(sizes) > ANOTHER_SIZE * min(sizes))
 
 
 def claimed_through(

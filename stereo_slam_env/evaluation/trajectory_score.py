@@ -18,7 +18,7 @@ from filters.contract.validation import finite_number, positive
 from filters.geometry.arrays import BoolArray, FloatArray
 from stereo_slam_env.evaluation import trajectory_metrics as metrics
 from stereo_slam_env.evaluation.body_frames import find_body_offset
-from stereo_slam_env.evaluation.claims import ClaimScore, Fit, score_claims
+from stereo_slam_env.evaluation.claims import ClaimScore, score_claims
 from stereo_slam_env.evaluation.comparability import explanation, find_obstacles, gauge_of, without_fillers
 from stereo_slam_env.evaluation.gauges import (
     UP,
@@ -26,6 +26,7 @@ from stereo_slam_env.evaluation.gauges import (
     Correlation,
     GaugeScore,
     claimed_through,
+    claims_differ,
     correlation_of,
     find_alignment,
     is_zero_at_start,
@@ -41,8 +42,6 @@ from stereo_slam_env.recording.trajectory_files import load_trajectory
 
 SCHEMA = 4
 """Version of what `TrajectoryScore.as_dict` gives."""
-ANOTHER_SIZE = 2.0
-"""Ratio of errors to claims, per axis, between two alignments from which on the claim is another one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,25 +113,19 @@ class TrajectoryScore:
 
     @property
     def depends_on_the_gauge(self) -> bool:
-        """Whether no header says the gauge, and the claim on the pose is another one under another alignment.
-
-        Another one is to fit otherwise, or to be wrong by another size: more than `ANOTHER_SIZE` times per axis.
-        """
-        sizes = [gauge.per_axis for gauge in self.gauges if gauge.fit is not Fit.UNKNOWN]
-        if not self.gauge_is_open or not sizes:
-            return False
-        return len({gauge.fit for gauge in self.gauges}) > 1 or max(sizes) > ANOTHER_SIZE * min(sizes)
+        """Whether no header says the gauge, and the claim on the pose is another one under another alignment."""
+        return self.gauge_is_open and claims_differ(self.gauges)
 
     @property
     def verdict(self) -> str:
         """The verdict on the claim, in words."""
         if (claim := self.claim) is None:
             return "none: no covariance is claimed"
-        verdict = claim.verdict
         if not self.depends_on_the_gauge or claim.obstacle:
-            return verdict
+            return claim.verdict
         dof, others = self.gauges[0].dof, (f"{one.nees / one.dof:.3g} ({one.alignment})" for one in self.gauges)
-        return f"{verdict}; but it depends on the alignment, which no header says: NEES / {dof} is {', '.join(others)}"
+        doubt = "but it depends on the alignment, which no header says"
+        return f"{claim.verdict}; {doubt}: NEES / {dof} is {', '.join(others)}"
 
     def _repr_html_(self) -> str:
         from stereo_slam_env.recording import notebook_html as html
@@ -158,14 +151,12 @@ class TrajectoryScore:
         series = {"times", "poses", "reference_poses", "nees", "log_scores"}
         plain = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in series}
         claims = {
-            name: {**asdict(claim), "coverage": {f"{p:g}": share for p, share in claim.coverage.items()}}
-            | {"verdict": claim.verdict}
+            name: asdict(claim)
+            | {"coverage": {f"{p:g}": share for p, share in claim.coverage.items()}, "verdict": claim.verdict}
             for name, claim in self.claims.items()
         }
-        lists = {
-            "gauges": [asdict(one) | {"verdict": one.verdict} for one in self.gauges],
-            "windows": [asdict(one) for one in self.windows],
-        }
+        gauges = [asdict(one) | {"verdict": one.verdict} for one in self.gauges]
+        lists = {"gauges": gauges, "windows": [asdict(one) for one in self.windows]}
         said = {"verdict": self.verdict, "depends_on_the_gauge": self.depends_on_the_gauge, "notes": list(self.notes)}
         return {"schema": SCHEMA} | plain | {"claims": claims} | lists | said
 
@@ -192,8 +183,7 @@ class TrajectoryScore:
         judged = [one.claim and not one.unusable and not one.claim.obstacle for one in (self, other)]
         name = "pose" if "pose" in self.claims else "position"
         if all(judged) and name in other.claims and self.claims[name].dof == other.claims[name].dof:
-            difference = self.log_scores[name][mine] - other.log_scores[name][others]
-            scores = mean_interval(difference)
+            scores = mean_interval(self.log_scores[name][mine] - other.log_scores[name][others])
         return PairedVerdict(self.estimate, other.estimate, len(mine), (ratio, float(low), float(high)), scores)
 
 
@@ -218,9 +208,8 @@ class PairedVerdict:
         ratio, low, high = self.error_ratio
         shown = self._better(high < 1.0, low > 1.0)
         text = f"Position error: {ratio:.3g} [{low:.3g}, {high:.3g}] times that of {self.other}: {shown}."
-        if self.log_score_difference is None:
+        if (found := self.log_score_difference) is None:
             return text
-        found = self.log_score_difference
         shown = self._better(found.high < 0.0, found.low > 0.0)
         return f"{text} Log score of the pose: {found.mean:+.3g} [{found.low:+.3g}, {found.high:+.3g}] nats: {shown}."
 
