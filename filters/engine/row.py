@@ -45,6 +45,17 @@ class Held:
     """None: a clone of the pose."""
 
 
+def _by_three(numbers: FloatArray, count: int) -> FloatArray:
+    """Numbers of a variable as its blocks hold them, (count, 3), with zeros at the end."""
+    return np.pad(numbers, (0, 3 * count - len(numbers))).reshape(-1, 3)
+
+
+def _walk_of(variable: Variable, count: int) -> FloatArray:
+    """Variance that the numbers of a variable gain in a second, by blocks."""
+    walk = np.zeros(variable.size) if variable.random_walk is None else variable.random_walk
+    return _by_three(walk**2, count)
+
+
 @dataclass(eq=False)
 class Row:
     """One filter of an engine: what `StereoEKF` asks of it."""
@@ -149,11 +160,8 @@ class Row:
         """Add a variable whose error is the sum of J times the errors that it names, and one of its own."""
         size, s, count = self.options.landmark.size, variable.size, -(-variable.size // 3)
         place = (size * np.arange(count)[:, None] + np.arange(3)).ravel()[:s]
-        numbers, walk = np.zeros((2, 3 * count))
-        numbers[:s] = variable.value
-        walk[:s] = 0.0 if variable.random_walk is None else variable.random_walk**2
         blocks = np.zeros((count, self.engine.recipe.block_values))
-        blocks[:, :3] = numbers.reshape(-1, 3)
+        blocks[:, :3] = _by_three(variable.value, count)
         rows = np.concatenate([np.zeros(0, dtype=np.int64), *self.rows_of(J)])
         by_rows, P = np.zeros((size * count, len(rows))), np.zeros((size * count, size * count))
         by_rows[place] = np.hstack([np.zeros((s, 0)), *J.values()])
@@ -161,7 +169,7 @@ class Row:
         none, anchors = np.zeros(0, dtype=np.int64), np.zeros((0, 2), dtype=np.int64)
         kind = np.full(count, VECTOR if variable.in_world else PLAIN)
         first, x = self._count_held(), np.zeros(0)
-        state = FilterState(x, x, P, blocks, blocks, kind, walk.reshape(-1, 3), none, none, anchors, none)
+        state = FilterState(x, x, P, blocks, blocks, kind, _walk_of(variable, count), none, none, anchors, none)
         self.engine.hold(self.number, state, rows, by_rows)
         self.held[variable.name] = Held(first, count, variable)
 
@@ -172,10 +180,8 @@ class Row:
         (rows,) = self.rows_of([name])
         first = layout.size + size * own
         self.engine.move(b, rows, F, Q, first, landmarks.by_landmark, landmarks.by_variable)
-        numbers = np.zeros(3 * self.held[name].count)
-        numbers[: len(value)] = value
         blocks = self.blocks_of(name)
-        S.blocks[b, blocks, :3] = S.first[b, blocks, :3] = numbers.reshape(-1, 3)
+        S.blocks[b, blocks, :3] = S.first[b, blocks, :3] = _by_three(value, len(blocks))
         S.first[b, own, :3] += landmarks.positions - S.blocks[b, own, :3]
         S.blocks[b, own, :3] = landmarks.positions
 
@@ -259,10 +265,7 @@ class Row:
                 values[position, :3], values[rotation, :4] = clone.position, clone.orientation
         for one in state.added.values():
             kind[one.blocks] = VECTOR if one.variable.in_world else PLAIN
-            if one.variable.random_walk is not None:
-                rates = np.zeros(3 * len(one.blocks))
-                rates[: one.variable.size] = one.variable.random_walk**2
-                walk[one.blocks] = rates.reshape(-1, 3)
+            walk[one.blocks] = _walk_of(one.variable, len(one.blocks))
         values_of = ValuePlaces(state.layout)
         self.engine.load(
             self.number,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
@@ -30,8 +29,7 @@ class _Step:
         given = np.zeros((0, 6)) if odometry is None else odometry.rows
         moved, F, Q = x.copy(), np.zeros((m, m)), np.zeros((m, m))
         step_at(self._calls.address, self._settings, x, dt, given, moved, F, Q)
-        after = self._motion.state_of(moved)
-        return MotionPrediction(replace(after, variables={**state.variables, **after.variables}), F, np.eye(m), Q)
+        return MotionPrediction(self._motion.state_of(moved, state.variables), F, np.eye(m), Q)
 
 
 class _Identity:

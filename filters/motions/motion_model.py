@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections import namedtuple
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cache, cached_property, partial
 from itertools import pairwise
 from typing import Any, ClassVar
@@ -148,7 +148,7 @@ class MotionModel:
 
     def check_odometry(self, odometry: StepInput | None) -> None:
         """Raise a `ValueError` if the model cannot make a step with this input."""
-        if self.driven and odometry is None:
+        if self.driven and not isinstance(odometry, self.takes):
             name = "inertial" if self.takes is InertialSamples else "odometry"
             raise ValueError(
                 f"{name} must be given in every predict with motion={type(self).__name__}(): "
@@ -210,8 +210,7 @@ class MotionModel:
             return [x for part in self.step(self._record(numbers[:v]), dt, grouped(numbers[v:])) for x in part]
 
         (after,), (J,) = derivatives.jacobian_of(stepped, np.concatenate([values, n])[None])
-        moved = self.state_of(after)
-        moved = replace(moved, variables={**state.variables, **moved.variables})
+        moved = self.state_of(after, state.variables)
         to_errors = np.linalg.pinv(self._by_errors(moved))
         return moved, to_errors @ J[:, :v] @ self._by_errors(state), to_errors @ J[:, v:]
 
@@ -246,12 +245,12 @@ class MotionModel:
         camera = state.position, state.orientation, state.linear_velocity, state.angular_velocity
         return np.concatenate([*camera, *(state.variables[variable.name] for variable in self.variables)])
 
-    def state_of(self, numbers: FloatArray) -> CameraState:
-        """The state that has these numbers."""
+    def state_of(self, numbers: FloatArray, others: Mapping[str, FloatArray]) -> CameraState:
+        """The state that has these numbers, and of other variables the values of `others`."""
         stops = np.cumsum([size for _, size in self.layout])[:-1]
         position, orientation, linear, angular, *own = np.split(numbers, stops)
-        variables = {variable.name: value for variable, value in zip(self.variables, own, strict=True)}
-        return CameraState(position, orientation, linear, angular, variables)
+        moved = {variable.name: value for variable, value in zip(self.variables, own, strict=True)}
+        return CameraState(position, orientation, linear, angular, {**others, **moved})
 
     @property
     def moves(self) -> tuple[str, ...]:
@@ -260,8 +259,7 @@ class MotionModel:
 
     def corrected(self, state: CameraState, delta: FloatArray) -> CameraState:
         """State with errors (m,) of what the model moves added, to first order."""
-        moved = self.state_of(self.numbers_of(state) + self._by_errors(state) @ delta)
-        return replace(moved, variables={**state.variables, **moved.variables})
+        return self.state_of(self.numbers_of(state) + self._by_errors(state) @ delta, state.variables)
 
     def difference(self, state: CameraState, other: CameraState) -> FloatArray:
         """Errors (m,) that take `state` to `other`, to first order."""
