@@ -20,8 +20,14 @@ from importlib.metadata import entry_points
 from typing import Any
 
 from filters.contract.validation import did_you_mean, first_line, require_known
-from filters.errors.error_definition import ErrorDefinition, FirstEstimates, QuaternionError, RotationVectorError
-from filters.errors.invariant import LeftInvariant, RightInvariant
+from filters.errors import (
+    ErrorDefinition,
+    FirstEstimates,
+    LeftInvariant,
+    QuaternionError,
+    RightInvariant,
+    RotationVectorError,
+)
 from filters.landmarks.euclidean import Euclidean
 from filters.landmarks.hybrid import Hybrid
 from filters.landmarks.inverse_depth import InverseDepth, SharedAnchorInverseDepth
@@ -35,8 +41,7 @@ from filters.motions.constant_velocity import ConstantVelocity
 from filters.motions.driven import VelocityDriven
 from filters.motions.motion_model import MotionModel
 from filters.motions.strapdown import Strapdown
-from filters.updates.extended import Extended, Linearisation
-from filters.updates.unscented import Unscented
+from filters.updates import Extended, Linearisation, Unscented
 
 Named = str | Mapping[str, Any]
 """Name of a part, or its settings with its name."""
@@ -144,11 +149,6 @@ def make_part(slot: str, value: object) -> Any:
 def available_parts(slot: str) -> dict[str, str]:
     """Names of the parts of a slot, with one line on each."""
     return {name: (inspect.getdoc(make) or "no description").splitlines()[0] for name, make in _named(slot).items()}
-
-
-def kernels_of(part: Any) -> Any:
-    """Kernels of a part: those that its own class states, since a subclass may have changed what they stand for."""
-    return part.kernels if "kernels" in vars(type(part)) else None
 
 
 def _settings(make: Callable[..., Any]) -> list[str]:

@@ -179,7 +179,7 @@ class MultiStateConstraintEKF(StereoEKF):
         sensor, error, gate = self.options.measurement, self.options.error, self.options.gate
         if type(sensor) not in (RangeBearing, LeftOnly):
             raise ValueError(f"measurement must be 'joint' or 'left' with a window, got {type(sensor).__name__}")
-        if not error.linearises_at_the_state:
+        if error.first_estimates:
             raise ValueError(f"error must linearise at the state with a window, got {type(error).__name__}")
         if type(sensor) is LeftOnly and map_landmarks:
             raise ValueError(f"map_landmarks must be 0 with measurement='left', got {map_landmarks}: see its page")

@@ -9,8 +9,7 @@ from scipy.special import gammaincinv
 from filters.contract.outputs import PoseBelief
 from filters.contract.stereo_filter import StereoFilter
 from filters.contract.validation import finite_array, unit_quaternion
-from filters.errors.error_definition import ErrorDefinition, QuaternionError, RotationVectorError
-from filters.errors.invariant import LeftInvariant, RightInvariant
+from filters.errors import ErrorDefinition, LeftInvariant, QuaternionError, RightInvariant, RotationVectorError
 from filters.geometry import derivatives, rotations
 from filters.geometry.arrays import BoolArray, FloatArray
 from filters.motions.motion_model import CameraState

@@ -13,7 +13,8 @@ from typing import Any
 from filters.checks.conformance import ConformanceReport, checked
 from filters.checks.part_contracts import errors, landmarks, measurements, motions
 from filters.checks.part_contracts.comparison import assert_refusal
-from filters.errors.error_definition import ErrorDefinition
+from filters.engine.options import check_functions
+from filters.errors import ErrorDefinition
 from filters.landmarks.landmark_model import LandmarkModel
 from filters.measurements.measurement_model import MeasurementModel
 from filters.motions.motion_model import MotionModel
@@ -47,9 +48,18 @@ def checks_of(part: object) -> tuple[PartCheck, ...]:
     """The checks for a part of this kind."""
     for kind, checks in PART_CHECKS.items():
         if isinstance(part, kind):
-            return (*checks, check_settings)
+            return (*checks, check_plain_functions, check_settings)
     kinds = ", ".join(kind.__name__ for kind in PART_CHECKS)
     raise ValueError(f"part must be one of {kinds}, got {part!r}: give an object, such as make_part makes")
+
+
+def check_plain_functions(part: Any) -> None:
+    """A part gives its plain functions, and leaves what follows from them alone."""
+    if not isinstance(part, ErrorDefinition):
+        try:
+            check_functions(part)
+        except ValueError as error:
+            raise AssertionError(str(error)) from None
 
 
 def check_settings(part: Any) -> None:

@@ -21,7 +21,6 @@ from filters.contract.stereo_filter import (
     time_step,
 )
 from filters.contract.validation import whole_number
-from filters.engine.doors import Parts
 from filters.engine.engine import Engine
 from filters.engine.frames import FrameOutcome, Observations, Odometry
 from filters.engine.row import Row, report
@@ -88,7 +87,7 @@ class WorldLandmarks:
 
 def goes_in_a_batch(slam: object) -> TypeGuard[StereoEKF]:
     """Whether a filter may run in a batch."""
-    return isinstance(slam, StereoEKF) and slam.engine.recipe.landmark is not None and slam.does_as_the_engine
+    return isinstance(slam, StereoEKF) and slam.does_as_the_engine
 
 
 class FilterBatch(Sequence[StereoEKF]):
@@ -122,8 +121,7 @@ class FilterBatch(Sequence[StereoEKF]):
         for index, recipe in enumerate(recipes):
             if not recipe.is_that_of(recipes[0]):
                 raise ValueError(f"make must give filters that do the same, filter {index} differs from the first")
-        first = self._filters[0]
-        self._engine = Engine(recipes[0], count, threads, Parts(first.camera, first.options))
+        self._engine = Engine(recipes[0], count, threads)
         self.R: FloatArray = np.array([slam.noise.R for slam in self._filters])
         """(B, 3, 3): noise that each filter assumes, px^2."""
         for index, slam in enumerate(self._filters):
@@ -182,8 +180,6 @@ class FilterBatch(Sequence[StereoEKF]):
 
     def forecasts(self) -> list[Forecast]:
         """`StereoEKF.forecast` of all landmarks of every filter."""
-        if self._engine.recipe.plan.by_numbers:
-            return [slam.forecast() for slam in self._filters]
         uvd, S, in_front = self._engine.forecast(slice(0, len(self)), self.R)
         ids, counts = self._engine.storage.ids, self._engine.storage.counts[:, 0].tolist()
         in_view = in_front & self._filters[0].camera.in_view(uvd)
@@ -197,9 +193,6 @@ class FilterBatch(Sequence[StereoEKF]):
 
     def world_landmarks(self) -> WorldLandmarks:
         """The maps of all filters in W: what `StereoEKF.landmarks` has of each."""
-        plan = self._engine.recipe.plan
-        if self._engine.recipe.landmark is None or plan.anchors > 1:  # or in the axes of an anchor
-            return world_landmarks(self._filters)
         return WorldLandmarks(*self._read_maps(in_world=True)[:4])
 
     def _read_maps(self, *, in_world: bool) -> tuple[IntArray, IntArray, FloatArray, FloatArray, BoolArray]:
@@ -211,8 +204,6 @@ class FilterBatch(Sequence[StereoEKF]):
         ids = storage.ids[np.arange(storage.ids.shape[1]) < counts[:, None]]
         places, covariances, located = np.empty((total, 3)), np.empty((total, 3, 3)), np.empty(total, dtype=np.bool_)
         plan, model = self._engine.recipe.plan, self._filters[0].options.landmark
-        if self._engine.recipe.landmark is None:
-            raise ValueError(f"landmark {type(model).__name__} must have kernels here")
         filters = np.repeat(np.arange(len(self)), counts)
         own = storage.own[np.arange(storage.own.shape[1]) < counts[:, None]]
         values = storage.blocks[filters, own, : model.value_size]

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import weakref
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor, wait
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 
-from filters.contract.inputs import InertialSamples
-from filters.engine.doors import Doors, Parts
 from filters.engine.frames import FrameOutcome, Observations, Odometry
 from filters.engine.recipes import compiled_calls
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
-from filters.kernels.calls import Packed
+from filters.kernels.calls import Packed, raise_failure
 from filters.kernels.entries import (
     CLONE,
     CLOSE_GAPS,
@@ -49,6 +48,12 @@ _NOTHING = FrameOutcome(np.zeros(0, dtype=np.uint8), np.zeros(0), np.zeros(0, dt
 """Of a step without measurements."""
 
 
+def _run(*arguments: Any) -> None:
+    """Run frames, and raise what a function of a part has raised."""
+    run_frames(*arguments)
+    raise_failure()
+
+
 class Engine:
     """The EKF of `count` filters that all do the same.
 
@@ -60,21 +65,13 @@ class Engine:
         Number of filters.
     threads : int
         Over which a call is spread.
-    parts : Parts, optional
-        Of the filters; those without kernels give their numbers through doors.
     """
 
-    def __init__(self, recipe: Recipe, count: int = 1, threads: int = 1, parts: Parts | None = None) -> None:
+    def __init__(self, recipe: Recipe, count: int = 1, threads: int = 1) -> None:
         self.recipe = recipe
         self.count = count
         self.threads = max(1, min(threads, count))
-        self.parts = parts
-        self._asks = recipe.asks
-        asks = self._asks or recipe.plan.changes or recipe.motion is None
-        self._doors = Doors(parts, weakref.proxy(self)) if asks and parts is not None else None
         self._fuses = self._odometry_there = False
-        self._takes_samples = parts is not None and parts.options.motion.takes is InertialSamples
-        self._steps_by_odometry = recipe.motion is None or self._takes_samples
         self._calls = self._compiled()
         self._plan = Packed(recipe.plan)
         self._storage = Packed(empty_storage(recipe, count, _ROOM))
@@ -84,21 +81,19 @@ class Engine:
         self._pool: ThreadPoolExecutor | None = None
         self._make_room(_ROOM, 8)
 
-    def assume(self, recipe: Recipe, parts: Parts) -> None:
+    def assume(self, recipe: Recipe) -> None:
         """Go on with a recipe of the same parts and sizes: another drift, another gauge walk."""
-        self.recipe, self.parts, self._asks = recipe, parts, recipe.asks
-        if self._doors is not None:
-            self._doors = Doors(parts, weakref.proxy(self))
+        self.recipe = recipe
         self._calls = self._compiled()
         self._plan = Packed(recipe.plan)
 
     def __getstate__(self) -> dict[str, Any]:
         """What a copy needs: it packs arrays of its own."""
-        own = ("recipe", "count", "threads", "parts", "storage")
+        own = ("recipe", "count", "threads", "storage")
         return {name: getattr(self, name) for name in own}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__init__(state["recipe"], state["count"], state["threads"], state["parts"])  # type: ignore[misc]
+        self.__init__(state["recipe"], state["count"], state["threads"])  # type: ignore[misc]
         storage = type(state["storage"])(*(np.array(array) for array in state["storage"]))
         self._storage = Packed(storage)
         self._frame = Packed(empty_frame(self.recipe, self.count, storage.ids.shape[1], 1))
@@ -125,12 +120,13 @@ class Engine:
     def points(self, values: FloatArray, points: FloatArray, by_own: FloatArray) -> None:
         """Write homogeneous points of landmarks, from their anchors, and the Jacobians by their errors, zero before."""
         points_at(self._calls.address, self.recipe.plan.landmark, values, points, by_own)
+        raise_failure()
 
     def reset(self, index: int, x: FloatArray, P: FloatArray) -> None:
         """Start filter `index` again with leading values x (values,) and covariance P (leading, leading)."""
-        none, anchors = np.zeros(0, dtype=np.int64), np.zeros((0, 2), dtype=np.int64)
+        none = np.zeros(0, dtype=np.int64)
         nothing = np.zeros((0, self.recipe.block_values))
-        self.load(index, FilterState(x, x, P, nothing, nothing, none, np.zeros((0, 3)), none, none, anchors, none))
+        self.load(index, FilterState(x, x, P, nothing, nothing, none, np.zeros((0, 3)), none, none, none, none))
 
     def load(self, index: int, state: FilterState) -> None:
         """Put the state of filter `index` there."""
@@ -226,18 +222,18 @@ class Engine:
             Whether it was used.
         """
         self._make_room(0, 1, *H.shape)
-        before = self._kept(np.arange(self.count) == index)
         given = np.array(H, order="C"), np.array(innovation), np.array(R, order="C")
         at = self._calls.address, self._plan.address, self._storage.address, self._scratch[0].address
-        correct_by(*at, index, rows, *given, limit)
-        self._raise_failure(before)
+        with self._unless_failed(np.arange(self.count) == index):
+            correct_by(*at, index, rows, *given, limit)
+            raise_failure()
         nis, used = self.scratch(0).result.tolist()
         return nis, bool(used)
 
     def forecast(self, which: slice, noise: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
         """Predicted (u, v, d), (M, 3), and S, (M, 3, 3), of all landmarks of adjacent filters, and which are in front.
 
-        `noise` (F, 3, 3) is of each filter. Only where the measurement and the landmarks have kernels.
+        `noise` (F, 3, 3) is of each filter.
         """
         compile_forecasts()
         counts = self.storage.counts[which, LANDMARKS]
@@ -247,6 +243,7 @@ class Engine:
         uvd, S, in_front = np.empty((total, 3)), np.empty((total, 3, 3)), np.empty(total, dtype=np.bool_)
         at = self._calls.address, self._plan.address, self._storage.address, self._scratch[0].address
         forecasts(*at, which.start, offsets, np.array(noise, order="C"), uvd, S, in_front)
+        raise_failure()
         return uvd, S, in_front
 
     def step(
@@ -259,7 +256,7 @@ class Engine:
             self._frame_with(measurements=M + M // 4)
         self._make_room(0, M if o is None or self.count == 1 else int(np.diff(o.offsets).max(initial=0)))
         self.frame.dt[:] = dt
-        if odometry is not None or self._steps_by_odometry or self._odometry_there:
+        if odometry is not None or self._odometry_there:
             self._put_odometry(odometry)
         frame = self.frame
         frame.nis[:], frame.dof[:], frame.outcome[:] = 0.0, 0, 0
@@ -271,99 +268,63 @@ class Engine:
             frame.ids[:M], frame.uvd[:M], frame.R[:M] = o.ids, o.uvd, o.R
             if o.v_right is not None:
                 frame.v_right[:M] = o.v_right
-        before = self._kept(frame.seen | (frame.dt > 0.0)) if self._asks else []
-        self._run()
-        needed = int(frame.outcome[0, 1] if self.count == 1 else frame.outcome[:, 1].max())
-        if needed:  # for these filters nothing has happened yet
-            late = frame.outcome[:, 1] > 0
-            frame.dt[~late], frame.seen[~late] = 0.0, False
-            self._make_room(needed, 0)
-            frame = self._frame_with(blocks=self.storage.ids.shape[1])
+        with self._unless_failed(frame.seen | (frame.dt > 0.0)):
             self._run()
-        self._raise_failure(before)
+            needed = int(frame.outcome[0, 1] if self.count == 1 else frame.outcome[:, 1].max())
+            if needed:  # for these filters nothing has happened yet
+                late = frame.outcome[:, 1] > 0
+                frame.dt[~late], frame.seen[~late] = 0.0, False
+                self._make_room(needed, 0)
+                frame = self._frame_with(blocks=self.storage.ids.shape[1])
+                self._run()
         if o is None:
             return _NOTHING
         dropped = tuple(frame.dropped[b, :gone].copy() for b, gone in enumerate(frame.outcome[:, 0].tolist()))
         return FrameOutcome(frame.fates[:M].copy(), frame.nis.copy(), frame.dof.copy(), dropped)
 
     def _put_odometry(self, odometry: Odometry | None) -> None:
-        """Odometry, or the numbers that a motion without kernels makes of it."""
+        """Rows of the odometry of each filter: velocities and their covariance, or an inertial unit and its samples."""
         frame = self.frame
         self._odometry_there = odometry is not None
         frame.fused[:], frame.odometry_rows[:] = False, 0
-        if odometry is not None:
-            if not self._fuses:  # the first odometry
-                self._fuses = True
-                self._calls = self._compiled()
-            frame.fused[:] = odometry.fused
-        if self.recipe.motion is not None or self._doors is None:
-            self._put_odometry_numbers(odometry)
-            return
-        for b in np.flatnonzero(frame.dt > 0.0).tolist():
-            numbers = self._doors.predict(b, float(frame.dt[b]), None if odometry is None else odometry.of_filter(b))
-            rows = len(numbers[3]) if len(numbers) > 3 else 0
-            if rows > frame.measured_nu.shape[1]:
-                self._make_room(0, 0, rows)
-                frame = self._frame_with(rows=rows)
-            frame.moved[b], frame.F[b], frame.Q[b] = numbers[:3]
-            frame.measured[b] = rows
-            if rows:
-                frame.measured_nu[b, :rows], frame.measured_H[b, :rows] = numbers[3:5]
-                frame.measured_R[b, :rows, :rows] = numbers[5]
-
-    def _put_odometry_numbers(self, odometry: Odometry | None) -> None:
-        """Velocities and their covariance, or the unit and its samples."""
         if odometry is None:
             return
-        if not self._takes_samples:
-            frame = self._frame_with(odometry=(7, 6))
-            frame.odometry_rows[:] = np.where(odometry.fused, 7, 0)
-            frame.odometry[:, 0, :6], frame.odometry[:, 1:7, :6] = odometry.values, odometry.covariances
-            return
-        samples: list[Any] = [odometry.of_filter(b) for b in range(self.count)]
-        rows = [np.zeros((0, 7)) if one is None else one.rows for one in samples]
-        frame = self._frame_with(odometry=(max(map(len, rows)), 7))
-        for b, numbers in enumerate(rows):
-            frame.odometry_rows[b] = len(numbers)
-            frame.odometry[b, : len(numbers), :7] = numbers
+        if not self._fuses and odometry.fused.any():  # the first odometry
+            self._fuses = True
+            self._calls = self._compiled()
+        frame = self._frame_with(odometry=odometry.rows.shape[1:])
+        frame.fused[:], frame.odometry_rows[:] = odometry.fused, odometry.counts
+        K, w = odometry.rows.shape[1:]
+        frame.odometry[:, :K, :w] = odometry.rows
 
-    def _frame_with(
-        self, blocks: int = 0, measurements: int = 0, rows: int = 0, odometry: tuple[int, int] = (0, 0)
-    ) -> FrameArrays:
+    def _frame_with(self, blocks: int = 0, measurements: int = 0, odometry: tuple[int, int] = (0, 0)) -> FrameArrays:
         """The frame, with room for at least these, and with what it brings already."""
         frame = self.frame
-        there = frame.dropped.shape[1], len(frame.ids), frame.measured_nu.shape[1], *frame.odometry.shape[1:]
-        wanted = blocks, measurements, rows, *odometry
+        there = frame.dropped.shape[1], len(frame.ids), *frame.odometry.shape[1:]
+        wanted = blocks, measurements, *odometry
         if all(most <= size for most, size in zip(wanted, there, strict=True)):
             return frame
-        blocks, measurements, rows, K, w = map(max, wanted, there)
-        larger = empty_frame(self.recipe, self.count, blocks, measurements, rows, (K, w))
+        blocks, measurements, K, w = map(max, wanted, there)
+        larger = empty_frame(self.recipe, self.count, blocks, measurements, (K, w))
         for old, new in zip(frame, larger, strict=True):
             new[tuple(slice(0, size) for size in old.shape)] = old
         self._frame = Packed(larger)
         return larger
 
     def _compiled(self) -> Packed:
-        """Addresses of what the frame calls: units, parts, LAPACK, doors."""
-        plan = self.recipe.plan
-        fuses = self._fuses and (plan.driven_by_numbers or plan.odometry_rows > 0)
-        return Packed(compiled_calls(self.recipe, fuses, 0 if self._doors is None else self._doors.address))
+        """Addresses of what the frame calls: units, functions of parts, LAPACK."""
+        return Packed(compiled_calls(self.recipe, self._fuses and self.recipe.plan.odometry_rows > 0))
 
-    def _kept(self, which: BoolArray) -> list[tuple[int, FilterState]]:
-        """States to go back to where a part fails; none where none can."""
-        if self._doors is None or not self._asks:
-            return []
-        return [(b, self.export(b)) for b in np.flatnonzero(which).tolist()]
-
-    def _raise_failure(self, before: list[tuple[int, FilterState]]) -> None:
-        if self._doors is None or self._doors.failure is None:
-            return
-        failure, self._doors.failure = self._doors.failure, None
-        for room in self._scratch:
-            room.value.door[1] = 0
-        for b, state in before:
-            self.load(b, state)
-        raise failure
+    @contextmanager
+    def _unless_failed(self, which: BoolArray) -> Iterator[None]:
+        """Put these filters back where a function of a part raises an error."""
+        kept = [(b, self.export(b)) for b in np.flatnonzero(which).tolist()] if self.recipe.in_python else []
+        try:
+            yield
+        except BaseException:
+            for b, state in kept:
+                self.load(b, state)
+            raise
 
     def _change(self, index: int, what: int) -> None:
         change(self._plan.address, self._storage.address, self._scratch[0].address, index, what)
@@ -371,15 +332,16 @@ class Engine:
     def _run(self) -> None:
         calls, plan, storage, frame = (one.address for one in (self._calls, self._plan, self._storage, self._frame))
         if self.threads == 1:
-            run_frames(calls, plan, storage, self._scratch[0].address, frame, 0, self.count)
+            _run(calls, plan, storage, self._scratch[0].address, frame, 0, self.count)
             return
         if self._pool is None:
             self._pool = ThreadPoolExecutor(self.threads)
         edges = [self.count * i // self.threads for i in range(self.threads + 1)]
         runs = [
-            self._pool.submit(run_frames, calls, plan, storage, room.address, frame, first, last)
+            self._pool.submit(_run, calls, plan, storage, room.address, frame, first, last)
             for room, first, last in zip(self._scratch, edges[:-1], edges[1:], strict=True)
         ]
+        wait(runs)
         for run in runs:
             run.result()
 
@@ -393,4 +355,4 @@ class Engine:
             self._storage = Packed(grown(self.storage, self.recipe, blocks + blocks // 4))
         room = max(self._most, measurements), max(self._rows, rows), max(self._width, width)
         self._most, self._rows, self._width = room
-        self._scratch = [Packed(scratch(self.recipe, self.storage, *room, i)) for i in range(self.threads)]
+        self._scratch = [Packed(scratch(self.recipe, self.storage, *room)) for _ in range(self.threads)]

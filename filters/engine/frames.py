@@ -12,8 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from filters.contract.inputs import BodyVelocity
-from filters.contract.validation import unchecked
 from filters.contract.variables import VELOCITY
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.motions.motion_model import CameraState, StepInput
@@ -42,35 +40,30 @@ class Observations:
 
 @dataclass(frozen=True, eq=False)
 class Odometry:
-    """Odometry of B filters."""
+    """Odometry or inertial samples of a step of B filters."""
 
     fused: BoolArray
-    """(B,): whose there is."""
-    values: FloatArray
-    """(B, 6): linear and angular velocity, camera frame; 0 where there are inertial samples."""
-    covariances: FloatArray
-    """(B, 6, 6): of those."""
-    given: Sequence[StepInput | None] | None = None
-    """As it was given, for motions that know more of it."""
+    """(B,): which filters have some."""
+    counts: IntArray
+    """(B,): rows of each."""
+    rows: FloatArray
+    """(B, K, w): `BodyVelocity.rows` or `InertialSamples.rows`, and zeros behind them."""
+
+    @classmethod
+    def of_velocities(cls, fused: BoolArray, values: FloatArray, covariances: FloatArray) -> Odometry:
+        """Linear and angular velocities in the camera frame, (B, 6), and covariances, (B, 6, 6) or one for all."""
+        rows = np.concatenate([values[:, None], np.broadcast_to(covariances, (len(values), 6, 6))], axis=1)
+        return cls(fused, np.where(fused, 7, 0), rows)
 
     @classmethod
     def of(cls, given: Sequence[StepInput | None]) -> Odometry:
         """Odometry of each filter; None: it has none."""
-        values, covariances = np.zeros((len(given), 6)), np.zeros((len(given), 6, 6))
-        for b, entry in enumerate(given):
-            if isinstance(entry, BodyVelocity):
-                values[b, :3], values[b, 3:], covariances[b] = entry.linear, entry.angular, entry.covariance
-        return cls(np.array([entry is not None for entry in given]), values, covariances, given)
-
-    def of_filter(self, b: int) -> StepInput | None:
-        """That of filter b."""
-        if self.given is not None:
-            return self.given[b]
-        if not self.fused[b]:
-            return None
-        covariance = np.broadcast_to(self.covariances, (len(self.fused), 6, 6))[b].copy()
-        linear, angular = self.values[b, :3].copy(), self.values[b, 3:].copy()
-        return unchecked(BodyVelocity, linear=linear, angular=angular, covariance=covariance)
+        rows = [np.zeros((0, 6)) if entry is None else entry.rows for entry in given]
+        counts = np.array([len(one) for one in rows])
+        every = np.zeros((len(rows), max(1, *counts.tolist()), max(one.shape[1] for one in rows)))
+        for b, one in enumerate(rows):
+            every[b, : len(one), : one.shape[1]] = one
+        return cls(counts > 0, counts, every)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,19 +1,15 @@
-"""Marginals of the joint state: landmarks, their covariance with the pose, and their predicted measurements."""
+"""Marginals of the joint state: landmarks, and their covariance with the pose."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from filters.contract.noise import StereoNoise
-from filters.contract.outputs import Forecast, LandmarkBelief
-from filters.geometry import rotations, symmetric
+from filters.contract.outputs import LandmarkBelief
+from filters.geometry import symmetric
 from filters.geometry.arrays import FloatArray, IntArray
-from filters.geometry.camera import StereoCamera
 from filters.landmarks.landmark_model import Points
-from filters.measurements.measurement_model import MeasurementModel, Stage
 from filters.motions.motion_model import POSE_SIZE
 from filters.state.joint_state import JointState
-from filters.updates.extended import Extended, points_in_camera
 
 
 def landmark_belief(state: JointState) -> LandmarkBelief:
@@ -23,9 +19,7 @@ def landmark_belief(state: JointState) -> LandmarkBelief:
     P_map = symmetric.blocks(state.P, rows)
     with np.errstate(invalid="ignore", over="ignore"):
         covariances = _mirrored(points.by_map @ P_map @ points.by_map.transpose(0, 2, 1))
-    inverse = model.inverse_distances(state.viewpoint[0], state.anchors(index), state.parameters(index))
-    if model.in_anchor:
-        inverse.by_position[:] = 0.0
+    inverse = model.inverse_distances(state.camera.position, state.anchors(index), state.parameters(index))
     own_rows = state.own_rows(index)
     position_rows = np.broadcast_to(np.arange(3), (len(index), 3))
     P_own = symmetric.blocks(state.P, np.concatenate([position_rows, own_rows], axis=1))
@@ -36,30 +30,7 @@ def landmark_belief(state: JointState) -> LandmarkBelief:
 
 def _points(state: JointState, index: IntArray) -> tuple[Points, IntArray]:
     """Positions in W of the landmarks at `index`, and the rows (M, w) of P that their Jacobian is by."""
-    model = state.model
-    if model.in_anchor:
-        points, (place, R_wa, _) = model.points(None, state.parameters(index)), state.anchor_poses(index)
-        by_rotation = -R_wa @ rotations.skew(points.positions)
-        by_position = np.broadcast_to(np.eye(3), by_rotation.shape)
-        by_map = np.concatenate([by_position, by_rotation, R_wa @ points.by_map], axis=2)
-        return Points(place + rotations.turned(R_wa, points.positions), by_map), state.map_rows(index)
-    return model.points(state.anchors(index), state.parameters(index)), state.map_rows(index)
-
-
-def forecast(
-    camera: StereoCamera,
-    noise: StereoNoise,
-    sensor: MeasurementModel,
-    state: JointState,
-    ids: IntArray,
-    index: IntArray,
-) -> Forecast:
-    """Predicted (u, v, d) and S of the landmarks at `index`, `ids`."""
-    points_c = points_in_camera(state, index)
-    uvd = sensor.predict(camera, points_c, sensor.values_at(state.camera))[:, :3]
-    stage = Stage(uvd, np.eye(3, sensor.size), noise.R[None].repeat(len(index), axis=0))
-    S = Extended().linearise(sensor, camera, state, index, stage).innovation_covariances(state.P)
-    return Forecast(ids, uvd, _mirrored(S), sensor.in_front(points_c) & camera.in_view(uvd))
+    return state.model.points(state.anchors(index), state.parameters(index)), state.map_rows(index)
 
 
 def joint_covariance(state: JointState, index: IntArray) -> FloatArray:

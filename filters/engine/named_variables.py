@@ -159,18 +159,11 @@ class VariableFilter(StereoFilter):
         Raises
         ------
         ValueError
-            There is a variable of that name, it is considered or has another retraction, an array has a wrong shape, or
-            the filter's error definition is not compiled.
+            There is a variable of that name, it is considered or has another retraction, or an array has a wrong shape.
         """
         self._require_new(variable.name)
         if variable.considered or variable.retraction is not ADDITIVE:
             raise ValueError(f"variable {variable.name!r} must be estimated, and its retraction addition")
-        plan = self._row.engine.recipe.plan
-        if plan.moves_by_numbers or plan.walks_by_numbers:
-            error = type(self.options.error).__name__
-            raise ValueError(
-                f"error {error} must be compiled, and other variables must add: see available_parts('error')"
-            )
         H = {} if H is None else H
         J = {name: finite_array(f"H of {name!r}", H[name], (variable.size, "w")) for name in H}
         for (name, given), rows in zip(J.items(), self._row.rows_of(J), strict=True):

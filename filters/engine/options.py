@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
+from filters.contract.inputs import InertialSamples, Start
 from filters.contract.noise import LandmarkDrift
 from filters.contract.validation import covariance_matrix, gate_probability, positive
-from filters.errors.error_definition import ErrorDefinition
+from filters.contract.variables import VELOCITY
+from filters.errors import ErrorDefinition
 from filters.landmarks.landmark_model import LandmarkModel
-from filters.measurements.measurement_model import MeasurementModel
-from filters.motions.motion_model import MotionModel
+from filters.measurements.measurement_model import MeasurementModel, Rig
+from filters.motions.motion_model import CAMERA_SIZE, CameraState, MotionModel
 from filters.parts import make_part
 from filters.state.layout import StateLayout
-from filters.updates.extended import Linearisation
+from filters.updates import Linearisation
 
 
 @dataclass(frozen=True)
@@ -76,16 +79,17 @@ class Options:
             isinstance(self.min_disparity, float | int) and math.isfinite(self.min_disparity)
         ):
             raise ValueError(f"min_disparity must be a finite number of px, or None, got {self.min_disparity!r}")
+        for part in (self.landmark, self.measurement, self.motion):
+            check_functions(part)
         _check_landmark(self.landmark)
-        for name in ("seen_size", "seen_vectors"):
-            wanted, taken = getattr(self.landmark, name), getattr(self.measurement, name)
-            if wanted != taken:
-                raise ValueError(
-                    f"measurement must have {name} = {wanted} with landmark={type(self.landmark).__name__}, "
-                    f"got {type(self.measurement).__name__} with {taken}: it measures other landmarks"
-                )
-        if not self.update.by_jacobians:
-            if not self.error.linearises_at_the_state:
+        wanted, taken = self.landmark.seen_size, self.measurement.seen_size
+        if wanted != taken:
+            raise ValueError(
+                f"measurement must have seen_size = {wanted} with landmark={type(self.landmark).__name__}, "
+                f"got {type(self.measurement).__name__} with {taken}: it measures other landmarks"
+            )
+        if self.update.sigma_points(CAMERA_SIZE):
+            if self.error.first_estimates:
                 raise ValueError(
                     f"error must linearise at the state with update={type(self.update).__name__}, which takes no "
                     f'Jacobians, got {type(self.error).__name__}: use "so3", or update="extended"'
@@ -101,30 +105,12 @@ class Options:
                 "error must keep what cannot be observed unobservable with gauge_walk, "
                 f'got {type(self.error).__name__}: use "first-estimates" or "right-invariant"'
             )
-        landmark = self.landmark
-        if landmark.in_anchor and self.error.constrains:
-            raise ValueError(
-                f"landmark {type(landmark).__name__} is in the frame of its anchor: error must not be first-estimates, "
-                f"got {type(self.error).__name__}"
-            )
-        if self.gauge_walk and not (self.landmark.anchored or _can_shift(self.landmark)):
-            raise ValueError(
-                f"landmark must have shifted with gauge_walk, {type(self.landmark).__name__} has not: see LandmarkModel"
-            )
         _ = self.layout
 
     @cached_property
     def layout(self) -> StateLayout:
         """Rows of the named variables that the parts ask for."""
         return StateLayout.of(self.measurement.variables, self.motion.variables, self.measurement.sees_velocity)
-
-
-def _can_shift(landmark: LandmarkModel) -> bool:
-    """Whether it says what a shift of the world does to landmarks without an anchor."""
-    own = type(landmark)
-    if own.in_anchor or own.in_world:
-        return True
-    return own.shifted is not LandmarkModel.shifted or own.world_translation is not LandmarkModel.world_translation
 
 
 def _check_landmark(landmark: LandmarkModel) -> None:
@@ -144,8 +130,63 @@ def _check_landmark(landmark: LandmarkModel) -> None:
             )
     if size > 3 and not landmark.steady:
         raise ValueError(f"size of landmark {name} must be 3 where landmarks may become points, got {size}")
-    others = landmark.anchored or landmark.submaps or not landmark.steady
-    if landmark.in_anchor and others:
-        raise ValueError(
-            f"landmark {name} is in the frame of its anchor: it must have no anchors or submaps, and not become a point"
-        )
+    if landmark.in_world and not landmark.additive:
+        raise ValueError(f"landmark {name} is a point of W: its retraction must be addition, without retract_by")
+
+
+_FUNCTIONS: Mapping[type, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    LandmarkModel: (
+        ("point_of", "start_from"),
+        ("started", "relative_to", "points", "inverse_distances"),
+    ),
+    MeasurementModel: (
+        ("project", "unproject"),
+        ("predict", "backproject", "in_front", "jacobians", "backprojection_jacobians", "stages"),
+    ),
+    MotionModel: (("step",), ("predict", "odometry_measurement", "stepped", "expected_odometry")),
+}
+"""Plain functions that a part gives, and what follows from them."""
+
+
+def check_functions(part: LandmarkModel | MeasurementModel | MotionModel) -> None:
+    """Raise a `ValueError` where a part lacks a plain function, overrides what follows, or gives another count."""
+    cls = type(part)
+    base = next(kind for kind in _FUNCTIONS if isinstance(part, kind))
+    given, following = _FUNCTIONS[base]
+    for name in given:
+        if getattr(cls, name) is getattr(base, name):
+            raise ValueError(f"{cls.__name__} must have {' and '.join(given)}: see {base.__name__}")
+    for name in following:
+        if getattr(cls, name) is not getattr(base, name):
+            raise ValueError(f"{cls.__name__} must not have {name} of its own: it follows from {' and '.join(given)}")
+    for name, wanted, call in _calls(part):
+        try:
+            numbers = call()
+        except (ArithmeticError, ValueError):  # these numbers are none that it can have
+            continue
+        lengths = tuple(map(len, numbers)) if isinstance(wanted, tuple) else len(numbers)
+        if lengths != wanted:
+            raise ValueError(f"{cls.__name__}.{name} must give {wanted} numbers, got {lengths}")
+
+
+def _calls(part: Any) -> Iterator[tuple[str, Any, Callable[[], Any]]]:
+    """Plain functions with how many numbers they must give, and a call with some numbers."""
+    if isinstance(part, LandmarkModel):
+        seen, value = (0.1, 0.2, 0.9, 0.05, *[0.1] * part.seen_size)[: part.seen_size], (0.1,) * part.value_size
+        yield "point_of", part.seen_size, lambda: part.point_of(value)
+        yield "start_from", part.value_size, lambda: part.start_from(seen)
+        yield "retract_by", part.value_size, lambda: part.retract_by(value, (0.1,) * part.size)
+    elif isinstance(part, MeasurementModel):
+        rig = Rig(500.0, 500.0, 320.0, 240.0, 0.2)
+        seen = (0.1, 0.2, 0.9, 0.05, *[0.1] * part.seen_size)[: part.seen_size]
+        named = part.named({**{x.name: x.value for x in part.variables}, VELOCITY: np.full(6, 0.1)})
+        yield "project", part.size, lambda: part.project(rig, seen, *named)
+        yield "unproject", part.seen_size, lambda: part.unproject(rig, (330.0, 250.0, 10.0), *named)
+    else:
+        sizes = tuple(size for _, size in part.layout)
+        x = part.numbers_of(CameraState.at(Start(), {variable.name: variable.value for variable in part.variables}))
+        nothing, unit = (0.0, 0.0, 0.0), ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+        noise: Any = (nothing,) * 4 + unit if part.takes is InertialSamples else (nothing,) * 2
+        if not part.driven:
+            noise = (0.0,) * len(part.sigmas(0.1))
+        yield "step", sizes, lambda: part.step(part.record(x), 0.1, noise)

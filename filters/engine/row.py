@@ -13,7 +13,6 @@ from filters.contract.noise import StereoNoise
 from filters.contract.outputs import UpdateReport
 from filters.contract.validation import require_known
 from filters.contract.variables import MovedLandmarks, Variable
-from filters.engine.doors import Parts, anchor_poses
 from filters.engine.engine import Engine
 from filters.engine.frames import FrameOutcome, Observations, Odometry, ValuePlaces
 from filters.engine.options import Options
@@ -72,11 +71,11 @@ class Row:
     @classmethod
     def of(cls, camera: StereoCamera, options: Options) -> Row:
         """A filter with an engine of its own."""
-        return cls(Engine(recipe_of(camera, options), parts=Parts(camera, options)), options)
+        return cls(Engine(recipe_of(camera, options)), options)
 
     def assume(self, camera: StereoCamera, options: Options) -> None:
         """Go on with another drift and gauge walk; of an engine with this filter alone."""
-        self.engine.assume(recipe_of(camera, options), Parts(camera, options))
+        self.engine.assume(recipe_of(camera, options))
         self.options = options
 
     def predict(self, dt: float, odometry: StepInput | None) -> None:
@@ -137,8 +136,8 @@ class Row:
             if len(index) == 0:
                 raise ValueError(f"ids must be in the map, not there: {name}: see landmarks.ids")
             anchor, own = S.anchor[b, index[0]], layout.size + size * S.own[b, index[0]] + np.arange(size)
-            of_anchor = layout.size + size * anchor[anchor >= 0, None] + np.arange(3)
-            rows.append(np.concatenate([of_anchor.ravel(), own]))
+            of_anchor = layout.size + size * anchor + np.arange(3 if anchor >= 0 else 0)
+            rows.append(np.concatenate([of_anchor, own]))
         return rows
 
     def blocks_of(self, name: str) -> IntArray:
@@ -166,10 +165,10 @@ class Row:
         by_rows, P = np.zeros((size * count, len(rows))), np.zeros((size * count, size * count))
         by_rows[place] = np.hstack([np.zeros((s, 0)), *J.values()])
         P[np.ix_(place, place)] = variable.covariance
-        none, anchors = np.zeros(0, dtype=np.int64), np.zeros((0, 2), dtype=np.int64)
+        none = np.zeros(0, dtype=np.int64)
         kind = np.full(count, VECTOR if variable.in_world else PLAIN)
         first, x = self._count_held(), np.zeros(0)
-        state = FilterState(x, x, P, blocks, blocks, kind, _walk_of(variable, count), none, none, anchors, none)
+        state = FilterState(x, x, P, blocks, blocks, kind, _walk_of(variable, count), none, none, none, none)
         self.engine.hold(self.number, state, rows, by_rows)
         self.held[variable.name] = Held(first, count, variable)
 
@@ -221,7 +220,7 @@ class Row:
         """A copy of what it knows; to be assigned after a change."""
         state, values = self.engine.export(self.number), ValuePlaces(self.options.layout)
         size = self.options.landmark.value_size
-        clones, added = dict[str | int, Clone](), dict[str, AddedVariable]()
+        clones, added = dict[str, Clone](), dict[str, AddedVariable]()
         for name, one in self.held.items():
             blocks = self.blocks_of(name).copy()
             if one.variable is None:
@@ -238,9 +237,9 @@ class Row:
             state.first[:, :size],
             state.ids,
             state.own,
-            state.anchor[:, 0],
+            state.anchor,
             held=state.held,
-            clones={**clones, **anchor_poses(state.blocks, state.anchor)},
+            clones=clones,
             added=added,
         )
 
@@ -255,9 +254,6 @@ class Row:
         plan = self.engine.recipe.plan
         points = free & (plan.changes or plan.points)
         kind[own[~points]] = OWN
-        turns = np.full(len(state), -1)
-        if state.model.in_anchor:
-            turns = state.anchor_poses()[2]
         for clone in state.clones.values():
             position, rotation = clone.blocks
             kind[position], kind[rotation] = CLONE_POSITION, CLONE_ROTATION
@@ -279,14 +275,12 @@ class Row:
                 walk=walk,
                 ids=state.ids,
                 own=own,
-                anchor=np.column_stack([state.anchor_block, turns]),
+                anchor=state.anchor_block,
                 held=state.held,
             ),
         )
         places = {block: number for number, block in enumerate(state.held.tolist())}
-        self.held = {
-            name: Held(places[int(clone.blocks[0])], 2) for name, clone in state.clones.items() if isinstance(name, str)
-        }
+        self.held = {name: Held(places[int(clone.blocks[0])], 2) for name, clone in state.clones.items()}
         for name, one in state.added.items():
             self.held[name] = Held(places[int(one.blocks[0])], len(one.blocks), one.variable)
         self.held = dict(sorted(self.held.items(), key=lambda item: item[1].first))

@@ -22,10 +22,10 @@ from filters.contract.validation import (
     unit_quaternion,
 )
 from filters.contract.variables import POSE, VELOCITY
-from filters.engine.marginals import forecast, joint_covariance, landmark_belief, pose_landmark_covariances
+from filters.engine.marginals import joint_covariance, landmark_belief, pose_landmark_covariances
 from filters.engine.named_variables import VariableFilter
 from filters.engine.options import Options
-from filters.errors.error_definition import ErrorDefinition
+from filters.errors import ErrorDefinition
 from filters.geometry.arrays import FloatArray, IntArray
 from filters.geometry.camera import StereoCamera
 from filters.geometry.poses import Pose, relative_jacobian
@@ -35,7 +35,7 @@ from filters.motions.driven import moved_by
 from filters.motions.motion_model import CameraState, MotionModel, input_of
 from filters.parts import Named
 from filters.state.joint_state import JointState
-from filters.updates.extended import Linearisation
+from filters.updates import Linearisation
 
 if TYPE_CHECKING:
     from filters.engine.engine import Engine
@@ -188,8 +188,6 @@ class StereoEKF(VariableFilter):
         """Predicted (u, v, d) and S of landmarks at the current pose."""
         wanted, index = self._wanted(ids)
         engine, number = self._row.engine, self._row.number
-        if engine.recipe.plan.by_numbers:
-            return forecast(self.camera, self.noise, self.options.measurement, self.state, wanted, index)
         uvd, S, in_front = engine.forecast(slice(number, number + 1), self.noise.R[None])
         if ids is not None:
             uvd, S, in_front = uvd[index], S[index], in_front[index]

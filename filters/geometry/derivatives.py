@@ -158,8 +158,8 @@ def _of_rows(called: Callable[..., FloatArray], arrays: tuple[FloatArray, ...]) 
             return called(*arrays)
         except (TypeError, ValueError):
             count = max(map(len, arrays))
-            if count == 0:
-                raise
+            if count == 0:  # its shape is that of any row
+                return np.zeros((0, *called(*(np.ones(array.shape[1]) for array in arrays)).shape))
             whole = (np.broadcast_to(array, (count, array.shape[1])) for array in arrays)
             return np.stack([called(*rows) for rows in zip(*whole, strict=True)])
 

@@ -9,7 +9,10 @@ A record, such as the state of the filters, is passed by its address, too: one n
 
 from __future__ import annotations
 
+import ctypes
+import math
 import re
+import threading
 from collections import namedtuple
 from collections.abc import Callable, Mapping
 from functools import cache, cached_property
@@ -21,14 +24,14 @@ import numpy as np
 from llvmlite import ir
 from numba import cfunc, types
 from numba.core import cgutils
-from numba.core.errors import NumbaError, TypingError
+from numba.core.errors import TypingError
 from numba.core.typing.templates import AttributeTemplate
 from numba.extending import infer_getattr, intrinsic, lower_getattr_generic, models, register_model
 
-from filters.kernels.blas import CHOLESKY, PLAIN, kernel
+from filters.kernels.blas import CHOLESKY, PLAIN
 from filters.kernels.compilation import KEPT, include, stamped
 from filters.kernels.recipe import Recipe
-from filters.kernels.records import Scratch, empty_frame, empty_storage, scratch
+from filters.kernels.records import empty_frame, empty_storage, scratch
 
 
 class Address(types.Type):
@@ -119,7 +122,7 @@ SIGNATURES: Mapping[str, tuple[Any, ...]] = {
     "drift": (CALLS, PLAN, INT, INT, INT, STORAGE, INT, SCRATCH, INT),
     "fade": (PLAN, STORAGE, INT, SCRATCH, types.float64),
     "drop_unseen": (PLAN, STORAGE, INT, SCRATCH, FRAME, INT, INT),
-    "may_change": (CALLS, PLAN, STORAGE, INT, SCRATCH),
+    "become_points": (CALLS, PLAN, STORAGE, INT, SCRATCH),
     "turn_own": (CALLS, PLAN, STORAGE, INT, SCRATCH),
     "turn_with_world": (PLAN, STORAGE, INT, SCRATCH),
     "scale_blocks": (PLAN, MATRIX, INT, SCRATCH),
@@ -130,13 +133,12 @@ SIGNATURES: Mapping[str, tuple[Any, ...]] = {
     "start": (VECTOR, MATRIX, MATRIX, MATRICES, FLAGS),
     "turn": (VECTOR, MATRIX, VECTOR, MATRIX, MATRIX, MATRICES, MATRICES),
     "rotation": (VECTOR, MATRIX, MATRICES),
+    "shift": (VECTOR, MATRIX, MATRICES),
     "become": (VECTOR, MATRIX, MATRIX, MATRIX, FLAGS),
     "project": (VECTOR, VECTOR, MATRIX, VECTOR, MATRIX, MATRICES, MATRICES, FLAGS),
     "backproject": (VECTOR, VECTOR, MATRIX, VECTOR, MATRIX, MATRICES, MATRICES),
     "step": (VECTOR, VECTOR, types.float64, MATRIX, VECTOR, MATRIX, MATRIX),
     "measure": (VECTOR, VECTOR, types.float64, MATRIX, VECTOR, MATRIX, MATRIX),
-    # a part without compiled functions: what it is asked for, filter, thread, and four numbers that go along
-    "ask": (INT,) * 7,
 }
 """Types of the arguments of all that is called by address."""
 _Calls = namedtuple("_Calls", list(SIGNATURES))  # type: ignore[misc]
@@ -202,17 +204,6 @@ def _exists_plainly(function: Any) -> bool:
 call, exists = (_call_plainly, _exists_plainly) if PLAIN else (_call, _exists)
 
 
-TO_LINEARISE, TO_MOVE, TO_START, TO_CHANGE, TO_WALK, TO_DRIFT = range(6)
-"""What a part without compiled functions is asked for."""
-
-
-@kernel
-def ask(calls: Calls, what: int, b: int, s: Scratch, i: int, j: int, k: int, m: int) -> bool:
-    """Ask the parts of filter b, with four numbers that go along; whether they could answer."""
-    call(calls.ask, (what, b, s.door[0], i, j, k, m))
-    return s.door[1] == 0
-
-
 class Unit:
     """A kernel that is compiled when its address is first asked for."""
 
@@ -250,6 +241,9 @@ def of_part(kernels: Any, name: str) -> Any:
     function = getattr(kernels, name)
     if function is None:
         return 0
+    if kernels.in_python:
+        _LOADED.append(_in_python(name, function))
+        return function if PLAIN else ctypes.cast(_LOADED[-1], ctypes.c_void_p).value
     function = getattr(function, "py_func", function)
     include(function.__module__)
     has_file = getattr(function, "has_source", Path(function.__code__.co_filename).exists())  # else nowhere to keep it
@@ -257,7 +251,7 @@ def of_part(kernels: Any, name: str) -> Any:
         compiled = Unit(name, function, **{**KEPT, "cache": has_file})
         _LOADED.append(compiled)
         return compiled.address
-    except NumbaError as error:
+    except Exception as error:  # whatever Numba stumbles over: a function of a stranger's then runs in Python
         reason = " ".join(_COLOUR.sub("", str(error)).split())[:_LONGEST]
         raise ValueError(
             f"{name} {function.__qualname__} must be a function that Numba can compile: {reason}"
@@ -265,8 +259,53 @@ def of_part(kernels: Any, name: str) -> Any:
 
 
 _COLOUR, _LONGEST = re.compile(r"\x1b\[\d*m"), 400  # of what Numba says
-_LOADED: list[Unit] = []
-"""Whose addresses are known: they must stay."""
+_LOADED: list[Any] = []
+"""Code whose address is known: it must stay."""
+
+
+# --- functions of a part in Python, called from machine code ---
+
+_AHEAD, _DATA = 5, 4  # words of an array before its shape and its strides, and which of them is its address
+_thread = threading.local()
+
+
+def _in_python(name: str, function: Callable[..., None]) -> Any:
+    """Function that is called like machine code, with the numbers of its arrays one by one.
+
+    An exception cannot pass through machine code: it is kept for `raise_failure`, and what is written stays zero.
+    """
+    kinds = SIGNATURES[name]
+    words = [_AHEAD + 2 * kind.ndim if isinstance(kind, types.Array) else 1 for kind in kinds]
+    firsts = [sum(words[:k]) for k in range(len(kinds))]
+
+    def called(*given: Any) -> None:
+        if getattr(_thread, "failure", None) is not None:
+            return
+        try:
+            function(*(_argument(kind, given[first:]) for kind, first in zip(kinds, firsts, strict=True)))
+        except BaseException as error:  # whatever it is, it waits until the kernels have ended
+            _thread.failure = error
+
+    c_types = (ctypes.c_int64 if isinstance(kind, types.Array) else ctypes.c_double for kind in kinds)
+    return ctypes.CFUNCTYPE(None, *(c for c, n in zip(c_types, words, strict=True) for _ in range(n)))(called)
+
+
+def _argument(kind: Any, words: tuple[Any, ...]) -> Any:
+    """Number or array that the first words stand for."""
+    if not isinstance(kind, types.Array):
+        return words[0]
+    shape, dtype = words[_AHEAD : _AHEAD + kind.ndim], np.bool_ if kind.dtype == types.boolean else np.float64
+    if 0 in shape:
+        return np.zeros(shape, dtype)
+    room: Any = (ctypes.c_char * (math.prod(shape) * np.dtype(dtype).itemsize)).from_address(words[_DATA])
+    return np.frombuffer(room, dtype).reshape(shape)
+
+
+def raise_failure() -> None:
+    """Raise what a function in Python has raised in a call of this thread."""
+    failure, _thread.failure = getattr(_thread, "failure", None), None
+    if failure is not None:
+        raise failure
 
 
 def addresses(**known: Any) -> Calls:

@@ -32,11 +32,10 @@ def times_covariance(
     take_leading(P, n, measured, s.lead)
     for i in range(first, last):
         m = select[i]
-        if plan.anchors > 0 and s.base[m, 1] != held:  # neighbours often share an anchor
-            held = s.base[m, 1]
-            for which in range(plan.anchors):
-                take_rows(P, n, s.base[m, 2 - plan.anchors + which], 3, s.lead[measured + 3 * which :])
-        take_rows(P, n, s.base[m, 2], plan.size, s.lead[own:])
+        if plan.anchors > 0 and s.base[m, 0] != held:  # neighbours often share an anchor
+            held = s.base[m, 0]
+            take_rows(P, n, held, 3, s.lead[measured:])
+        take_rows(P, n, s.base[m, 1], plan.size, s.lead[own:])
         multiply_panel(s.HP[(i - first) * size :], 0, s.H[m], size, s.lead, 0, 0, width, n)
 
 
@@ -47,18 +46,18 @@ def take_columns(plan: Plan, s: Scratch, m: int, top: int, rows: int, held: int)
     Those of the anchor are there where it is `held`, the one before; the anchor that is there now.
     """
     HP, shared, column = s.HP, s.shared, plan.measured
-    for which in range(2 - plan.anchors, 3):
+    for which in range(1 - plan.anchors, 2):
         base = s.base[m, which]
-        for row in range(rows if which < 2 and s.base[m, 1] == held else top, rows):
+        for row in range(rows if which < 1 and s.base[m, 0] == held else top, rows):
             shared[column, row] = HP[row, base]
             shared[column + 1, row] = HP[row, base + 1]
             shared[column + 2, row] = HP[row, base + 2]
         column += 3
     for c in range(3, plan.size):
         for row in range(top, rows):
-            shared[column, row] = HP[row, s.base[m, 2] + c]
+            shared[column, row] = HP[row, s.base[m, 1] + c]
         column += 1
-    return int(s.base[m, 1])
+    return int(s.base[m, 0])
 
 
 @kernel
@@ -117,12 +116,12 @@ def explained(plan: Plan, s: Scratch, m: int, k: int) -> float:
     total = 0.0
     for c in range(measured):
         total += H[c] * delta[c]
-    for which in range(2 - plan.anchors, 3):
+    for which in range(1 - plan.anchors, 2):
         for c in range(3):
             total += H[measured + c] * delta[s.base[m, which] + c]
         measured += 3
     for c in range(3, plan.size):
-        total += H[measured + c - 3] * delta[s.base[m, 2] + c]
+        total += H[measured + c - 3] * delta[s.base[m, 1] + c]
     return total
 
 

@@ -68,7 +68,7 @@ def correct_by(
     used = 0.0 <= nis <= limit
     if used:
         restore_considered(P, plan.considered, s.kept, s.delta)
-        used = correct_state(calls, plan, S, b, s, SETTLED)
+        correct_state(calls, plan, S, b, s, SETTLED)
         keep_definite(P, before, s.half)
     s.result[0], s.result[1] = nis, 1.0 if used else 0.0
 
@@ -201,7 +201,7 @@ def relative_landmarks(
         R_cw = transposed(orientation(camera))
         for i in range(counts[b, LANDMARKS]):
             m, first = offsets[b] + i, POSE_SIZE
-            w0, w1, w2, origin = -camera[0], -camera[1], -camera[2], anchor[b, i, 0]
+            w0, w1, w2, origin = -camera[0], -camera[1], -camera[2], anchor[b, i]
             if anchored and origin < 0:  # a point of W
                 origin = own[b, i]
                 for a in range(4):
@@ -232,7 +232,7 @@ def relative_landmarks(
                 for k in range(3):
                     J[a, k] = 0.0 if in_world else -R_cw[3 * a + k]
                     if anchored:
-                        J[a, POSE_SIZE + k] = R_cw[3 * a + k] if anchor[b, i, 0] >= 0 else 0.0
+                        J[a, POSE_SIZE + k] = R_cw[3 * a + k] if anchor[b, i] >= 0 else 0.0
             put(J, 0, 3, cross_matrix(c0, c1, c2), 0.0 if in_world else 1.0)
             for k in range(width):
                 for q in range(k, width):
@@ -287,11 +287,10 @@ def forecasts(
                 uvd[m, k] = s.numbers[i, k]
             for a in range(width):
                 s.gate_rows[a] = a
-            for which in range(plan.anchors):
-                for a in range(3):
-                    s.gate_rows[measured + 3 * which + a] = s.base[i, 2 - plan.anchors + which] + a
+            for a in range(3 * plan.anchors):
+                s.gate_rows[measured + a] = s.base[i, 0] + a
             for a in range(plan.size):
-                s.gate_rows[width - plan.size + a] = s.base[i, 2] + a
+                s.gate_rows[width - plan.size + a] = s.base[i, 1] + a
             for k in range(3):
                 for a in range(width):
                     s.gate_HP[k, a] = 0.0

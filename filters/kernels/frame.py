@@ -19,13 +19,10 @@ from __future__ import annotations
 import numpy as np
 from numba import types
 
+from filters.geometry.arrays import FloatArray
 from filters.kernels.blas import PLAIN, entry, kernel
 from filters.kernels.calls import (
-    TO_CHANGE,
-    TO_START,
-    TO_WALK,
     Calls,
-    ask,
     call,
     exists,
     read_calls,
@@ -38,7 +35,8 @@ from filters.kernels.calls import (
 from filters.kernels.covariance import keep_considered, keep_definite, pose_variances, restore_considered
 from filters.kernels.gating import reweight
 from filters.kernels.landmarks import close_gaps, find, marginalise
-from filters.kernels.linearisation import AGAIN, FIRST, linearise_selected, prepare
+from filters.kernels.linearisation import clear_all, prepare
+from filters.kernels.prediction import clear
 from filters.kernels.recipe import Plan
 from filters.kernels.records import (
     BEHIND,
@@ -47,6 +45,7 @@ from filters.kernels.records import (
     GATED,
     LANDMARKS,
     OWN,
+    POINT,
     USED,
     VECTOR,
     FrameArrays,
@@ -68,8 +67,6 @@ def run_frames(
     s, frame = read_scratch(scratch_at), read_frame(frame_at)
     for b in range(first, last):
         _frame(calls, plan, S, b, s, frame)
-        if s.door[1] != 0:
-            return
 
 
 def compile_frame() -> None:
@@ -95,7 +92,7 @@ def _frame(calls: Calls, plan: Plan, S: Storage, b: int, s: Scratch, frame: Fram
     P = S.P[b]
     if frame.dt[b] > 0.0:
         _predict(calls, plan, S, b, s, frame)
-    if s.door[1] != 0 or not frame.seen[b]:
+    if not frame.seen[b]:
         return
     if plan.drop_unseen and found < counts[LANDMARKS]:
         call(calls.drop_unseen, (plan, S, b, s, frame, first, last))
@@ -112,8 +109,6 @@ def _frame(calls: Calls, plan: Plan, S: Storage, b: int, s: Scratch, frame: Fram
         for stage in range(plan.stages[variant]):
             prepare(plan, variant, stage, frame.uvd, frame.R, frame.v_right, first, s, known)
             nis, dof = _stage(calls, plan, variant, stage, S, b, s, known)
-            if s.door[1] != 0:
-                return
             frame.nis[b] += nis
             frame.dof[b] += dof
         keep_definite(P, before, s.half)
@@ -138,14 +133,12 @@ def _predict(calls: Calls, plan: Plan, S: Storage, b: int, s: Scratch, frame: Fr
                 row = plan.leading + plan.size * c + a
                 P[row, row] += S.walk[b, c, a] * frame.dt[b]
     if plan.gauge_walk > 0.0:
-        if plan.walks_by_numbers and not ask(calls, TO_WALK, b, s, 0, 0, 0, 0):
-            return
         call(calls.walk_gauge, (calls, plan, S, b, s, s.before))
     if plan.memory < np.inf:
         call(calls.fade, (plan, S, b, s, frame.dt[b]))
     keep_definite(P, before, s.half)
     before = pose_variances(P)
-    if frame.measured[b] > 0 if plan.driven_by_numbers else frame.fused[b] and plan.odometry_rows > 0:
+    if frame.fused[b] and plan.odometry_rows > 0:
         keep_considered(P, plan.considered, s.kept)
         call(calls.fuse_odometry, (calls, plan, P, n, x, frame, b, s))
         if s.result[0] > 0.0:
@@ -168,8 +161,7 @@ def _stage(
         if s.fates[m] == USED:
             s.select[count] = m
             count += 1
-    if not linearise_selected(calls, plan, variant, stage, S, b, x, blocks, s, count, FIRST):
-        return 0.0, 0
+    call(calls.linearise, (calls, plan, variant, stage, S, b, x, blocks, s, count))
     ahead = np.int64(0)  # with a plain 0, Numba compiles what takes it a second time, for that number alone
     for i in range(count):
         m = s.select[i]
@@ -182,8 +174,6 @@ def _stage(
     count = ahead
     if stage == 0 and exists(calls.drift):
         call(calls.drift, (calls, plan, 0, variant, stage, S, b, s, count))
-        if s.door[1] != 0:
-            return 0.0, 0
     if gated:
         count = _gate(calls, plan, S, b, s, count, size, limit)
     if not (gated and plan.consensus):
@@ -198,15 +188,12 @@ def _stage(
             s.select[core] = m
             core += 1
     nis, dof = _apply(calls, plan, variant, stage, S, b, s, core, size)
-    if s.door[1] != 0:
-        return 0.0, 0
     count = np.int64(0)
     for m in range(known):
         if s.fates[m] == GATED and s.ahead[m]:  # not in the core
             s.select[count] = m
             count += 1
-    if not linearise_selected(calls, plan, variant, stage, S, b, x, blocks, s, count, AGAIN):
-        return 0.0, 0
+    call(calls.linearise, (calls, plan, variant, stage, S, b, x, blocks, s, count))
     count = _gate(calls, plan, S, b, s, count, size, limit)
     more, rows = _apply(calls, plan, variant, stage, S, b, s, count, size)
     return nis + more, dof + rows
@@ -236,15 +223,11 @@ def _apply(
     n = plan.leading + plan.size * counts[BLOCKS]
     if stage == 0 and exists(calls.drift):
         call(calls.drift, (calls, plan, 1, variant, stage, S, b, s, count))
-        if s.door[1] != 0:
-            return 0.0, 0
     if plan.tail_dof < 1e300:
         call(calls.distances, (plan, P, s, s.select, count, size))
         reweight(plan, s, s.select, count, size)
     for _ in range(plan.iterations - 1):
         call(calls.iterate, (calls, plan, variant, stage, S, b, s, count, size))
-        if s.door[1] != 0:
-            return 0.0, 0
     keep_considered(P, plan.considered, s.kept)
     call(calls.correct, (calls, plan, P, n, s, s.select, count, size))
     nis, dof = s.result[0], 0
@@ -267,46 +250,106 @@ def _renew(
     """Landmarks enter, from measurements of unknown ones that can start one, and some change over to points."""
     new = np.int64(0)
     if last - first > found:
-        if not plan.by_numbers:
-            for i in range(first, last):
-                if s.where[i - first] < 0:
-                    s.place[new] = i - first
-                    new += 1
-            call(calls.initialise, (calls, plan, S, b, s, frame, first, new))
-        elif not ask(calls, TO_START, b, s, first, last, 0, 0):
-            return
+        for i in range(first, last):
+            if s.where[i - first] < 0:
+                s.place[new] = i - first
+                new += 1
+        call(calls.initialise, (calls, plan, S, b, s, frame, first, new))
         new = np.int64(s.result[0])
     if plan.changes:
-        s.result[0] = 1.0
-        if exists(calls.become):
-            call(calls.may_change, (calls, plan, S, b, s))
-        if s.result[0] > 0.0 and not ask(calls, TO_CHANGE, b, s, 0, 0, 0, 0):
-            return
+        call(calls.become_points, (calls, plan, S, b, s))
     if new > 0:
         call(calls.augment, (plan, S, b, s, frame, first, new))
     if plan.changes:
         close_gaps(plan, S, b)
 
 
-@unit("may_change")
-def may_change(calls: Calls, plan: Plan, S: Storage, b: int, s: Scratch) -> None:
-    """Ask the kernel of the part whether a landmark is to become a point: `result`."""
-    x, P, blocks, count = S.x[b], S.P[b], S.blocks[b], 0
+@unit("become_points")
+def become_points(calls: Calls, plan: Plan, S: Storage, b: int, s: Scratch) -> None:
+    """Turn landmarks into points of W where their part asks for it (Eq. 4); an anchor that none uses any more may go.
+
+    The Jacobian is that at the linearisation point.
+    """
+    x, blocks, before, own, anchor = S.x[b], S.blocks[b], S.first[b], S.own[b], S.anchor[b]
+    count, chosen = np.int64(0), np.int64(0)
     for i in range(S.counts[b, LANDMARKS]):
-        own, anchor = S.own[b, i], S.anchor[b, i, 0]
-        if S.kind[b, own] == OWN:
+        if S.kind[b, own[i]] == OWN:
+            s.taken[count] = i
             for a in range(3):
-                s.points[count, a] = blocks[anchor, a] - x[a]
+                s.points[count, a] = blocks[anchor[i], a] - x[a]
+                row = plan.leading + plan.size * own[i] + a
+                s.correction[count, a] = S.P[b, row, row]
             for a in range(s.values_taken.shape[1]):
-                s.values_taken[count, a] = blocks[own, a]
-            for a in range(plan.size):
-                row = plan.leading + plan.size * own + a
-                s.correction[count, a] = P[row, row]
+                s.values_taken[count, a] = blocks[own[i], a]
             s.gone[count] = False
             count += 1
     given = s.points[:count], s.values_taken[:count], s.correction[:count]
     call(calls.become, (plan.landmark, *given, s.gone[:count]))
-    s.result[0] = 1.0 if s.gone[:count].any() else 0.0
+    for k in range(count):
+        if s.gone[k]:
+            i = s.taken[chosen] = s.taken[k]
+            for a in range(s.values_taken.shape[1]):
+                s.values_taken[chosen, a] = blocks[own[i], a]
+            chosen += 1
+    if chosen == 0:
+        return
+    clear_all(s.by_own, chosen)
+    clear(s.points[:chosen])
+    call(calls.point, (plan.landmark, s.values_taken[:chosen], s.points[:chosen], s.by_own[:chosen]))
+    for k in range(chosen):
+        i, p = s.taken[k], s.points[k]
+        for a in range(3):
+            place = blocks[anchor[i], a] + p[a] / p[3]
+            blocks[own[i], a] = place
+            if not plan.first_estimates:
+                before[own[i], a] = place
+    if plan.first_estimates:
+        for k in range(chosen):
+            i = s.taken[k]
+            for a in range(s.values_taken.shape[1]):
+                follows = False
+                for c in plan.follows:
+                    follows = follows or a == c
+                if not follows:
+                    s.values_taken[k, a] = before[own[i], a]
+        clear_all(s.by_own, chosen)
+        clear(s.points[:chosen])
+        call(calls.point, (plan.landmark, s.values_taken[:chosen], s.points[:chosen], s.by_own[:chosen]))
+        for k in range(chosen):
+            i, p = s.taken[k], s.points[k]
+            for a in range(3):
+                before[own[i], a] = before[anchor[i], a] + p[a] / p[3]
+    n, J = plan.leading + plan.size * S.counts[b, BLOCKS], s.small[0]
+    for k in range(chosen):
+        i, p, by_own = s.taken[k], s.points[k], s.by_own[k]
+        for a in range(3):
+            for c in range(3):
+                J[a, c] = (by_own[a, c] - p[a] / p[3] * by_own[3, c]) / p[3]
+        _carry_to_point(S.P[b], n, plan.leading + 3 * anchor[i], plan.leading + 3 * own[i], J, s.HP, s.block)
+        S.users[b, anchor[i]] -= 1
+        S.kind[b, own[i]], anchor[i] = POINT, -1
+
+
+@kernel
+def _carry_to_point(
+    P: FloatArray, n: int, anchor: int, own: int, J: FloatArray, rows: FloatArray, point: FloatArray
+) -> None:
+    """P where the numbers at the rows from `own` on become those at `anchor` plus J times themselves."""
+    for a in range(3):
+        for j in range(n):
+            rows[a, j] = P[min(anchor + a, j), max(anchor + a, j)]
+            rows[3 + a, j] = P[min(own + a, j), max(own + a, j)]
+    for a in range(3):
+        for j in range(n):
+            point[a, j] = rows[a, j] + J[a, 0] * rows[3, j] + J[a, 1] * rows[4, j] + J[a, 2] * rows[5, j]
+    for a in range(3):
+        for j in range(n):
+            P[min(own + a, j), max(own + a, j)] = point[a, j]
+    for a in range(3):
+        for c in range(a, 3):
+            P[own + a, own + c] = point[a, anchor + c]
+            for k in range(3):
+                P[own + a, own + c] += point[a, own + k] * J[c, k]
 
 
 @unit("drop_unseen")

@@ -40,13 +40,12 @@ def squared_distances(plan: Plan, P: FloatArray, s: Scratch, select: IntArray, c
             C[i, j] = C[j, i] = P[i, j]
     for i in range(count):
         m = select[i]
-        for which in range(plan.anchors):
-            for c in range(3):
-                rows[measured + 3 * which + c] = s.base[m, 2 - plan.anchors + which] + c
+        for c in range(3 * plan.anchors):
+            rows[measured + c] = s.base[m, 0] + c
         for c in range(3):
-            rows[own + c] = s.base[m, 2] + c
+            rows[own + c] = s.base[m, 1] + c
         for c in range(3, plan.size):
-            rows[own + c] = s.base[m, 2] + c
+            rows[own + c] = s.base[m, 1] + c
         for p in range(measured, total):
             row = rows[p]
             for q in range(measured):

@@ -6,13 +6,12 @@ from filters.geometry.arrays import FloatArray
 from filters.geometry.rotations import right_jacobian_of
 from filters.geometry.three_by_three import put, times, transposed
 from filters.kernels.blas import kernel
-from filters.kernels.calls import TO_MOVE, Calls, ask, call, unit
+from filters.kernels.calls import Calls, call, unit
 from filters.kernels.correction import explained, factorise, innovation_covariance, times_covariance
-from filters.kernels.linearisation import MOVED, linearise_selected
 from filters.kernels.prediction import orientation
 from filters.kernels.recipe import Plan
 from filters.kernels.records import BLOCKS, Scratch, Storage
-from filters.kernels.retraction import CORRECTED, move, scales_blocks
+from filters.kernels.retraction import move, put_variables, scales_blocks
 
 
 @unit("iterate")
@@ -27,19 +26,11 @@ def iterate(
     keeps = plan.relinearise_above > 0.0
     if keeps:
         _keep_tangents(s, count, size)
-    if plan.moves_by_numbers:  # the linearisation is carried back where it is made
-        if (
-            ask(calls, TO_MOVE, b, s, CORRECTED, 0, 0, 0)
-            and linearise_selected(calls, plan, variant, stage, S, b, s.moved, s.moved_blocks, s, count, MOVED)
-            and keeps
-        ):
-            _restore_straight(plan, s, count, size)
-        return
     move(calls, plan, S, b, s)
-    if not linearise_selected(calls, plan, variant, stage, S, b, s.moved, s.moved_blocks, s, count, MOVED):
-        return
+    call(calls.linearise, (calls, plan, variant, stage, S, b, s.moved, s.moved_blocks, s, count))
     if plan.resets:
         _left_jacobian(S.x[b], s.delta, s.F)
+    put_variables(plan, s.delta, s.F)
     _by_earlier_errors(plan, n, s, count, size)
     if keeps:
         _restore_straight(plan, s, count, size)
@@ -97,8 +88,8 @@ def _by_earlier_errors(plan: Plan, n: int, s: Scratch, count: int, size: int) ->
                 for c in range(measured):
                     total += H[c] * s.W[c, a]
                 c = measured
-                for which in range(2 - plan.anchors, 3):
-                    for j in range(3 if which < 2 else plan.size):
+                for which in range(1 - plan.anchors, 2):
+                    for j in range(3 if which < 1 else plan.size):
                         total += H[c] * s.W[s.base[m, which] + j, a]
                         c += 1
                 s.nu[m, k] += total * s.delta[3 + a]
@@ -107,10 +98,14 @@ def _by_earlier_errors(plan: Plan, n: int, s: Scratch, count: int, size: int) ->
                 _times_block(H, 0, 3, s.F, s.G[0])
                 if plan.sees_velocity:
                     _times_block(H, plan.velocity, 3, s.F, s.G[0])
+            for r in range(0 if plan.first_estimates else len(plan.rotations)):
+                row = plan.rotations[r, 0]
+                if row < measured:
+                    _times_block(H, row, 3, s.F[row:, row:], s.G[0])
             if scales_blocks(plan):
                 c = measured
-                for which in range(2 - plan.anchors, 3):
-                    width = 3 if which < 2 else plan.size
+                for which in range(1 - plan.anchors, 2):
+                    width = 3 if which < 1 else plan.size
                     _times_block(H, c, width, s.D[(s.base[m, which] - plan.leading) // plan.size], s.G[0])
                     c += width
             for a in range(3):

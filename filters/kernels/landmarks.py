@@ -59,15 +59,14 @@ def marginalise(
     for i in range(counts[LANDMARKS]):
         if not goes[i]:
             ids[kept], own[kept] = ids[i], own[i]
-            anchor[kept, 0], anchor[kept, 1] = anchor[i, 0], anchor[i, 1]
+            anchor[kept] = anchor[i]
             kept += 1
         else:
             dropped[gone] = ids[i]
             gone += 1
             users[own[i]] -= 1
-            for k in range(2):
-                if anchor[i, k] >= 0:
-                    users[anchor[i, k]] -= 1
+            if anchor[i] >= 0:
+                users[anchor[i]] -= 1
     counts[LANDMARKS] = kept
 
 
@@ -94,9 +93,8 @@ def close_gaps(plan: Plan, S: Storage, b: int) -> None:
         for i in range(S.counts[b, LANDMARKS]):
             if own[i] == last:
                 own[i] = gap
-            for k in range(2):
-                if anchor[i, k] == last:
-                    anchor[i, k] = gap
+            if anchor[i] == last:
+                anchor[i] = gap
         for i in range(len(held)):
             if held[i] < 0:
                 break
@@ -222,7 +220,7 @@ def initialise(
             _add_prior(plan, x, s, i, kept)
         for a in range(s.values.shape[1]):
             s.values[kept, a] = s.values[i, a]
-        s.place[kept], s.anchored[kept] = s.place[i], plan.anchors > 0
+        s.place[kept] = s.place[i]
         kept += 1
     if plan.first_estimates:
         source = s.W[: plan.leading]
@@ -291,12 +289,11 @@ def _merge(
         new = ids[first + s.place[j]]
         if i >= 0 and all_ids[i] > new:
             all_ids[target], own[target] = all_ids[i], own[i]
-            anchor[target, 0], anchor[target, 1] = anchor[i, 0], anchor[i, 1]
+            anchor[target] = anchor[i]
             i -= 1
         else:
             all_ids[target], own[target] = new, s.entered[j]
-            anchor[target, 0] = s.land[j]
-            anchor[target, 1] = s.turns[j]
+            anchor[target] = s.land[j]
             j -= 1
         target -= 1
     counts[LANDMARKS] += count
@@ -308,48 +305,40 @@ def augment(plan: Plan, S: Storage, b: int, s: Scratch, frame: FrameArrays, firs
     P, x, blocks, users, counts = S.P[b], S.x[b], S.blocks[b], S.users[b], S.counts[b]
     measured, leading = plan.measured, plan.leading
     taken, made = s.entered, s.made  # parameter block of each, all anchor blocks
-    gap, anchors, poses = 0, 0, plan.anchors == 2
+    gap, anchors = 0, 0
     for i in range(count):
-        s.land[i] = s.turns[i] = -1
-        if plan.anchors > 0 and s.anchored[i]:
-            for k in range(plan.anchors):
-                by_landmark = s.land if k == 0 else s.turns
-                if i > 0 and plan.shares_anchors and anchors > k:
-                    by_landmark[i] = made[k]
-                else:
-                    while gap < counts[BLOCKS] and users[gap] > 0:
-                        gap += 1
-                    if gap == counts[BLOCKS]:
-                        counts[BLOCKS] += 1
-                    users[gap], made[anchors], by_landmark[i] = 0, gap, gap
-                    S.kind[b, gap] = CLONE_POSITION + k if poses else POINT
-                    anchors += 1
+        s.land[i] = -1
+        if plan.anchors > 0:
+            if i > 0 and plan.shares_anchors:
+                s.land[i] = made[0]
+            else:
+                while gap < counts[BLOCKS] and users[gap] > 0:
                     gap += 1
-                users[by_landmark[i]] += 1
+                if gap == counts[BLOCKS]:
+                    counts[BLOCKS] += 1
+                users[gap], made[anchors], s.land[i], S.kind[b, gap] = 0, gap, gap, POINT
+                anchors += 1
+                gap += 1
+            users[s.land[i]] += 1
     for i in range(count):
         while gap < counts[BLOCKS] and users[gap] > 0:
             gap += 1
         if gap == counts[BLOCKS]:
             counts[BLOCKS] += 1
         users[gap], taken[i] = 1, gap
-        free = s.land[i] < 0 and (plan.changes or plan.points)
-        S.kind[b, gap] = POINT if free else OWN
+        S.kind[b, gap] = POINT if plan.points else OWN
     n = leading + plan.size * counts[BLOCKS]
     take_leading(P, n, measured, s.lead)
     for i in range(anchors):
-        k = i % plan.anchors
-        for a in range(3 + k):
-            blocks[made[i], a] = S.first[b, made[i], a] = x[3 * k + a]
-        for a in range(3 + k, blocks.shape[1]):
-            blocks[made[i], a] = S.first[b, made[i], a] = 0.0
-        _add_block(plan, s, leading + plan.size * made[i], s.by_anchor[3 * k : 3 * k + 3])
+        for a in range(blocks.shape[1]):
+            blocks[made[i], a] = S.first[b, made[i], a] = x[a] if a < 3 else 0.0
+        _add_block(plan, s, leading + plan.size * made[i], s.by_anchor)
     for i in range(count):
         for a in range(s.values.shape[1]):
             blocks[taken[i], a] = S.first[b, taken[i], a] = s.values[i, a]
         _add_block(plan, s, leading + plan.size * taken[i], s.H[i, : plan.size])
     for i in range(anchors):
-        k = 3 * (i % plan.anchors)
-        _write_rows(plan, P, n, leading + plan.size * made[i], s.by_anchor[k : k + 3], s)
+        _write_rows(plan, P, n, leading + plan.size * made[i], s.by_anchor, s)
     for i in range(count):
         row = leading + plan.size * taken[i]
         _write_rows(plan, P, n, row, s.H[i, : plan.size], s)

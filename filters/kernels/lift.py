@@ -6,7 +6,7 @@ columns where it can and row by row where it branches on its numbers.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -14,18 +14,28 @@ from typing import Any
 import numpy as np
 
 from filters.contract.inputs import InertialSamples
-from filters.contract.variables import VELOCITY
+from filters.contract.variables import VELOCITY, Variable
 from filters.geometry.retractions import ADDITIVE
 from filters.geometry.vectors import turned_by
 from filters.kernels.blas import kernel
 from filters.kernels.duals import added, numbers, variables, write
+from filters.kernels.in_python import functions_in_python
 from filters.kernels.lifted_motion import motion_functions
-from filters.kernels.plain import CAMERA, Keyed, Layout, plain, settings_layout, size_of, tried
+from filters.kernels.plain import (
+    CAMERA,
+    ORIENTATION,
+    Keyed,
+    Layout,
+    errors_of,
+    plain,
+    seeded,
+    settings_layout,
+    tried,
+)
 from filters.kernels.recipe import Functions
 from filters.landmarks.landmark_model import LandmarkModel
 from filters.measurements.measurement_model import MeasurementModel
 from filters.motions.motion_model import MotionModel
-from filters.parts import kernels_of
 
 
 def _sum(settings: Any, y: Any, c: Any) -> Any:
@@ -77,6 +87,14 @@ def _landmark_kernels(cls: type[LandmarkModel], layout: Layout) -> Functions:
             turned = turned_by(variables(still, 3, 0, 3), h[:3]) + h[3:]
             write(none, effect[i], local(settings, value, start(settings, turned)))
 
+    def shift_kernel(settings: Any, values: Any, effect: Any) -> None:
+        still, none = np.zeros(3), np.zeros(n)
+        for i in range(len(values)):
+            value = numbers(values[i], v)
+            h, (x, y, z) = point(settings, value), variables(still, 3, 0, 3)
+            moved = (h[0] + h[3] * x, h[1] + h[3] * y, h[2] + h[3] * z)
+            write(none, effect[i], local(settings, value, start(settings, moved + h[3:])))
+
     becomes: Any = None if cls.steady else plain(cls.becomes_point, layout)
 
     def become_kernel(settings: Any, to_anchor: Any, values: Any, variances: Any, become: Any) -> None:
@@ -90,6 +108,7 @@ def _landmark_kernels(cls: type[LandmarkModel], layout: Layout) -> Functions:
         start=start_kernel,
         turn=turn_kernel,
         rotation=rotation_kernel,
+        shift=None if cls.anchored else shift_kernel,
         become=become,
         settings=names,
     )
@@ -143,10 +162,12 @@ def sensor_functions(cls: type[MeasurementModel], layout: Layout, values: Layout
 
 
 def _sensor_kernels(cls: type[MeasurementModel], layout: Layout, values_layout: Layout) -> Functions:
-    m, size, k = cls.size, size_of(values_layout), cls.seen_size
+    m, k, errors = cls.size, cls.seen_size, errors_of(values_layout)
     groups = (layout, CAMERA, values_layout) if values_layout else (layout, CAMERA)
     project, unproject = plain(cls.project, *groups), plain(cls.unproject, *groups)
-    can_see, slopes_of_point, slopes_of_uvd = plain(cls.can_see, layout), k + size, 3 + size
+    can_see, slopes_of_point, slopes_of_uvd = plain(cls.can_see, layout), k + errors, 3 + errors
+
+    seed_beside_point, seed_beside_uvd = seeded(values_layout, slopes_of_point), seeded(values_layout, slopes_of_uvd)
 
     def predict(
         settings: Any, camera: Any, points: Any, values: Any, seen: Any, J: Any, J_values: Any, in_front: Any
@@ -163,7 +184,7 @@ def _sensor_kernels(cls: type[MeasurementModel], layout: Layout, values_layout: 
         settings: Any, camera: Any, points: Any, values: Any, seen: Any, J: Any, J_values: Any, in_front: Any
     ) -> None:
         both = np.zeros((m, slopes_of_point))
-        others = variables(values, size, k, slopes_of_point)
+        others = seed_beside_point(values, np.zeros(3), k)
         for i in range(len(points)):
             in_front[i] = can_see(settings, numbers(points[i], k))
             write(seen[i], both, project(settings, camera, variables(points[i], k, 0, slopes_of_point), others))
@@ -173,7 +194,7 @@ def _sensor_kernels(cls: type[MeasurementModel], layout: Layout, values_layout: 
         settings: Any, camera: Any, uvd: Any, values: Any, points: Any, J: Any, J_values: Any
     ) -> None:
         both = np.zeros((k, slopes_of_uvd))
-        others = variables(values, size, 3, slopes_of_uvd)
+        others = seed_beside_uvd(values, np.zeros(3), 3)
         for i in range(len(uvd)):
             write(points[i], both, unproject(settings, camera, variables(uvd[i], 3, 0, slopes_of_uvd), others))
             _split(both, J[i], J_values[i])
@@ -194,70 +215,40 @@ def _split(both: Any, J: Any, J_values: Any) -> None:
             J_values[a, c] = both[a, J.shape[1] + c]
 
 
-_COLUMNS = (
-    *("parameters_of", "can_start", "started", "retract", "local", "transport", "homogeneous", "relative_to"),
-    *("rotated", "world_rotation", "turned", "turned_jacobians", "first_estimates", "become_points"),
-)
-_SENSED = ("predict", "backproject", "in_front", "stages", "jacobians", "backprojection_jacobians")
-_MOVED = ("predict", "odometry_measurement")
-"""Functions of a landmark, a sensor and a motion that follow from the plain ones."""
+def functions_of(part: Any) -> Functions:
+    """Functions of a landmark, a sensor or a motion: in machine code, or in Python where Numba cannot compile them."""
+    functions = _compiled(part) if part.in_machine_code else ""
+    return functions_in_python(part) if isinstance(functions, str) else functions
 
 
-def _changes(cls: type, base: type, names: Sequence[str]) -> bool:
-    """Whether a class of a stranger has functions of columns of its own: then these are what it means."""
-    return any(
-        getattr(cls, name) is not getattr(base, name) and not getattr(cls, name).__module__.startswith("filters.")
-        for name in names
-    )
-
-
-def compiled_functions(part: Any) -> Any:
-    """Compiled functions of a part, or what its class states as `kernels`; None: it has none."""
-    if isinstance(part, LandmarkModel | MeasurementModel | MotionModel):
-        functions = functions_of(part)
-        return None if isinstance(functions, str) else functions
-    return kernels_of(part)
-
-
-def functions_of(part: Any) -> Any:
-    """Compiled functions of a part that is given by plain functions; a text that says why there are none, or None.
-
-    Parts of other kinds, and such whose landmarks have several vectors or a pose for an anchor, have none.
-    """
+def _compiled(part: Any) -> Functions | str:
+    """Compiled functions, or a text that says why there are none."""
     cls: Any = type(part)
-    if not part.in_machine_code or any(
-        variable.retraction is not ADDITIVE for variable in getattr(part, "variables", ())
-    ):
-        return None
     layout = settings_layout(part)
     if isinstance(part, LandmarkModel):
-        plain_form = cls.point_of is not LandmarkModel.point_of
-        if not plain_form or cls.in_anchor or cls.seen_vectors != 1 or _changes(cls, LandmarkModel, _COLUMNS):
-            return None
         return landmark_functions(cls, layout)
     if isinstance(part, MeasurementModel):
-        plain_form = cls.project is not MeasurementModel.project and cls.seen_vectors == 1
-        if not plain_form or _changes(cls, MeasurementModel, _SENSED):
-            return None
-        values = tuple((variable.name, variable.size) for variable in part.variables)
-        if part.sees_velocity:
-            values = (*values, (VELOCITY, 6))
-        return sensor_functions(cls, layout, values)
-    if cls.step is MotionModel.step or _changes(cls, MotionModel, _MOVED):
-        return None
+        values = tuple(map(_entry, part.variables))
+        return sensor_functions(cls, layout, (*values, (VELOCITY, 6)) if part.sees_velocity else values)
+    position, _, *velocities = part.layout[:4]
+    state = (position, ("orientation", ORIENTATION), *velocities, *map(_entry, part.variables))
     if not part.driven:
-        return motion_functions(cls, layout, part.layout, len(part.sigmas(1.0)), "noise")
+        return motion_functions(cls, layout, state, len(part.sigmas(1.0)), "noise")
     samples = part.takes is InertialSamples
-    return motion_functions(cls, layout, part.layout, 12 if samples else 6, "samples" if samples else "odometry")
+    return motion_functions(cls, layout, state, 12 if samples else 6, "samples" if samples else "odometry")
+
+
+def _entry(variable: Variable) -> tuple[str, int]:
+    return variable.name.replace("-", "_"), variable.size if variable.retraction is ADDITIVE else ORIENTATION
 
 
 def how_it_runs(part: Any) -> str:
     """How a landmark, a sensor or a motion runs in a filter, as a report says it; nothing for other parts."""
     if not isinstance(part, LandmarkModel | MeasurementModel | MotionModel):
         return ""
-    functions = functions_of(part)
-    if functions is None:
+    if not part.in_machine_code:
         return "in Python, on columns"
+    functions = _compiled(part)
     if isinstance(functions, str):
         return f"in Python, on columns: Numba cannot compile {functions}"
     return "in machine code, with Jacobians by dual numbers"

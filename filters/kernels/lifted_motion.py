@@ -11,10 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from filters.geometry.machine_code import compiled
 from filters.kernels.blas import kernel
 from filters.kernels.duals import numbers, variables, write
-from filters.kernels.plain import Keyed, Layout, grouped, plain, size_of, tried
+from filters.kernels.plain import Keyed, Layout, differences, errors_of, grouped, plain, seeded, size_of, tried
 from filters.kernels.recipe import Functions
 from filters.motions.motion_model import MotionModel
 
@@ -35,10 +34,11 @@ def motion_functions(cls: type[MotionModel], layout: Layout, state: Layout, k: i
 
 
 def _motion_kernels(cls: type[MotionModel], layout: Layout, state: Layout, k: int, driver: str) -> Functions:
-    v, step = size_of(state), plain(cls.step, layout)
-    m = v - 1
+    v, m, step = size_of(state), errors_of(state), plain(cls.step, layout)
     count, flat = -(-(m + k) // TOGETHER), Keyed(_flat(len(state)), "flat", len(state))
-    at, names = Keyed(_state_at(v, grouped(state)), "state", state), tuple(name for name, _ in layout)
+    errors, seed, named = differences(state), seeded(state, TOGETHER), Keyed(grouped(state), "record", state)
+    at = Keyed(lambda x, first, zeros: named(seed(x, zeros, first)), "state", state)
+    names = tuple(name for name, _ in layout)
     noise: Any = Keyed({"noise": _no_noise(k), "odometry": _odometry, "samples": _sample}[driver], driver, k)
     sigmas: Any = plain(cls.sigmas, layout) if driver == "noise" else None
 
@@ -50,11 +50,11 @@ def _motion_kernels(cls: type[MotionModel], layout: Layout, state: Layout, k: in
             given = noise(odometry, row, first + m, zeros)
             new = flat(step(settings, at(x, first, zeros), dt, given))
             write(moved, unused, new)
-            write(zeros, J[:, TOGETHER * group : TOGETHER * (group + 1)], _errors(moved, new))
+            write(zeros, J[:, TOGETHER * group : TOGETHER * (group + 1)], errors(moved, new))
             for i in range(m):
                 zeros[i] = 0.0
 
-    stepped = Keyed(forward, step, at, noise, count, m)
+    stepped = Keyed(forward, step, at, noise, errors, count, m)
 
     def by_noise(settings: Any, x: Any, dt: Any, odometry: Any, moved: Any, F: Any, Q: Any) -> None:
         J, U = np.zeros((m, TOGETHER * count)), np.zeros((k, k))
@@ -112,24 +112,6 @@ def _motion_kernels(cls: type[MotionModel], layout: Layout, state: Layout, k: in
     return Functions(step=by_noise, measure=measure, settings=names)
 
 
-def _state_at(v: int, record: Any) -> Any:
-    """Function of the state that carries the derivatives by its errors from -first on."""
-    named, behind = Keyed(record, "record", v), v - 7
-
-    def at(x: Any, first: Any, zeros: Any) -> Any:
-        q, (a, b, c) = numbers(x[3:], 4), variables(zeros, 3, first + 3, TOGETHER)
-        a, b, c = 0.5 * a, 0.5 * b, 0.5 * c  # q x (half the rotation, 1)
-        turned = (
-            q[0] + (q[3] * a + q[1] * c - q[2] * b),
-            q[1] + (q[3] * b + q[2] * a - q[0] * c),
-            q[2] + (q[3] * c + q[0] * b - q[1] * a),
-            q[3] - (q[0] * a + q[1] * b + q[2] * c),
-        )
-        return named(variables(x, 3, first, TOGETHER) + turned + variables(x[7:], behind, first + 6, TOGETHER))
-
-    return at
-
-
 def _no_noise(k: int) -> Any:
     return lambda odometry, row, first, zeros: variables(zeros, k, first, TOGETHER)
 
@@ -157,18 +139,6 @@ def _flat(count: int) -> Any:
         return lambda parts: parts[0]
     rest = Keyed(_flat(count - 1), "flat", count - 1)
     return lambda parts: parts[0] + rest(parts[1:])
-
-
-@compiled
-def _errors(moved: Any, x: Any) -> Any:
-    """Errors of a state, with its derivatives, relative to its values."""
-    q, p = x[3:7], numbers(moved[3:], 4)
-    turn = (
-        2.0 * (p[3] * q[0] - p[0] * q[3] + p[2] * q[1] - p[1] * q[2]),
-        2.0 * (p[3] * q[1] - p[1] * q[3] + p[0] * q[2] - p[2] * q[0]),
-        2.0 * (p[3] * q[2] - p[2] * q[3] + p[1] * q[0] - p[0] * q[1]),
-    )
-    return x[:3] + turn + x[7:]
 
 
 @kernel

@@ -5,13 +5,10 @@ from __future__ import annotations
 from filters.geometry.arrays import FloatArray, IntArray
 from filters.geometry.three_by_three import times, transposed
 from filters.kernels.blas import kernel
-from filters.kernels.calls import TO_LINEARISE, Calls, ask, call, unit
+from filters.kernels.calls import Calls, call, unit
 from filters.kernels.prediction import clear, orientation
 from filters.kernels.recipe import Plan
 from filters.kernels.records import BLOCKS, LANDMARKS, OWN, POINT, Scratch, Storage
-
-FIRST, AGAIN, MOVED = range(3)
-"""Where to linearise: at the state for the first time in a stage, there again, or where a correction leads."""
 
 
 @kernel
@@ -101,7 +98,7 @@ def see(
     R_cw = transposed(orientation(x))
     for i in range(count):
         scale = s.points[i, 3]
-        d0, d1, d2 = from_camera(plan, x, blocks, anchor[s.land[s.select[i]], 0])
+        d0, d1, d2 = from_camera(plan, x, blocks, anchor[s.land[s.select[i]]])
         w0, w1, w2 = s.points[i, 0] + scale * d0, s.points[i, 1] + scale * d1, s.points[i, 2] + scale * d2
         s.points_c[i, 0], s.points_c[i, 1], s.points_c[i, 2] = times(R_cw, w0, w1, w2)
         for a in range(3, s.points.shape[1]):
@@ -133,12 +130,12 @@ def chain(
     R = orientation(x)
     for i in range(count):
         m = s.select[i]
-        anchor, own = S.anchor[b, s.land[m], 0], S.own[b, s.land[m]]
+        anchor, own = S.anchor[b, s.land[m]], S.own[b, s.land[m]]
         H, J, by_own = s.H[m], s.by_point[i], s.by_own[i]
         h0, h1, h2, scale = s.points_c[i, 0], s.points_c[i, 1], s.points_c[i, 2], s.points_c[i, 3]
         d0, d1, d2 = from_camera(plan, x, blocks, anchor)
-        s.base[m, 1] = plan.leading + plan.size * (anchor if anchor >= 0 else own)
-        s.base[m, 2] = plan.leading + plan.size * own
+        s.base[m, 0] = plan.leading + plan.size * (anchor if anchor >= 0 else own)
+        s.base[m, 1] = plan.leading + plan.size * own
         for k in range(size):
             c0, c1, c2, by_scale = 0.0, 0.0, 0.0, 0.0
             for j in range(others):
@@ -250,24 +247,3 @@ def prepare(
             for a in range(size):
                 s.R[m, apart, a] = s.R[m, a, apart] = 0.0
             s.R[m, apart, apart] = own
-
-
-@kernel
-def linearise_selected(
-    calls: Calls,
-    plan: Plan,
-    variant: int,
-    stage: int,
-    S: Storage,
-    b: int,
-    x: FloatArray,
-    blocks: FloatArray,
-    s: Scratch,
-    count: int,
-    where: int,
-) -> bool:
-    """Innovation, H and first rows of the selected measurements; whether the parts could give them."""
-    if plan.by_numbers:
-        return ask(calls, TO_LINEARISE, b, s, count, where, variant, stage)
-    call(calls.linearise, (calls, plan, variant, stage, S, b, x, blocks, s, count))
-    return True

@@ -16,10 +16,12 @@ from filters.geometry.machine_code import Compiled, compiled
 from filters.kernels.blas import kernel
 from filters.kernels.calls import of_part
 from filters.kernels.compilation import include, sources_digest
-from filters.kernels.duals import numbers
+from filters.kernels.duals import numbers, variables
 
 Layout = tuple[tuple[str, int], ...]
-"""Names of numbers, and how many each has; 0: a single number, no tuple."""
+"""Names of numbers, and how many each has; 0: a single number, no tuple; `ORIENTATION`: a quaternion."""
+ORIENTATION = -4
+"""Four numbers whose errors are three, a rotation vector on the right."""
 CAMERA: Layout = tuple((name, 0) for name in ("fx", "fy", "cx", "cy", "baseline"))
 
 
@@ -46,7 +48,7 @@ def grouped(layout: Layout) -> Callable[[Any], Any]:
     record: Any = namedtuple("Numbers", [name.replace("-", "_") for name, _ in layout])  # type: ignore[misc]
     parts, first = Keyed(_nothing), size_of(layout)
     for _, size in reversed(layout):
-        last, first = first, first - max(size, 1)
+        last, first = first, first - (abs(size) or 1)
         parts = Keyed(_with_part(first, last, bool(size), parts))
     return lambda flat: record(*parts(flat))
 
@@ -64,7 +66,93 @@ def _with_part(first: int, last: int, is_row: bool, rest: Keyed) -> Callable[[An
 
 def size_of(layout: Layout) -> int:
     """Numbers of a layout."""
-    return sum(max(size, 1) for _, size in layout)
+    return sum(abs(size) or 1 for _, size in layout)
+
+
+def errors_of(layout: Layout) -> int:
+    """Error numbers of a layout."""
+    return sum(3 if size < 0 else size or 1 for _, size in layout)
+
+
+def seeded(layout: Layout, slopes: int) -> Keyed:
+    """Function that gives the numbers of a row as dual ones, with `slopes` derivatives.
+
+    Its arguments are the row, zeros (3,), and the place of the first error among the derivatives.
+    """
+    rest = Keyed(_no_numbers, "none")
+    for at, column, count in reversed(_runs(layout)):
+        rest = Keyed(
+            _turned_then(at, column, slopes, rest) if count < 0 else _added_then(at, column, count, slopes, rest)
+        )
+    return rest
+
+
+def differences(layout: Layout) -> Keyed:
+    """Function that gives the errors of numbers with derivatives relative to their values: (row of those, numbers)."""
+    rest = Keyed(_no_differences, "none")
+    for at, _, count in reversed(_runs(layout)):
+        rest = Keyed(_turn_then(at, rest) if count < 0 else _part_then(at, at + count, rest))
+    return rest
+
+
+def _runs(layout: Layout) -> list[tuple[int, int, int]]:
+    """First number, first error and count of each orientation, and of all that add between two of them."""
+    runs: list[tuple[int, int, int]] = []
+    at = column = 0
+    for _, size in layout:
+        count = size or 1
+        if count > 0 and runs and runs[-1][2] > 0:
+            runs[-1] = (*runs[-1][:2], runs[-1][2] + count)
+        else:
+            runs.append((at, column, count))
+        at, column = at + abs(count), column + (3 if count < 0 else count)
+    return runs
+
+
+def _no_numbers(row: Any, zeros: Any, first: Any) -> Any:
+    return ()
+
+
+def _no_differences(values: Any, x: Any) -> Any:
+    return ()
+
+
+def _added_then(at: int, column: int, count: int, slopes: int, rest: Keyed) -> Callable[..., Any]:
+    return lambda row, zeros, first: variables(row[at:], count, first + column, slopes) + rest(row, zeros, first)
+
+
+def _turned_then(at: int, column: int, slopes: int, rest: Keyed) -> Callable[..., Any]:
+    def turned(row: Any, zeros: Any, first: Any) -> Any:
+        q, (a, b, c) = numbers(row[at:], 4), variables(zeros, 3, first + column, slopes)
+        a, b, c = 0.5 * a, 0.5 * b, 0.5 * c  # q x (half the rotation, 1)
+        return (
+            q[0] + (q[3] * a + q[1] * c - q[2] * b),
+            q[1] + (q[3] * b + q[2] * a - q[0] * c),
+            q[2] + (q[3] * c + q[0] * b - q[1] * a),
+            q[3] - (q[0] * a + q[1] * b + q[2] * c),
+            *rest(row, zeros, first),
+        )
+
+    return turned
+
+
+def _part_then(first: int, last: int, rest: Keyed) -> Callable[..., Any]:
+    return lambda values, x: x[first:last] + rest(values, x)
+
+
+def _turn_then(at: int, rest: Keyed) -> Callable[..., Any]:
+    end = at + 4
+
+    def turn(values: Any, x: Any) -> Any:
+        q, p = x[at:end], numbers(values[at:], 4)
+        return (
+            2.0 * (p[3] * q[0] - p[0] * q[3] + p[2] * q[1] - p[1] * q[2]),
+            2.0 * (p[3] * q[1] - p[1] * q[3] + p[0] * q[2] - p[2] * q[0]),
+            2.0 * (p[3] * q[2] - p[2] * q[3] + p[1] * q[0] - p[0] * q[1]),
+            *rest(values, x),
+        )
+
+    return turn
 
 
 def _with_compiled_helpers(function: Any) -> Any:

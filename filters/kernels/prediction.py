@@ -86,19 +86,8 @@ def predict(
     b: int,
     s: Scratch,
 ) -> None:
-    """Leading variables and P after a step: by the kernel of the motion, or by its numbers in the frame."""
+    """Leading variables and P after a step of the motion."""
     leading, rows, F, Q, moved = plan.leading, plan.moved_rows, s.F, s.Q, s.moved
-    if plan.driven_by_numbers:
-        for i in range(leading):
-            for j in range(leading):
-                F[i, j] = frame.F[b, i, j]
-        transform_leading(P, n, s)
-        for i in range(leading):
-            for j in range(i, leading):
-                P[i, j] += frame.Q[b, i, j]
-        for i in range(len(x)):
-            x[i] = predicted[i] = frame.moved[b, i]
-        return
     for i in range(len(plan.moved)):
         s.state[i] = s.after[i] = x[plan.moved[i]]
     clear(s.F_part)
@@ -133,19 +122,12 @@ def fuse_odometry(
     calls: Calls, plan: Plan, P: FloatArray, n: int, x: FloatArray, frame: FrameArrays, b: int, s: Scratch
 ) -> None:
     """Odometry as a measurement after the step: P in place, delta; `result` is 1 where it was used."""
-    rows, limit = plan.moved_rows, np.inf
-    if plan.driven_by_numbers:
-        r, leading = frame.measured[b], s.leading
-        nis = correct_rows(
-            calls, P, n, leading, frame.measured_H[b, :r], frame.measured_nu[b], frame.measured_R[b], limit, s
-        )
-    else:
-        for i in range(len(plan.moved)):
-            s.after[i] = x[plan.moved[i]]
-        clear(s.odometry_H)
-        clear(s.odometry_R)
-        odometry = frame.odometry[b, : frame.odometry_rows[b]]
-        given = plan.motion, s.after, frame.dt[b], odometry, s.odometry_nu, s.odometry_H, s.odometry_R
-        call(calls.measure, given)
-        nis = correct_rows(calls, P, n, rows, s.odometry_H, s.odometry_nu, s.odometry_R, limit, s)
+    for i in range(len(plan.moved)):
+        s.after[i] = x[plan.moved[i]]
+    clear(s.odometry_H)
+    clear(s.odometry_R)
+    odometry = frame.odometry[b, : frame.odometry_rows[b]]
+    given = plan.motion, s.after, frame.dt[b], odometry, s.odometry_nu, s.odometry_H, s.odometry_R
+    call(calls.measure, given)
+    nis = correct_rows(calls, P, n, plan.moved_rows, s.odometry_H, s.odometry_nu, s.odometry_R, np.inf, s)
     s.result[0] = 1.0 if nis >= 0.0 else 0.0

@@ -15,8 +15,8 @@ from filters.geometry.arrays import FloatArray, IntArray
 from filters.geometry.rotations import Nine, product_of
 from filters.geometry.three_by_three import IDENTITY, cross_matrix, transposed
 from filters.kernels.blas import add_square, kernel
-from filters.kernels.calls import TO_DRIFT, Calls, ask, call, unit
-from filters.kernels.linearisation import AGAIN, clear_all, from_camera, linearise_selected, take_points
+from filters.kernels.calls import Calls, call, exists, unit
+from filters.kernels.linearisation import clear_all, from_camera, take_points
 from filters.kernels.prediction import orientation
 from filters.kernels.recipe import Plan
 from filters.kernels.records import BLOCKS, LANDMARKS, OWN, POINT, VECTOR, Scratch, Storage
@@ -41,7 +41,7 @@ def take_steps(plan: Plan, part: FloatArray, P: FloatArray, s: Scratch, select: 
     Q, inverse, half = s.small[0], s.small[1], s.small[2]
     for i in range(count):
         m = select[i]
-        J, own = s.H[m], s.base[m, 2]
+        J, own = s.H[m], s.base[m, 1]
         for a in range(3):  # cofactors
             b, c = (a + 1) % 3, (a + 2) % 3
             for k in range(3):
@@ -97,13 +97,9 @@ def drift(
     if not plan.drift[part].any():
         return
     x, blocks, whole = S.x[b], S.blocks[b], plan.T.shape[1] - 1
-    if plan.by_numbers:
-        if not ask(calls, TO_DRIFT, b, s, count, 0, 0, 0):
-            return
-    else:
-        linearise_selected(calls, plan, variant, whole, S, b, x, blocks, s, count, AGAIN)
+    call(calls.linearise, (calls, plan, variant, whole, S, b, x, blocks, s, count))
     take_steps(plan, plan.drift[part], S.P[b], s, s.select, count)
-    linearise_selected(calls, plan, variant, stage, S, b, x, blocks, s, count, AGAIN)
+    call(calls.linearise, (calls, plan, variant, stage, S, b, x, blocks, s, count))
 
 
 TURN_WEIGHT = 5.0
@@ -133,15 +129,13 @@ def _image_motion(calls: Calls, plan: Plan, S: Storage, b: int, s: Scratch, befo
     count, by_step, inverse = S.counts[b, LANDMARKS], 0.0, 0.0
     if count == 0:
         return 0.0, FARTHEST
-    if not plan.walks_by_numbers:  # otherwise the door has written them, from the camera
-        for i in range(count):
-            s.taken[i] = own[i]
-        take_points(calls, plan, blocks, S.kind[b], s, count)
+    for i in range(count):
+        s.taken[i] = own[i]
+    take_points(calls, plan, blocks, S.kind[b], s, count)
     for i in range(count):
         h0, h1, h2, scale = s.points[i, 0], s.points[i, 1], s.points[i, 2], s.points[i, 3]
-        if not plan.walks_by_numbers:
-            d0, d1, d2 = from_camera(plan, x, blocks, anchor[i, 0])
-            h0, h1, h2 = h0 + scale * d0, h1 + scale * d1, h2 + scale * d2
+        d0, d1, d2 = from_camera(plan, x, blocks, anchor[i])
+        h0, h1, h2 = h0 + scale * d0, h1 + scale * d1, h2 + scale * d2
         squared, scale = h0 * h0 + h1 * h1 + h2 * h2, max(scale, 0.0)
         c0, c1, c2 = s1 * h2 - s2 * h1, s2 * h0 - s0 * h2, s0 * h1 - s1 * h0
         by_step += scale * math.sqrt(c0 * c0 + c1 * c1 + c2 * c2) / squared
@@ -188,6 +182,17 @@ def _find_directions(calls: Calls, plan: Plan, S: Storage, b: int, s: Scratch, n
         for k in range(3):
             for a in range(plan.size):
                 B[k, column + a] = s.effect[i, a, k]
+    if turning > 0 and exists(calls.shift):  # without an anchor, and no points: they have a place of their own
+        clear_all(s.effect, turning)
+        call(calls.shift, (plan.landmark, s.values_taken[:turning], s.effect[:turning]))
+        for i in range(turning):
+            column = plan.leading + plan.size * s.taken[i]
+            for a in range(plan.size):
+                t0, t1, t2 = s.effect[i, a, 0], s.effect[i, a, 1], s.effect[i, a, 2]
+                B[3, column + a], B[4, column + a], B[5, column + a] = t0, t1, t2
+                B[0, column + a] += t1 * x[2] - t2 * x[1]
+                B[1, column + a] += t2 * x[0] - t0 * x[2]
+                B[2, column + a] += t0 * x[1] - t1 * x[0]
 
 
 @unit("walk_gauge")
@@ -195,8 +200,7 @@ def walk_gauge(calls: Calls, plan: Plan, S: Storage, b: int, s: Scratch, before:
     """P += B B^T for the way from the pose `before`: rotation about the camera, then a shift as large in the image."""
     P, n, B = S.P[b], plan.leading + plan.size * S.counts[b, BLOCKS], s.HP
     motion, distance = _image_motion(calls, plan, S, b, s, before)
-    if not plan.walks_by_numbers:
-        _find_directions(calls, plan, S, b, s, n)
+    _find_directions(calls, plan, S, b, s, n)
     sigma = plan.gauge_walk * math.sqrt(motion)
     for k in range(6):
         scale = sigma if k < 3 else sigma * distance

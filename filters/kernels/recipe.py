@@ -18,7 +18,7 @@ Function = Callable[..., None]
 _NONE, _NOWHERE = np.zeros(0), np.zeros(0, dtype=np.int64)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Functions:
     """Functions of a part for all its landmarks, points or steps at once, made of its plain ones.
 
@@ -36,6 +36,9 @@ class Functions:
     turned with the world. None: values are points of W, and numbers behind them that do not turn."""
     rotation: Function | None = None
     """(values (M, v), effect (M, n, 3)): of a rotation of the world on the errors."""
+    shift: Function | None = None
+    """(values (M, v), effect (M, n, 3)): of a shift of the world on them; only of landmarks without an anchor that are
+    no points of W."""
     become: Function | None = None
     """(to_anchor (M, 3), values (M, v), variances (M, n), becomes (M,)): which become points, by the way from the
     camera to the anchor."""
@@ -49,12 +52,20 @@ class Functions:
     """(moved (v,), dt, odometry (K, w), innovation (6,), H (6, m), R (6, 6)): odometry as a measurement after it."""
     settings: tuple[str, ...] = ()
     """Attributes of the part whose numbers are the first argument."""
+    in_python: bool = False
+    """Whether they run in Python, because Numba cannot compile what they are made of."""
     made_by: tuple[Any, ...] = ()
     """Function that has made them, and its arguments: by these a copy in another process is made."""
 
     def __reduce__(self) -> Any:
         """How to make them again."""
         return self.made_by[0], self.made_by[1:]
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Functions) and (self is other or self.made_by == other.made_by != ())
+
+    def __hash__(self) -> int:
+        return hash(self.made_by[:1]) if self.made_by else id(self)
 
 
 class Plan(NamedTuple):
@@ -85,14 +96,8 @@ class Plan(NamedTuple):
     first_estimates: bool = False
     turns: bool = False
     resets: bool = False
-    by_numbers: bool = False
-    """Whether parts give measurements and new landmarks by numbers, through the doors."""
-    moves_by_numbers: bool = False
-    """Whether parts move the state by numbers."""
     changes: bool = False
     """Whether landmarks may become points after a frame."""
-    walks_by_numbers: bool = False
-    driven_by_numbers: bool = True
     odometry_rows: int = 0
     """Numbers of odometry as a measurement after the step, 0: it is none."""
     consensus: bool = False
@@ -119,6 +124,8 @@ class Plan(NamedTuple):
     """Rows of what the motion moves."""
     in_world: IntArray = _NOWHERE
     """First rows of variables that are vectors in W."""
+    rotations: IntArray = np.zeros((0, 2), dtype=np.int64)
+    """First rows of variables that are orientations, and the places of their values, (K, 2)."""
     considered: IntArray = _NOWHERE
     """Rows whose values never move."""
     walk: FloatArray = _NONE
@@ -147,26 +154,21 @@ class Recipe:
 
     plan: Plan = Plan()  # noqa: RUF009
     """As the kernels read it."""
-    landmark: Functions | None = None
-    sensor: Functions | None = None
-    motion: Functions | None = None
-    """Of the parts; None: they go by numbers."""
+    landmark: Functions = Functions()
+    sensor: Functions = Functions()
+    motion: Functions = Functions()
+    """Of the parts."""
     sensor_size: int = 3
     value_size: int = 3
     seen_size: int = 4
     """Numbers of the sensor, of a landmark's value, and by which it is seen."""
     values: int = CAMERA_SIZE + 1
     """Numbers of the leading variables."""
-    parts: tuple[Any, ...] = ()
-    """Those that go by numbers."""
 
     @property
-    def asks(self) -> bool:
-        """Whether the kernels ask parts for numbers in the middle of a frame."""
-        plan = self.plan
-        numbers = plan.by_numbers or plan.moves_by_numbers or plan.walks_by_numbers
-        changes = plan.changes and (self.landmark is None or self.landmark.become is None)
-        return numbers or changes
+    def in_python(self) -> bool:
+        """Whether functions of a part run in Python, and may fail."""
+        return self.landmark.in_python or self.sensor.in_python or self.motion.in_python
 
     @property
     def block_values(self) -> int:

@@ -60,7 +60,7 @@ _STORAGE: Rows = (
     ("first", REAL, "filters blocks block_values", "the same when they entered"),
     ("ids", INT, "filters blocks", "landmarks in ascending order"),
     ("own", INT, "filters blocks", "parameter block of each"),
-    ("anchor", INT, "filters blocks 2", "blocks of the position and orientation of its anchor, -1: none"),
+    ("anchor", INT, "filters blocks", "block of its anchor, -1: none"),
     ("users", INT, "filters blocks", "landmarks that use each block, and one more where it is held"),
     ("kind", INT, "filters blocks", "what each block is"),
     ("walk", REAL, "filters blocks 3", "variance that numbers of an added variable gain in a second"),
@@ -84,18 +84,11 @@ _FRAME: Rows = (
     ("dof", INT, "filters", "its degrees of freedom: written"),
     ("dropped", INT, "filters blocks", "ids that left: written"),
     ("outcome", INT, "filters 2", "how many ids left, and blocks without room (0: all went well): written"),
-    ("moved", REAL, "driven values", "leading values after the step by numbers"),
-    ("F", REAL, "driven leading leading", "their Jacobian"),
-    ("Q", REAL, "driven leading leading", "their process noise"),
-    ("measured", INT, "driven", "rows of odometry as a measurement by numbers"),
-    ("measured_nu", REAL, "driven rows", "its innovation"),
-    ("measured_H", REAL, "driven rows leading", "its Jacobian"),
-    ("measured_R", REAL, "driven rows rows", "its noise"),
 )
 Storage: Any = record_of(__name__, "Storage", _STORAGE)
 """State of B filters, each with room for C blocks, which have no gaps between them."""
 FrameArrays: Any = record_of(__name__, "FrameArrays", _FRAME)
-"""What a frame brings to B filters: a step, odometry, and M measurements in all; or the numbers of parts."""
+"""What a frame brings to B filters: a step, odometry, and M measurements in all."""
 
 
 def empty_storage(recipe: Recipe, filters: int, blocks: int) -> Storage:
@@ -142,20 +135,18 @@ class FilterState:
     own: IntArray
     """(N,): their parameter blocks."""
     anchor: IntArray
-    """(N, 2): blocks of their anchors' positions and orientations, -1: none."""
+    """(N,): blocks of their anchors, -1: none."""
     held: IntArray
     """(H,): blocks that stay without a landmark."""
 
 
 def empty_frame(
-    recipe: Recipe, filters: int, blocks: int, measurements: int, rows: int = 1, odometry: tuple[int, int] = (1, 1)
+    recipe: Recipe, filters: int, blocks: int, measurements: int, odometry: tuple[int, int] = (1, 1)
 ) -> FrameArrays:
-    """A frame that brings nothing, with room for odometry (K, w), and for so many rows of it by numbers."""
-    M, leading = measurements, recipe.plan.leading
-    driven = filters if recipe.motion is None else 1
-    (K, w), sizes = odometry, {"filters": filters, "blocks": blocks, "ends": filters + 1, "M": M, "leading": leading}
-    by_numbers = {"driven": driven, "rows": rows, "values": recipe.values}
-    return allocated(FrameArrays, _FRAME, {**sizes, **by_numbers, "K": K, "w": w})
+    """A frame that brings nothing, with room for odometry (K, w)."""
+    (K, w), M = odometry, measurements
+    sizes = {"filters": filters, "blocks": blocks, "ends": filters + 1, "M": M, "K": K, "w": w}
+    return allocated(FrameArrays, _FRAME, sizes)
 
 
 def exported(storage: Storage, recipe: Recipe, filter_index: int) -> FilterState:
@@ -217,9 +208,8 @@ ROWS: Rows = (
     ("select", INT, "M", "selected measurements"),
     ("entered", INT, "M", "blocks that new landmarks and clones take"),
     ("fates", BYTE, "M", "outcome of each measurement"),
-    ("base", INT, "M 3", "first rows of anchor position (or orientation), anchor, and own numbers of each landmark"),
-    ("made", INT, "twice", "blocks of new anchors"),
-    ("turns", INT, "M", "blocks of the orientations of new anchors, -1: none"),
+    ("base", INT, "M 2", "first rows of anchor and own numbers of each landmark"),
+    ("made", INT, "M", "blocks of new anchors"),
     ("z", REAL, "M rows", "measurements of a stage"),
     ("R", REAL, "M rows rows", "their noise"),
     ("H", REAL, "M most width", "Jacobian by leading rows, anchor, own rows; of new landmarks by the leading ones"),
@@ -237,7 +227,6 @@ ROWS: Rows = (
     ("D", REAL, "blocks size size", "Jacobian of the blocks by themselves"),
     ("copy", REAL, "copied copied", "P of a pass that is not the last one"),
     ("tangents", REAL, "kept_rows rows width1", "H and, in the last column, nu from before a pass"),
-    ("leading", INT, "leading", "leading rows"),
     ("state", REAL, "moving", "what the motion moves, before the step"),
     ("after", REAL, "moving", "and after it"),
     ("F_part", REAL, "moved_rows moved_rows", "its Jacobian"),
@@ -282,9 +271,7 @@ ROWS: Rows = (
     ("gone", FLAG, "blocks", "landmarks that leave"),
     ("values", REAL, "M v", "values of new landmarks"),
     ("values_noise", REAL, "M size size", "what the measurement, and the prior, add to their covariance"),
-    ("anchored", FLAG, "M", "whether they have an anchor"),
-    ("by_anchor", REAL, "anchor_rows measured", "Jacobian of a new anchor by the leading rows of measurements"),
-    ("door", INT, "2", "number of the thread, and whether a part has failed"),
+    ("by_anchor", REAL, "3 measured", "Jacobian of a new anchor by the leading rows of measurements"),
     ("letters", BYTE, "1", "arguments of LAPACK"),
     ("sizes", np.int32, "3", "arguments of LAPACK"),
 )
@@ -292,9 +279,7 @@ Scratch: Any = record_of(__name__, "Scratch", ROWS)
 """Room for one filter's frame at a time: one for each thread."""
 
 
-def scratch(
-    recipe: Recipe, storage: Storage, measurements: int, rows: int = 0, columns: int = 0, thread: int = 0
-) -> Scratch:
+def scratch(recipe: Recipe, storage: Storage, measurements: int, rows: int = 0, columns: int = 0) -> Scratch:
     """Room for a frame of so many measurements, and for one measurement of so many rows by so many errors."""
     plan = recipe.plan
     n, blocks, leading, M = storage.P.shape[1], storage.blocks.shape[1], plan.leading, max(1, measurements)
@@ -313,7 +298,7 @@ def scratch(
         len(plan.moved_rows),
     )
     sizes = {
-        **{"n": n, "n16": n + 16, "blocks": blocks, "leading": leading, "M": M, "twice": 2 * M, "N": N, "K": K, "v": v},
+        **{"n": n, "n16": n + 16, "blocks": blocks, "leading": leading, "M": M, "N": N, "K": K, "v": v},
         **{"size": size, "seen": seen, "most": most, "width": width, "width1": width + 1, "width8": width + 8},
         **{"numbers": numbers, "others": others, "moved_rows": moved, "moving": len(plan.moved), "odometry": used},
         **{"rows": MOST_ROWS, "chunk": rows, "chunk8": rows + 8, "factors": max(6, 2 * size - 1), "drawn": drawn},
@@ -328,7 +313,5 @@ def scratch(
         "poses": 2 * POSE_SIZE + 1,
         "rotations": 3 * (2 * POSE_SIZE + 1),
         "added": max(1, lines),
-        "anchor_rows": 3 * max(1, plan.anchors),
     }
-    given = {"leading": np.arange(leading), "door": np.array([thread, 0])}
-    return allocated(Scratch, ROWS, sizes, **given, letters=np.array((ord("L"),), dtype=np.uint8))
+    return allocated(Scratch, ROWS, sizes, letters=np.array((ord("L"),), dtype=np.uint8))

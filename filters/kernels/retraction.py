@@ -15,7 +15,7 @@ from filters.geometry.rotations import (
 )
 from filters.geometry.three_by_three import IDENTITY, cross_matrix, multiply, put, times, transposed
 from filters.kernels.blas import kernel
-from filters.kernels.calls import TO_MOVE, Calls, ask, call, unit
+from filters.kernels.calls import Calls, call, unit
 from filters.kernels.covariance import identity, scale_block, transform_leading
 from filters.kernels.linearisation import clear_all
 from filters.kernels.prediction import clear, orientation
@@ -117,6 +117,14 @@ def scales_blocks(plan: Plan) -> bool:
 
 
 @kernel
+def put_variables(plan: Plan, delta: FloatArray, F: FloatArray) -> None:
+    """Jacobians of the retraction of variables that are orientations, in F."""
+    for k in range(len(plan.rotations)):
+        row = plan.rotations[k, 0]
+        put(F, row, row, right_jacobian_of(delta[row], delta[row + 1], delta[row + 2]), 1.0)
+
+
+@kernel
 def move(calls: Calls, plan: Plan, S: Storage, b: int, s: Scratch) -> None:
     """The state corrected by delta in `moved` and `moved_blocks`, and the Jacobian D + W E^T that takes errors there.
 
@@ -132,6 +140,11 @@ def move(calls: Calls, plan: Plan, S: Storage, b: int, s: Scratch) -> None:
     for i in range(6, leading):
         moved[i + 1] = x[i + 1] + delta[i]
     moved[3], moved[4], moved[5], moved[6] = _rotated(plan, x[3:7], delta[3], delta[4], delta[5])
+    for k in range(len(plan.rotations)):
+        row, at = plan.rotations[k, 0], plan.rotations[k, 1]
+        e0, e1, e2, e3 = quaternion_of(delta[row], delta[row + 1], delta[row + 2])
+        q0, q1, q2, q3 = product_of(x[at], x[at + 1], x[at + 2], x[at + 3], e0, e1, e2, e3)
+        moved[at], moved[at + 1], moved[at + 2], moved[at + 3] = q0, q1, q2, q3
     R = orientation(x)
     t0, t1, t2 = times(R, delta[3], delta[4], delta[5])
     spread = transposed(right_jacobian_of(t0, t1, t2))
@@ -158,8 +171,8 @@ def move(calls: Calls, plan: Plan, S: Storage, b: int, s: Scratch) -> None:
             blocks[k, 1] + d1,
             blocks[k, 2] + d2,
         )
-        for a in range(3, plan.size):
-            moved_blocks[k, a] = blocks[k, a] + delta[row + a]
+        for a in range(3, blocks.shape[1]):
+            moved_blocks[k, a] = blocks[k, a] + (delta[row + a] if a < plan.size else 0.0)
     if plan.turns or not plan.additive:
         call(calls.turn_own, (calls, plan, S, b, s))
     if plan.first_estimates:  # errors stay those of the linearisation point
@@ -230,10 +243,13 @@ def retract(calls: Calls, plan: Plan, S: Storage, b: int, s: Scratch) -> None:
         identity(s.F)
         put(s.F, 0, 0, spread, 1.0)
         put(s.F, plan.velocity, plan.velocity, spread, 1.0)
+        put_variables(plan, delta, s.F)
         transform_leading(P, n, s)
-    elif not (plan.turns or plan.first_estimates):
+    elif not plan.first_estimates and not (plan.turns and len(plan.rotations) == 0):
         identity(s.F)
-        put(s.F, 3, 3, _rotation_transport(plan, delta[3], delta[4], delta[5]), 1.0)
+        if not plan.turns:
+            put(s.F, 3, 3, _rotation_transport(plan, delta[3], delta[4], delta[5]), 1.0)
+        put_variables(plan, delta, s.F)
         transform_leading(P, n, s)
     if scales_blocks(plan):
         call(calls.scale_blocks, (plan, P, n, s))
@@ -248,29 +264,13 @@ def retract(calls: Calls, plan: Plan, S: Storage, b: int, s: Scratch) -> None:
     _take_moved(S.x[b], S.blocks[b], count, s)
 
 
-@unit("retract")
-def retract_by_numbers(calls: Calls, plan: Plan, S: Storage, b: int, s: Scratch) -> None:
-    """The same by what the door has written: F, and D and W where `result` says so."""
-    P, count = S.P[b], S.counts[b, BLOCKS]
-    n = plan.leading + plan.size * count
-    transform_leading(P, n, s)
-    if s.result[0] > 0.0:
-        call(calls.scale_blocks, (plan, P, n, s))
-    if s.result[1] > 0.0:
-        call(calls.shear, (P, n, s))
-    _take_moved(S.x[b], S.blocks[b], count, s)
-
-
 @kernel
-def correct_state(calls: Calls, plan: Plan, S: Storage, b: int, s: Scratch, what: int) -> bool:
-    """Move the state by delta and carry P along; whether the parts could."""
-    if plan.moves_by_numbers and not ask(calls, TO_MOVE, b, s, what, 0, 0, 0):
-        return False
+def correct_state(calls: Calls, plan: Plan, S: Storage, b: int, s: Scratch, what: int) -> None:
+    """Move the state by delta and carry P along."""
     call(calls.retract, (calls, plan, S, b, s))
     if what == SETTLED:
         x, predicted = S.x[b], S.predicted[b]
-        if plan.first_estimates and not plan.moves_by_numbers:  # otherwise the part has done so
+        if plan.first_estimates:
             call(calls.settle, (plan, S.P[b], plan.leading + plan.size * S.counts[b, BLOCKS], x, predicted, s))
         for i in range(len(x)):
             predicted[i] = x[i]
-    return True

@@ -17,7 +17,9 @@ from filters.kernels.prediction import clear, orientation
 from filters.kernels.recipe import Plan
 from filters.kernels.records import POINT, Scratch, Storage
 from filters.motions.motion_model import POSE_SIZE
-from filters.updates.unscented import NEGLIGIBLE
+
+NEGLIGIBLE = 1e-13
+"""Share of a variance below which what is left of it, given the numbers before, is rounding."""
 
 
 @kernel
@@ -150,13 +152,13 @@ def fit(
     _draw_poses(plan, x, s)
     for i in range(count):
         m = s.select[i]
-        anchor, own = S.anchor[b, s.land[m], 0], S.own[b, s.land[m]]
-        s.base[m, 1] = plan.leading + plan.size * (anchor if anchor >= 0 else own)
-        s.base[m, 2] = plan.leading + plan.size * own
+        anchor, own = S.anchor[b, s.land[m]], S.own[b, s.land[m]]
+        s.base[m, 0] = plan.leading + plan.size * (anchor if anchor >= 0 else own)
+        s.base[m, 1] = plan.leading + plan.size * own
         for a in range(3 * plan.anchors):
-            rows[POSE_SIZE + a] = s.base[m, 1] + a
+            rows[POSE_SIZE + a] = s.base[m, 0] + a
         for a in range(plan.size):
-            rows[width - plan.size + a] = s.base[m, 2] + a
+            rows[width - plan.size + a] = s.base[m, 1] + a
         for p in range(POSE_SIZE, width):
             for q in range(p + 1):
                 C[p, q] = P[min(rows[p], rows[q]), max(rows[p], rows[q])]

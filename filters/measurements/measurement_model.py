@@ -12,23 +12,20 @@ from __future__ import annotations
 from collections import namedtuple
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
 from filters.contract.inputs import StereoObservation
 from filters.contract.variables import VELOCITY, Variable
-from filters.geometry import derivatives, rotations
 from filters.geometry.arrays import BoolArray, FloatArray
 from filters.geometry.camera import StereoCamera
 from filters.geometry.derivatives import columns_of, jacobian_of
-from filters.geometry.retractions import ADDITIVE, Retraction
-
-if TYPE_CHECKING:
-    from filters.motions.motion_model import CameraState
 
 Values = Mapping[str, FloatArray]
 """Values of named variables."""
+Rig: Any = namedtuple("Rig", ["fx", "fy", "cx", "cy", "baseline"])
+"""Camera as the plain functions take it."""
 Numbers = Any
 """Tuple of numbers: floats in machine code, columns or dual numbers."""
 
@@ -99,8 +96,6 @@ class MeasurementModel:
 
     seen_size: ClassVar[int] = 4
     """Numbers by which it sees a landmark, those of the landmark's `seen_size`: of a point, direction and scale."""
-    seen_vectors: ClassVar[int] = 1
-    """How many vectors lead them, as of the landmark."""
     size: ClassVar[int] = 3
     """Numbers of the sensor, s: 3, or 4 with `v_right`."""
     variables: tuple[Variable, ...] = ()
@@ -135,22 +130,23 @@ class MeasurementModel:
 
     def predict(self, camera: StereoCamera, points_c: FloatArray, values: Values) -> FloatArray:
         """Numbers of the sensor; points (..., seen_size), the point is direction / scale -> (..., s)."""
-        named = self._by_name(values)
-        numbers = columns_of(lambda h: self.project(camera, h, *named), points_c.reshape(-1, points_c.shape[-1]))
+        record = self.named(values)
+        numbers = columns_of(lambda h: self.project(camera, h, *record), points_c.reshape(-1, points_c.shape[-1]))
         return numbers.reshape(*points_c.shape[:-1], self.size)
 
     def backproject(self, camera: StereoCamera, uvd: FloatArray, values: Values) -> FloatArray:
         """Homogeneous points (M, seen_size) in the camera frame at the measurements (M, 3)."""
-        named = self._by_name(values)
-        return columns_of(lambda z: self.unproject(camera, z, *named), uvd)
+        record = self.named(values)
+        return columns_of(lambda z: self.unproject(camera, z, *record), uvd)
 
     @property
-    def _value_names(self) -> tuple[str, ...]:
+    def value_names(self) -> tuple[str, ...]:
+        """Names of the values that the plain functions take, in their order."""
         return (*(variable.name for variable in self.variables), *((VELOCITY,) if self.sees_velocity else ()))
 
-    def _by_name(self, values: Mapping[str, Any]) -> tuple[Any, ...]:
-        """Values as the plain functions take them."""
-        names = self._value_names
+    def named(self, values: Mapping[str, Any]) -> tuple[Any, ...]:
+        """Values as the plain functions take them: one record of tuples, or nothing."""
+        names = self.value_names
         if not names:
             return ()
         record = namedtuple("Values", [name.replace("-", "_") for name in names])  # type: ignore[misc]
@@ -200,69 +196,24 @@ class MeasurementModel:
         return columns_of(lambda h: (self.can_see(h),), points_c)[:, 0].astype(np.bool_)
 
     def jacobians(self, camera: StereoCamera, points_c: FloatArray, values: Values) -> SensorJacobians:
-        """Jacobians of `predict`."""
-        if self._is_plain:
-            return self._plain_jacobians(self.project, camera, points_c, values)
-        by_point = derivatives.jacobian(lambda e: self.predict(camera, points_c + e, values), self.seen_size)
-        return SensorJacobians(by_point, self._by_variables(lambda x: self.predict(camera, points_c, x), values))
+        """Jacobians of `predict`, by the numbers of the variables."""
+        return self._jacobians(self.project, camera, points_c, values)
 
     def backprojection_jacobians(self, camera: StereoCamera, uvd: FloatArray, values: Values) -> SensorJacobians:
-        """Jacobians of `backproject`, (M, 4, 3) by the measurement as `by_point`, and by each variable."""
-        if self._is_plain:
-            return self._plain_jacobians(self.unproject, camera, uvd, values)
-        by_measurement = derivatives.jacobian(lambda e: self.backproject(camera, uvd + e, values), 3)
-        return SensorJacobians(by_measurement, self._by_variables(lambda x: self.backproject(camera, uvd, x), values))
+        """Jacobians of `backproject`, by the measurement (M, 4, 3) as `by_point`, and by the variables' numbers."""
+        return self._jacobians(self.unproject, camera, uvd, values)
 
-    @property
-    def _is_plain(self) -> bool:
-        cls = type(self)
-        named = cls.predict is MeasurementModel.predict and cls.backproject is MeasurementModel.backproject
-        return named and all(variable.retraction is ADDITIVE for variable in self.variables)
-
-    def _plain_jacobians(
+    def _jacobians(
         self, function: Callable[..., Any], camera: StereoCamera, arguments: FloatArray, values: Values
     ) -> SensorJacobians:
         """Jacobians of `project` or `unproject` for many points or measurements."""
-        named = self._by_name(values)
-        by_point = jacobian_of(lambda h: function(camera, h, *named), arguments)[1]
+        record = self.named(values)
+        by_point = jacobian_of(lambda h: function(camera, h, *record), arguments)[1]
         by_variable = {}
-        for name in self._value_names:
+        for name in self.value_names:
 
             def called(x: Numbers, h: Numbers, name: str = name) -> Numbers:
-                return function(camera, h, named[0]._replace(**{name.replace("-", "_"): x}))
+                return function(camera, h, record[0]._replace(**{name.replace("-", "_"): x}))
 
             by_variable[name] = jacobian_of(called, values[name][None], arguments)[1]
         return SensorJacobians(by_point, by_variable)
-
-    def _by_variables(self, function: Callable[[Values], FloatArray], values: Values) -> dict[str, FloatArray]:
-        """Jacobians of a function of the values by each of them."""
-        needed = [(variable.name, variable.retraction, variable.size) for variable in self.variables]
-        if self.sees_velocity:
-            needed.append((VELOCITY, ADDITIVE, len(values[VELOCITY])))
-        return {name: _jacobian_by(name, retraction, size, function, values) for name, retraction, size in needed}
-
-    # --- what follows from it ---
-
-    def values_at(self, camera: CameraState) -> Values:
-        """What the functions take at a state."""
-        if not self.sees_velocity:
-            return camera.variables
-        felt = np.concatenate([camera.R_wc.T @ camera.linear_velocity, camera.angular_velocity])
-        return {**camera.variables, VELOCITY: felt}
-
-    def by_leading(self, by_pose: FloatArray, by_variable: Mapping[str, FloatArray], camera: CameraState) -> FloatArray:
-        """Jacobian (M, k, c) by the leading rows of the state: by the pose (M, k, 6), then by what the model names."""
-        columns = [by_pose, *(by_variable[variable.name] for variable in self.variables)]
-        if self.sees_velocity:
-            by_linear, by_angular = np.split(by_variable[VELOCITY], 2, axis=2)
-            R_cw = camera.R_wc.T
-            by_turn = by_linear @ rotations.skew(R_cw @ camera.linear_velocity)
-            columns[0] = np.concatenate([by_pose[:, :, :3], by_pose[:, :, 3:] + by_turn], axis=2)
-            columns += [by_linear @ R_cw, by_angular]
-        return np.concatenate(columns, axis=2) if len(columns) > 1 else by_pose
-
-
-def _jacobian_by(
-    name: str, retraction: Retraction, size: int, function: Callable[[Values], FloatArray], values: Values
-) -> FloatArray:
-    return derivatives.jacobian(lambda e: function({**values, name: retraction.retract(values[name], e)}), size)

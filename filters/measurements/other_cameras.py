@@ -13,10 +13,11 @@ from typing import Any, ClassVar
 import numpy as np
 
 from filters.contract.validation import finite_array, positive
-from filters.geometry import derivatives, rotations
-from filters.geometry.arrays import BoolArray, FloatArray
-from filters.geometry.camera import StereoCamera
-from filters.measurements.measurement_model import MeasurementModel, Numbers, SensorJacobians, Values
+from filters.geometry.machine_code import compiled
+from filters.geometry.vectors import plus, scaled, turned_by
+from filters.measurements.measurement_model import MeasurementModel, Numbers
+
+_UNKNOWN = float("nan")
 
 
 @dataclass(frozen=True)
@@ -40,41 +41,56 @@ class UnrectifiedPair(MeasurementModel):
 
     def __post_init__(self) -> None:
         for name, count in (("left", 4), ("right", 4), ("left_pose", 6), ("right_pose", 6)):
-            if getattr(self, name) is not None:
-                numbers = finite_array(name, getattr(self, name), (count,))
-                if count == 4 and not (numbers[:2] > 0.0).all():
-                    raise ValueError(f"{name} must begin with focal lengths > 0, got {numbers.tolist()}")
-                object.__setattr__(self, name, tuple(numbers.tolist()))
+            given = getattr(self, name)
+            if given is None or (isinstance(given, tuple) and given == (_UNKNOWN,) * count):
+                object.__setattr__(self, name, (_UNKNOWN,) * count)
+                continue
+            numbers = finite_array(name, given, (count,))
+            if count == 4 and not (numbers[:2] > 0.0).all():
+                raise ValueError(f"{name} must begin with focal lengths > 0, got {numbers.tolist()}")
+            object.__setattr__(self, name, tuple(numbers.tolist()))
 
-    def predict(self, camera: StereoCamera, points_c: FloatArray, values: Values) -> FloatArray:
-        """Both pixels, each K (R^T (direction - scale t))."""
-        pixels = []
-        for intrinsics, t, R in self._eyes(camera):
-            seen = (points_c[..., :3] - points_c[..., 3:] * t) @ R
-            with np.errstate(divide="ignore", invalid="ignore"):
-                pixels.append(intrinsics[:2] * seen[..., :2] / seen[..., 2:] + intrinsics[2:])
-        left, right = pixels
-        return np.concatenate([left, left[..., :1] - right[..., :1], right[..., 1:]], axis=-1)
+    def project(self, camera: Any, h: Numbers, values: Any = None) -> Numbers:
+        """Both pixels, each K R^T (direction - scale t)."""
+        u, v = _pinhole(_or_usual(self.left, camera), _or_at(self.left_pose, 0.0), h)
+        u_right, v_right = _pinhole(_or_usual(self.right, camera), _or_at(self.right_pose, camera.baseline), h)
+        return u, v, u - u_right, v_right
 
-    def backproject(self, camera: StereoCamera, uvd: FloatArray, values: Values) -> FloatArray:
+    def unproject(self, camera: Any, uvd: Numbers, values: Any = None) -> Numbers:
         """The left ray m from t_left, and the scale at which the right eye sees it in column u_right.
 
         The point is t_left + m / scale, in the right eye a + scale b, so that x (a_z + scale b_z) = a_x + scale b_x.
         """
-        (left, t_left, R_left), (right, t_right, R_right) = self._eyes(camera)
-        m = np.column_stack([(uvd[:, :2] - left[2:]) / left[:2], np.ones(len(uvd))]) @ R_left.T
-        a, b = m @ R_right, (t_left - t_right) @ R_right
-        x = (uvd[:, 0] - uvd[:, 2] - right[2]) / right[0]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            scale = (x * a[:, 2] - a[:, 0]) / (b[0] - x * b[2])
-        return np.column_stack([m + scale[:, None] * t_left, scale])
+        K, left = _or_usual(self.left, camera), _or_at(self.left_pose, 0.0)
+        K_right, right = _or_usual(self.right, camera), _or_at(self.right_pose, camera.baseline)
+        m = turned_by(left[3:], ((uvd[0] - K[2]) / K[0], (uvd[1] - K[3]) / K[1], 1.0))
+        a, b = turned_by(scaled(-1.0, right[3:]), m), turned_by(scaled(-1.0, right[3:]), plus(left, right, -1.0))
+        x = (uvd[0] - uvd[2] - K_right[2]) / K_right[0]
+        scale = (x * a[2] - a[0]) / (b[0] - x * b[2])
+        return m[0] + scale * left[0], m[1] + scale * left[1], m[2] + scale * left[2], scale
 
-    def _eyes(self, camera: StereoCamera) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
-        """Intrinsics, position and rotation of the left and of the right camera."""
-        usual = (camera.fx, camera.fy, camera.cx, camera.cy)
-        beside = (camera.baseline, 0.0, 0.0, 0.0, 0.0, 0.0)
-        eyes = ((self.left, self.left_pose or (0.0,) * 6), (self.right, self.right_pose or beside))
-        return [(np.array(own or usual), np.array(pose[:3]), rotations.exp(pose[3:])) for own, pose in eyes]
+
+@compiled
+def _or_usual(own: Numbers, camera: Any) -> Numbers:
+    """Intrinsics, those of the rig where there are none."""
+    if own[0] == own[0]:
+        return own
+    return camera.fx, camera.fy, camera.cx, camera.cy
+
+
+@compiled
+def _or_at(pose: Numbers, x: float) -> Numbers:
+    """Pose, that of an eye at x without a turn where there is none."""
+    if pose[0] == pose[0]:
+        return pose
+    return x, 0.0, 0.0, 0.0, 0.0, 0.0
+
+
+@compiled
+def _pinhole(K: Numbers, pose: Numbers, h: Numbers) -> Numbers:
+    """Pixel of a homogeneous point in an eye at a pose in the camera frame."""
+    x, y, z = turned_by(scaled(-1.0, pose[3:]), plus(h, pose, -1.0 * h[3]))
+    return K[0] * x / z + K[2], K[1] * y / z + K[3]
 
 
 @dataclass(frozen=True)
@@ -96,6 +112,7 @@ class DepthCamera(MeasurementModel):
 
 
 _LEAST = 0.2  # of the disparity ahead: with less, along the baseline and far behind it, no landmark is started
+_BESIDE = 1e-16  # square of the tangent of an angle whose cosine is one
 
 
 @dataclass(frozen=True)
@@ -114,54 +131,66 @@ class FisheyePair(MeasurementModel):
     def __post_init__(self) -> None:
         positive("half_angle", self.half_angle)
 
-    def predict(self, camera: StereoCamera, points_c: FloatArray, values: Values) -> FloatArray:
+    def project(self, camera: Any, h: Numbers, values: Any = None) -> Numbers:
         """Both pixels; the right camera sees direction - scale (baseline, 0, 0)."""
-        left = _pixels(camera, points_c[..., :3])
-        right = _pixels(camera, points_c[..., :3] - points_c[..., 3:] * [camera.baseline, 0.0, 0.0])
-        return np.concatenate([left, left[..., :1] - right[..., :1], right[..., 1:]], axis=-1)
+        u, v = _pixel(camera, h[0], h[1], h[2])
+        u_right, v_right = _pixel(camera, h[0] - h[3] * camera.baseline, h[1], h[2])
+        return u, v, u - u_right, v_right
 
-    def backproject(self, camera: StereoCamera, uvd: FloatArray, values: Values) -> FloatArray:
+    def unproject(self, camera: Any, uvd: Numbers, values: Any = None) -> Numbers:
         """The left ray, and the scale that gives the disparity; NaN where the disparity says too little.
 
-        Within two baselines and beyond 90 degrees from the axis two points can give the same numbers: one is returned.
+        The left ray is m = (sin a, cos a n), n in the plane x = 0, the right one (sin a', cos a' n), and tan a' =
+        (sin a - scale baseline) / cos a. The right column, nearly linear in a', gives a' by six passes of Newton's
+        method. Within two baselines and beyond 90 degrees from the axis two points can give the same numbers: one is
+        returned.
         """
-        return np.column_stack(_point(camera, uvd, _LEAST))
-
-    def backprojection_jacobians(self, camera: StereoCamera, uvd: FloatArray, values: Values) -> SensorJacobians:
-        """By differences, which nothing refuses."""
-        return SensorJacobians(derivatives.jacobian(lambda e: np.column_stack(_point(camera, uvd + e)), 3), {})
-
-    def in_front(self, points_c: FloatArray) -> BoolArray:
-        """Up to `half_angle` from the axis."""
-        angle = np.arctan2(np.hypot(points_c[:, 0], points_c[:, 1]), points_c[:, 2])
-        return np.asarray(angle < self.half_angle, dtype=np.bool_)
-
-
-def _pixels(camera: StereoCamera, directions: FloatArray) -> FloatArray:
-    """f theta along the direction in the image; (..., 3) -> (..., 2)."""
-    off_axis = np.maximum(np.hypot(directions[..., 0], directions[..., 1]), 1e-300)
-    ratio = np.arctan2(off_axis, directions[..., 2]) / off_axis
-    return directions[..., :2] * ratio[..., None] * [camera.fx, camera.fy] + [camera.cx, camera.cy]
-
-
-def _point(camera: StereoCamera, uvd: FloatArray, least: float = 0.0) -> tuple[FloatArray, FloatArray]:
-    """The left ray (sin a, cos a n), n in the plane x = 0, and the scale: tan a' = (sin a - scale baseline) / cos a.
-
-    The right ray is (sin a', cos a' n). Its column, nearly linear in a', gives a' by six passes of Newton's method.
-    """
-    flat = (uvd[:, :2] - [camera.cx, camera.cy]) / [camera.fx, camera.fy]
-    theta = np.linalg.norm(flat, axis=1, keepdims=True)
-    m = np.hstack([np.sinc(theta / np.pi) * flat, np.cos(theta)])
-
-    def column(angle: FloatArray) -> FloatArray:
-        return _pixels(camera, np.column_stack([np.sin(angle), np.cos(angle)[:, None] * n]))[:, 0]
-
-    with np.errstate(divide="ignore", invalid="ignore"):
-        n = m[:, 1:] / np.linalg.norm(m[:, 1:], axis=1, keepdims=True)
-        turned = a = np.arcsin(np.clip(m[:, 0], -1.0, 1.0))
+        x, y = (uvd[0] - camera.cx) / camera.fx, (uvd[1] - camera.cy) / camera.fy
+        theta = np.sqrt(x * x + y * y)
+        ratio = np.sinc(theta * (1.0 / np.pi))
+        m = ratio * x, ratio * y, np.cos(theta)
+        across = np.sqrt(m[1] * m[1] + m[2] * m[2])
+        n, target = (m[1] / across, m[2] / across), uvd[0] - uvd[2]
+        a = np.arctan2(m[0], across)
+        turned = a
+        column, slope = _column(camera, turned, n)
         for _ in range(6):
-            slope = derivatives.jacobian(lambda e, at=turned: column(at + e), 1)[:, 0]  # type: ignore[misc]
-            turned = turned - (column(turned) - (uvd[:, 0] - uvd[:, 2])) / slope
-        scale = (np.sin(a) - np.cos(a) * np.tan(turned)) / camera.baseline
-        found = (np.abs(column(turned) - (uvd[:, 0] - uvd[:, 2])) < 1e-6) & (np.cos(turned) > 0.0)  # else astray
-    return m, np.where(found & (np.abs(slope) * np.cos(a) > least * camera.fx), scale, np.nan)
+            turned = turned - (column - target) / slope
+            column, slope = _column(camera, turned, n)
+        sine, cosine = np.sin(a), np.cos(a)
+        scale = (sine - cosine * np.tan(turned)) / camera.baseline
+        astray = (np.abs(column - target) > 1e-6) | (np.cos(turned) <= 0.0)
+        if astray | (np.abs(slope) * cosine <= _LEAST * camera.fx):
+            scale = scale * np.nan
+        return m[0], m[1], m[2], scale
+
+    def can_see(self, h: Numbers) -> Any:
+        """Up to `half_angle` from the axis."""
+        return np.arctan2(np.hypot(h[0], h[1]), h[2]) < self.half_angle
+
+
+@compiled
+def _angle(x: Any, y: Any, z: Any) -> Any:
+    """Distance from the axis, and angle to it; at the axis as if beside it by less than rounding, for derivatives."""
+    off_axis = np.sqrt(x * x + y * y + _BESIDE * z * z)
+    return off_axis, np.arctan2(off_axis, z)
+
+
+@compiled
+def _pixel(camera: Any, x: Any, y: Any, z: Any) -> Numbers:
+    """f theta along the direction in the image."""
+    off_axis, theta = _angle(x, y, z)
+    ratio = theta / off_axis
+    return camera.fx * (x * ratio) + camera.cx, camera.fy * (y * ratio) + camera.cy
+
+
+@compiled
+def _column(camera: Any, a: Any, n: Numbers) -> Numbers:
+    """Column of the ray (sin a, cos a n), and its derivative by a."""
+    x, cosine = np.sin(a), np.cos(a)
+    y, z = cosine * n[0], cosine * n[1]
+    r, theta = _angle(x, y, z)
+    by_a = (x * cosine - x * (y * n[0] + _BESIDE * z * n[1])) / r
+    theta_by_a = (z * by_a + r * (x * n[1])) / (r * r + z * z)
+    slope = cosine * theta / r + x * (theta_by_a * r - theta * by_a) / (r * r)
+    return camera.fx * (x * (theta / r)) + camera.cx, camera.fx * slope

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections import namedtuple
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import cache, cached_property, partial
+from functools import cache, cached_property
 from itertools import pairwise
 from typing import Any, ClassVar
 
@@ -95,7 +95,7 @@ class MotionModel:
     """Motion of the camera between two frames.
 
     A part gives `step`, a plain function of tuples of numbers, and the standard deviations of its noise or
-    `driven = True`; Jacobians follow. What cannot be a plain function overrides `predict`.
+    `driven = True`; Jacobians follow.
 
     References
     ----------
@@ -133,7 +133,7 @@ class MotionModel:
         tuple of tuples
             The state in the same order.
         """
-        raise NotImplementedError(f"{type(self).__name__} must have step, or predict: see MotionModel")
+        raise NotImplementedError(f"{type(self).__name__} must have step: see MotionModel")
 
     def sigmas(self, dt: float) -> tuple[float, ...]:
         """Standard deviations of the noise of a step, where nothing drives it."""
@@ -158,36 +158,44 @@ class MotionModel:
     def predict(self, state: CameraState, dt: float, odometry: StepInput | None) -> MotionPrediction:
         """Predicted state, its Jacobians and its noise after `dt` > 0 seconds (Eq. 6, 12)."""
         self.check_odometry(odometry)
-        if not self.driven:
-            sigmas = np.array(self.sigmas(dt))
-            return MotionPrediction(*self._stepped(state, dt, 0.0 * sigmas, lambda n: n), np.diag(sigmas**2))
-        if isinstance(odometry, BodyVelocity):
-            n = np.concatenate([odometry.linear, odometry.angular])
-            return MotionPrediction(*self._stepped(state, dt, n, lambda n: (n[:3], n[3:])), odometry.covariance)
-        samples: Any = odometry
-        unit, size, begin = samples.unit, self.size, 0.0
-        F, Q, unit_pose = np.eye(size), np.zeros((size, size)), (tuple(unit.position), tuple(unit.orientation))
-        for end, *sample in zip([*samples.times[:-1], dt], samples.angular_rates, samples.specific_forces, strict=True):
-            h, begin, n = end - begin, end, np.concatenate([*sample, np.zeros(6)])
-            sigmas = np.array([unit.gyro_density, unit.accelerometer_density]) / np.sqrt(h)
-            walks = np.array([unit.gyro_walk, unit.accelerometer_walk]) * np.sqrt(h)
-            noise = np.repeat(np.concatenate([sigmas, walks]), 3)
-            state, A, B = self._stepped(state, h, n, lambda n: (n[:3], n[3:6], n[6:9], n[9:], *unit_pose))
-            F, Q = A @ F, A @ Q @ A.T + (B * noise**2) @ B.T
-        return MotionPrediction(state, F, np.eye(size), Q)
+        rows = np.zeros((0, 6)) if odometry is None else odometry.rows
+        moved, F, G, Q = self.stepped(self.numbers_of(state), dt, rows)
+        return MotionPrediction(self.state_of(moved, state.variables), F, G, Q)
 
     def odometry_measurement(self, state: CameraState, dt: float, odometry: Any) -> LinearMeasurement | None:
         """Odometry of the step as a measurement of the predicted state; None: the prediction has used it up."""
         if self.driven or not self.expects_odometry:
             return None
+        expected, H = self.expected_odometry(self.numbers_of(state), dt)
+        return LinearMeasurement(np.concatenate([odometry.linear, odometry.angular]) - expected, H, odometry.covariance)
+
+    def stepped(
+        self, x: FloatArray, dt: float, rows: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """`predict` for numbers (v,) of the state and rows of the input: moved numbers, F, G and Q."""
+        if not self.driven:
+            sigmas = np.array(self.sigmas(dt))
+            return *self._stepped(x, dt, 0.0 * sigmas, lambda n: n), np.diag(sigmas**2)
+        if self.takes is BodyVelocity:
+            return *self._stepped(x, dt, rows[0, :6], lambda n: (n[:3], n[3:])), rows[1:7, :6]
+        size, begin = self.size, 0.0
+        F, Q, unit_pose = np.eye(size), np.zeros((size, size)), (tuple(rows[0, :3]), tuple(rows[1, :4]))
+        for end, *sample in zip([*rows[3:-1, 0], dt], rows[3:, 1:7], strict=True):
+            h, begin, n = end - begin, end, np.concatenate([*sample, np.zeros(6)])
+            noise = np.repeat(np.concatenate([rows[0, 3:5] / np.sqrt(h), rows[2, :2] * np.sqrt(h)]), 3)
+            x, A, B = self._stepped(x, h, n, lambda n: (n[:3], n[3:6], n[6:9], n[9:], *unit_pose))
+            F, Q = A @ F, A @ Q @ A.T + (B * noise**2) @ B.T
+        return x, F, np.eye(size), Q
+
+    def expected_odometry(self, x: FloatArray, dt: float) -> tuple[FloatArray, FloatArray]:
+        """`odometry` of numbers (v,) of the state, (6,), and its Jacobian (6, m) by the errors."""
 
         def expected(numbers: Any) -> Any:
-            linear, angular = self.odometry(self._record(numbers), dt)
+            linear, angular = self.odometry(self.record(numbers), dt)
             return (*linear, *angular)
 
-        (predicted,), (J,) = derivatives.jacobian_of(expected, self.numbers_of(state)[None])
-        measured = np.concatenate([odometry.linear, odometry.angular])
-        return LinearMeasurement(measured - predicted, J @ self._by_errors(state), odometry.covariance)
+        (predicted,), (J,) = derivatives.jacobian_of(expected, x[None])
+        return predicted, J @ self._by_errors(x)
 
     @property
     def size(self) -> int:
@@ -200,21 +208,19 @@ class MotionModel:
         return type(self).odometry is not MotionModel.odometry
 
     def _stepped(
-        self, state: CameraState, dt: float, n: FloatArray, grouped: Callable[[Any], Any]
-    ) -> tuple[CameraState, FloatArray, FloatArray]:
-        """State after a step with the noise n (k,), as `step` takes it by groups, and its Jacobians F and G."""
-        values = self.numbers_of(state)
-        v = len(values)
+        self, x: FloatArray, dt: float, n: FloatArray, grouped: Callable[[Any], Any]
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Numbers after a step with the noise n (k,), as `step` takes it by groups, and its Jacobians F and G."""
+        v = len(x)
 
         def stepped(numbers: Any) -> Any:
-            return [x for part in self.step(self._record(numbers[:v]), dt, grouped(numbers[v:])) for x in part]
+            return [y for part in self.step(self.record(numbers[:v]), dt, grouped(numbers[v:])) for y in part]
 
-        (after,), (J,) = derivatives.jacobian_of(stepped, np.concatenate([values, n])[None])
-        moved = self.state_of(after, state.variables)
-        to_errors = np.linalg.pinv(self._by_errors(moved))
-        return moved, to_errors @ J[:, :v] @ self._by_errors(state), to_errors @ J[:, v:]
+        (after,), (J,) = derivatives.jacobian_of(stepped, np.concatenate([x, n])[None])
+        to_errors = np.linalg.pinv(self._by_errors(after))
+        return after, to_errors @ J[:, :v] @ self._by_errors(x), to_errors @ J[:, v:]
 
-    def _record(self, numbers: Any) -> Any:
+    def record(self, numbers: Any) -> Any:
         """Numbers of a state as the plain functions take them."""
         stops = np.cumsum([0, *(size for _, size in self.layout)]).tolist()
         return _record_type(self.layout)(*(tuple(numbers[i:j]) for i, j in pairwise(stops)))
@@ -224,20 +230,16 @@ class MotionModel:
         """Names of what the model moves, and how many numbers each value has."""
         return (*_CAMERA, *((variable.name.replace("-", "_"), len(variable.value)) for variable in self.variables))
 
-    def _by_errors(self, state: CameraState) -> FloatArray:
+    def _by_errors(self, numbers: FloatArray) -> FloatArray:
         """Derivatives (v, m) of the numbers of a state by its errors."""
-        x, y, z, w = 0.5 * state.orientation
-        by_turn = np.array([[w, -z, y], [z, w, -x], [-y, x, w], [-x, -y, -z]])  # of q x (delta / 2, 1)
-        blocks = [np.eye(3), by_turn, np.eye(VELOCITY_SIZE)]
-        for variable in self.variables:
-            corrected = partial(variable.retraction.retract, state.variables[variable.name])
-            adds = variable.retraction is ADDITIVE
-            blocks.append(np.eye(variable.size) if adds else derivatives.jacobian(corrected, variable.size))
-        J, row, column = np.zeros((len(self.numbers_of(state)), self.size)), 0, 0
-        for block in blocks:
-            rows, columns = block.shape
-            J[row : row + rows, column : column + columns] = block
-            row, column = row + rows, column + columns
+        J, row, column = np.zeros((len(numbers), self.size)), 0, 0
+        adds = (True, False, True, True, *(variable.retraction is ADDITIVE for variable in self.variables))
+        for (_, size), is_sum in zip(self.layout, adds, strict=True):
+            errors = size if is_sum else 3
+            x, y, z, w = np.zeros(4) if is_sum else 0.5 * numbers[row : row + 4]
+            block = np.eye(size) if is_sum else [[w, -z, y], [z, w, -x], [-y, x, w], [-x, -y, -z]]  # q x (delta / 2, 1)
+            J[row : row + size, column : column + errors] = block
+            row, column = row + size, column + errors
         return J
 
     def numbers_of(self, state: CameraState) -> FloatArray:
@@ -259,11 +261,13 @@ class MotionModel:
 
     def corrected(self, state: CameraState, delta: FloatArray) -> CameraState:
         """State with errors (m,) of what the model moves added, to first order."""
-        return self.state_of(self.numbers_of(state) + self._by_errors(state) @ delta, state.variables)
+        numbers = self.numbers_of(state)
+        return self.state_of(numbers + self._by_errors(numbers) @ delta, state.variables)
 
     def difference(self, state: CameraState, other: CameraState) -> FloatArray:
         """Errors (m,) that take `state` to `other`, to first order."""
-        errors: FloatArray = np.linalg.pinv(self._by_errors(state)) @ (self.numbers_of(other) - self.numbers_of(state))
+        numbers = self.numbers_of(state)
+        errors: FloatArray = np.linalg.pinv(self._by_errors(numbers)) @ (self.numbers_of(other) - numbers)
         return errors
 
 

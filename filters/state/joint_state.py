@@ -14,29 +14,15 @@ import numpy as np
 
 from filters.contract.inputs import Start
 from filters.contract.variables import Variable
-from filters.geometry import rotations, symmetric
+from filters.geometry import symmetric
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
-from filters.landmarks.landmark_model import LandmarkModel, StartedLandmarks
-from filters.motions.motion_model import POSITION, ROTATION, CameraState
+from filters.landmarks.landmark_model import LandmarkModel
+from filters.motions.motion_model import CameraState
 from filters.state.layout import StateLayout
 
 
 def _no_landmarks() -> IntArray:
     return np.zeros(0, dtype=np.int64)
-
-
-@dataclass(frozen=True, eq=False)
-class NewLandmarks:
-    """M landmarks that enter the map."""
-
-    ids: IntArray
-    """(M,): their identities."""
-    started: StartedLandmarks
-    """Their values."""
-    by_leading: FloatArray
-    """(M, size, c): Jacobian of their error numbers by the leading rows (J_xc of Eq. 25)."""
-    noise: FloatArray
-    """(M, size, size): what the measurement adds to their covariance (J_R R J_R^T), and the prior of what it leaves."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,17 +40,6 @@ class AddedVariable:
 
     variable: Variable
     blocks: IntArray
-
-
-def world_rotation_of_variables(layout: StateLayout, camera: CameraState) -> FloatArray:
-    """Gamma of the variables: effect of a rotation of the world about its origin on their errors; (c, 3)."""
-    effect = np.zeros((layout.size, 3))
-    effect[POSITION] = -rotations.skew(camera.position)
-    effect[ROTATION] = camera.R_wc.T
-    effect[layout.linear_velocity] = -rotations.skew(camera.linear_velocity)
-    for variable in layout.variables:
-        effect[layout.places[variable.name]] = variable.world_rotation(camera.variables[variable.name])
-    return effect
 
 
 @dataclass(eq=False)
@@ -94,8 +69,8 @@ class JointState:
     """(N,): block of each landmark's anchor; -1 where there is none."""
     held: IntArray = field(default_factory=_no_landmarks)
     """(H,): blocks that stay whether or not a landmark uses them, in the order in which they were held."""
-    clones: dict[str | int, Clone] = field(default_factory=dict)
-    """Clones of the pose by name; their blocks are held. Anchors of landmarks `in_anchor`, by their first block."""
+    clones: dict[str, Clone] = field(default_factory=dict)
+    """Clones of the pose by name; their blocks are held."""
     added: dict[str, AddedVariable] = field(default_factory=dict)
     """Variables that came after the start, by name; their blocks are held."""
 
@@ -114,39 +89,6 @@ class JointState:
         """Rows of a block."""
         return self.model.size
 
-    @property
-    def viewpoint(self) -> tuple[FloatArray, FloatArray]:
-        """Position and orientation of the camera in the frame in which landmarks start."""
-        if self.model.in_anchor:
-            return np.zeros(3), np.eye(3)
-        return self.camera.position, self.camera.R_wc
-
-    def anchor_poses(self, index: IntArray | slice = slice(None)) -> tuple[FloatArray, FloatArray, IntArray]:
-        """Anchors of landmarks `in_anchor`: positions (M, 3), R_wa (M, 3, 3), blocks of the orientations (M,)."""
-        blocks, which = np.unique(self.anchor_block[index], return_inverse=True)
-        poses = [self.clones[block] for block in blocks.tolist()]
-        positions, orientations = np.zeros((len(poses), 3)), np.zeros((len(poses), 4))
-        turns = np.zeros(len(poses), dtype=np.int64)
-        for i, pose in enumerate(poses):
-            positions[i], orientations[i], turns[i] = pose.position, pose.orientation, pose.blocks[1]
-        return positions[which], rotations.matrix(orientations)[which], turns[which]
-
-    def seen_from(self, index: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Position and orientation of the camera in the frame of landmarks, or of each (M, ...)."""
-        if not self.model.in_anchor:
-            return self.viewpoint
-        positions, R_wa, _ = self.anchor_poses(index)
-        R_aw = R_wa.transpose(0, 2, 1)
-        return rotations.turned(R_aw, self.camera.position - positions), R_aw @ self.camera.R_wc
-
-    def through_anchors(self, index: IntArray, by_pose: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Jacobians by the pose in W and by the anchors, from that (M, k, 6) by the pose in the anchors' frames."""
-        (r_a, R_ac), R_wa = self.seen_from(index), self.anchor_poses(index)[1]
-        by_position, by_rotation = by_pose[:, :, POSITION], by_pose[:, :, ROTATION]
-        in_world = by_position @ R_wa.transpose(0, 2, 1)
-        by_turn = by_position @ rotations.skew(r_a) - by_rotation @ R_ac.transpose(0, 2, 1)
-        return np.concatenate([in_world, by_rotation], axis=2), np.concatenate([-in_world, by_turn], axis=2)
-
     def parameters(self, index: IntArray | slice = slice(None)) -> FloatArray:
         """Values of the landmarks at `index`, (M, v)."""
         taken: FloatArray = self.blocks[self.parameter_block[index]]
@@ -162,14 +104,11 @@ class JointState:
         return anchors
 
     def map_rows(self, index: IntArray) -> IntArray:
-        """Rows of P that belong to each landmark, anchor first; (M, size), (M, 3 + size) or, of a pose, (M, 6 + size).
+        """Rows of P that belong to each landmark, anchor first; (M, size) or (M, 3 + size).
 
         Where there are anchors, a landmark without one has its own first rows twice.
         """
         own = self.own_rows(index)
-        if self.model.in_anchor:
-            first = self.layout.size + self.size * np.stack([self.anchor_block[index], self.anchor_poses(index)[2]], 1)
-            return np.hstack([(first[:, :, None] + np.arange(3)).reshape(-1, 6), own])
         if not self.model.anchored:
             return own
         anchor, block = self.anchor_block[index], self.parameter_block[index]
@@ -180,64 +119,6 @@ class JointState:
         """Rows of P of the landmarks themselves, without their anchors; (M, size)."""
         rows: IntArray = self.layout.size + self.size * self.parameter_block[index, None] + np.arange(self.size)
         return rows
-
-    def world_rotation(self) -> FloatArray:
-        """Gamma: effect of a rotation of the world about its origin on the error state; (n, 3)."""
-        effect = self._effect(-rotations.skew(self.blocks[:, :3]))
-        effect[self.parameter_block] = self.model.world_rotation(self.anchors(), self.parameters())
-        for clone in self.clones.values():
-            effect[clone.blocks, :3] = -rotations.skew(clone.position), rotations.matrix(clone.orientation).T
-        for one in self.added.values():
-            if not one.variable.in_world:
-                effect[one.blocks] = 0.0
-        return np.vstack([world_rotation_of_variables(self.layout, self.camera), effect.reshape(-1, 3)])
-
-    def world_translation(self) -> FloatArray:
-        """Effect of a shift of the world on the error state, (n, 3)."""
-        effect = self._effect(np.eye(3))
-        effect[self.parameter_block] = 0.0  # rays have no place of their own
-        free = np.flatnonzero(self.anchor_block < 0)
-        if len(free):
-            effect[self.parameter_block[free]] = self.model.world_translation(self.parameters(free))
-        for clone in self.clones.values():
-            effect[clone.blocks[1]] = 0.0
-        for one in self.added.values():
-            effect[one.blocks] = 0.0
-        leading = np.zeros((self.layout.size, 3))
-        leading[POSITION] = np.eye(3)
-        return np.vstack([leading, effect.reshape(-1, 3)])
-
-    def _effect(self, of_points: FloatArray) -> FloatArray:
-        """Effects (B, size, 3) on all blocks, those on points in their first three rows."""
-        effect = np.zeros((len(self.blocks), self.size, 3))
-        effect[:, :3] = of_points
-        return effect
-
-    def at_first_estimates(self) -> JointState:
-        """This state with the predicted camera and the map as it was first estimated."""
-        blocks = self.first_blocks.copy()
-        own = self.parameter_block
-        blocks[own] = self.model.first_estimates(self.anchors(), self.first_blocks[own], self.blocks[own])
-        return replace(self, camera=self.predicted, blocks=blocks)
-
-    def become_points(self, index: IntArray, at: JointState) -> None:
-        """Turn the inverse-depth landmarks at `index` into XYZ (Eq. 4), with Jacobians taken at the state `at`.
-
-        In place; their anchors stay, whether or not another landmark has them.
-        """
-        if len(index) == 0:
-            return
-        rows, own = self.map_rows(index), self.parameter_block[index]
-        points = self.model.points(at.anchors(index), at.parameters(index))
-        J = points.by_map
-        moved = (J @ symmetric.rows(self.P, rows.ravel()).reshape(*rows.shape, -1)).reshape(-1, len(self.P))
-        own_rows = rows[:, 3:].ravel()
-        crossed = J @ moved[:, rows].transpose(1, 2, 0)
-        moved[:, own_rows] = crossed.reshape(-1, len(moved)).T
-        symmetric.put_rows(self.P, own_rows, moved)
-        self.blocks[own, :3] = self.model.points(self.anchors(index), self.parameters(index)).positions
-        self.first_blocks[own, :3] = points.positions
-        self.anchor_block[index] = -1
 
     def block_rows(self, blocks: IntArray) -> IntArray:
         """Rows of P that belong to map blocks, in their order; (M,) -> (size M,)."""

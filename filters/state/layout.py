@@ -10,7 +10,7 @@ Derivation: docs/derivations/errors.md.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import accumulate
 
@@ -18,10 +18,8 @@ import numpy as np
 
 from filters.contract.inputs import Start
 from filters.contract.variables import POSE, VELOCITY, Variable
-from filters.geometry import symmetric
-from filters.geometry.arrays import BoolArray, FloatArray, IntArray
-from filters.geometry.retractions import Retraction
-from filters.motions.motion_model import CAMERA_SIZE, POSE_SIZE, POSITION, ROTATION, VELOCITY_SIZE, CameraState
+from filters.geometry.arrays import FloatArray, IntArray
+from filters.motions.motion_model import CAMERA_SIZE, POSE_SIZE, VELOCITY_SIZE, CameraState
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,106 +130,3 @@ class StateLayout:
             place = self.places[variable.name]
             P[place, place] = variable.covariance
         return CameraState.at(start, {variable.name: variable.value for variable in self.variables}), P
-
-    def moved(self, camera: CameraState, delta: FloatArray, orientation: Retraction) -> CameraState:
-        """All variables corrected by the leading numbers of delta (n,)."""
-        others = {
-            x.name: x.retraction.retract(camera.variables[x.name], delta[self.places[x.name]]) for x in self.variables
-        }
-        return CameraState(
-            camera.position + delta[POSITION],
-            orientation.retract(camera.orientation, delta[ROTATION]),
-            camera.linear_velocity + delta[self.linear_velocity],
-            camera.angular_velocity + delta[self.angular_velocity],
-            others,
-        )
-
-    def transport(self, delta: FloatArray, orientation: Retraction) -> FloatArray:
-        """Jacobian that takes errors of the variables to those at the values corrected by delta; (size, size)."""
-        M = np.eye(self.size)
-        M[ROTATION, ROTATION] = orientation.transport(delta[ROTATION])
-        for variable in self.variables:
-            place = self.places[variable.name]
-            M[place, place] = variable.retraction.transport(delta[place])
-        return M
-
-
-@dataclass(frozen=True, eq=False)
-class LinearisedMeasurements:
-    """M measurements of k rows each, linear in the error state."""
-
-    innovation: FloatArray
-    """(M, k): measured minus predicted, px."""
-    by_leading: FloatArray
-    """(M, k, c): H with respect to the first c rows of the state: pose and what else measurements depend on."""
-    by_map: FloatArray
-    """(M, k, w): H with respect to the landmark's own rows."""
-    map_rows: IntArray
-    """(M, w): those rows."""
-    R: FloatArray
-    """(M, k, k): noise covariance."""
-
-    def __len__(self) -> int:
-        return len(self.innovation)
-
-    def __getitem__(self, index: slice | IntArray | BoolArray) -> LinearisedMeasurements:
-        return LinearisedMeasurements(
-            self.innovation[index],
-            self.by_leading[index],
-            self.by_map[index],
-            self.map_rows[index],
-            self.R[index],
-        )
-
-    def times(self, delta: FloatArray) -> FloatArray:
-        """H delta; (n,) -> (M, k)."""
-        product: FloatArray = self.by_leading @ delta[: self.by_leading.shape[2]]
-        product += np.einsum("mkw,mw->mk", self.by_map, delta[self.map_rows])
-        return product
-
-    def innovation_covariances(self, P: FloatArray) -> FloatArray:
-        """S = H P H^T + R of each measurement on its own (Eq. 15); (M, k, k)."""
-        leading_rows = np.broadcast_to(np.arange(self.by_leading.shape[2]), (len(self), self.by_leading.shape[2]))
-        rows = np.concatenate([leading_rows, self.map_rows], axis=1)
-        H = np.concatenate([self.by_leading, self.by_map], axis=2)
-        S: FloatArray = H @ symmetric.blocks(P, rows) @ H.transpose(0, 2, 1) + self.R
-        return S
-
-
-@dataclass(frozen=True, eq=False)
-class Transport:
-    """Block lower triangular Jacobian of the error state."""
-
-    leading: FloatArray
-    """(c, c), of the named variables."""
-    by_rotation: FloatArray | None = None
-    """(n - c, 3), of the map rows by the rotation error of the camera. None: zero."""
-    rows: IntArray | None = None
-    """(m, s): rows of the blocks that have a Jacobian of their own. None: there are none."""
-    own: FloatArray | None = None
-    """(m, s, s), of those blocks by themselves; that of all other rows is the identity."""
-
-    def pulled_back(self, measurements: LinearisedMeasurements, delta: FloatArray) -> LinearisedMeasurements:
-        """The same measurements, linear in the errors of an earlier state that `delta` has moved here.
-
-        The innovation gets back what the correction has already explained: a Gauss-Newton step with the prior held.
-        """
-        size, width = len(self.leading), measurements.by_leading.shape[2]
-        by_leading = measurements.by_leading @ self.leading[:width, :width]
-        by_map = measurements.by_map
-        if self.by_rotation is not None:
-            by_leading[:, :, ROTATION] += by_map @ self.by_rotation[measurements.map_rows - size]
-        if self.own is not None and self.rows is not None:
-            block, count = self.rows.shape[1], by_map.shape[2]
-            place = np.full((len(delta) - size) // block, -1)
-            place[(self.rows[:, 0] - size) // block] = np.arange(len(self.rows))
-            parts = []
-            for start in (*range(0, count - block, 3), count - block):  # of anchors, and its own
-                columns = slice(start, start + 3 if start < count - block else count)
-                width = columns.stop - start
-                which = place[(measurements.map_rows[:, start] - size) // block]
-                J = np.where((which < 0)[:, None, None], np.eye(block), self.own[which])[:, :width, :width]
-                parts.append(by_map[:, :, columns] @ J)
-            by_map = np.concatenate(parts, axis=2)
-        earlier = replace(measurements, by_leading=by_leading, by_map=by_map)
-        return replace(earlier, innovation=measurements.innovation + earlier.times(delta))

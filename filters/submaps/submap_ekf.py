@@ -16,7 +16,7 @@ from filters.contract.noise import StereoNoise
 from filters.contract.outputs import Forecast, LandmarkBelief, PoseBelief, UpdateReport, VelocityBelief
 from filters.contract.stereo_filter import AT_ORIGIN, StereoFilter
 from filters.contract.validation import unique_ids
-from filters.engine.marginals import forecast, landmark_belief
+from filters.engine.marginals import landmark_belief
 from filters.engine.stereo_ekf import StereoEKF
 from filters.geometry.arrays import FloatArray, IntArray
 from filters.geometry.camera import StereoCamera
@@ -123,13 +123,12 @@ class SubmapEKF(StereoFilter):
         awake = wanted[~self._chain.at_rest(wanted)]
         parts = [self._active.forecast(awake)]
         missing = len(wanted) - len(awake)
+        reader = deepcopy(self._active) if missing else self._active
         for view in self._views() if missing else ():
             here = np.intersect1d(wanted, view.ids)
             if len(here):
-                order = np.argsort(view.ids)
-                index = order[np.searchsorted(view.ids, here, sorter=order)]
-                sensor = self._active.options.measurement
-                parts.append(forecast(self.camera, self.noise, sensor, view, here, index))
+                reader.state = view
+                parts.append(reader.forecast(here))
                 missing -= len(here)
             if missing == 0:
                 break

@@ -23,7 +23,7 @@ from filters import (
 )
 from filters.contract.noise import gate_limit
 from filters.contract.validation import gate_probability, unique_ids
-from filters.engine.steps import measure_odometry, predict_camera
+from filters.engine.steps import predict_camera
 from filters.geometry import rotations
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.motions.motion_model import (
@@ -87,7 +87,7 @@ class FilterpyEKF(CameraFilter):
     def _move(self, dt: float, odometry: BodyVelocity | None) -> None:
         """Move the belief forward (Eq. 6, 11, 12), then fuse what odometry adds."""
         step, rest = predict_camera(self._motion, self._belief.state, dt, odometry), self._map.size
-        measured = None if odometry is None else measure_odometry(self._motion, step.state, dt, odometry)
+        measured = None if odometry is None else self._motion.odometry_measurement(step.state, dt, odometry)
         ekf = self._kalman_filter()
         ekf.F = block_diag(step.F, np.eye(rest))
         ekf.Q = block_diag(step.G @ step.Q @ step.G.T, np.zeros((rest, rest)))
@@ -111,7 +111,7 @@ class FilterpyEKF(CameraFilter):
         dropped = self._ids[~np.isin(self._ids, ids)]
         self.forget(dropped)
         h_w = self.camera.ray(observation.uvd) @ self._belief.state.R_wc.T
-        new = ~known & _MODEL.can_start(h_w, observation.uvd[:, 2])
+        new = ~known & _MODEL.can_start_from(tuple(h_w.T))
         if new.any():
             self._add(ids[new], observation.uvd[new], R[new])
         return UpdateReport(
@@ -175,7 +175,7 @@ class FilterpyEKF(CameraFilter):
         position = self._belief.state.position
         h_c, R_wc = self.camera.ray(uvd), self._belief.state.R_wc
         new = _MODEL.started(position, h_c @ R_wc.T, uvd[:, 2] / self.camera.disparity_constant)
-        by_ray, by_scale = new.by_direction @ R_wc, new.by_scale[:, :, None] / self.camera.disparity_constant
+        by_ray, by_scale = new.by_seen[:, :, :3] @ R_wc, new.by_seen[:, :, 3:] / self.camera.disparity_constant
         by_uvd = np.concatenate([by_ray[:, :, :2] / (self.camera.fx, self.camera.fy), by_scale], axis=2)
         J = np.zeros((len(ids), _LANDMARK, len(self._P)))
         J[:, :3, POSITION], J[:, 3:, ROTATION] = np.eye(3), -by_ray @ rotations.skew(h_c)  # the anchor is the camera

@@ -71,8 +71,7 @@ def measurements(depth: float, noise: str, samples: int) -> FloatArray:
 def landmark(parametrisation: str, uvd: FloatArray, R: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Parameters (3,) of the landmark that a measurement (3,) starts, and their covariance (3, 3)."""
     new = started(parametrisation, uvd[None])
-    by_point = np.concatenate([new.by_direction, new.by_scale[:, :, None]], axis=2)
-    J_R = (by_point @ SENSOR.backprojection_jacobians(CAMERA, uvd[None], {}).by_point)[0]
+    J_R = (new.by_seen @ SENSOR.backprojection_jacobians(CAMERA, uvd[None], {}).by_point)[0]
     return new.parameters[0], J_R @ R @ J_R.T
 
 

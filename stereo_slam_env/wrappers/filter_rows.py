@@ -278,7 +278,7 @@ class _Lockstep(FilterRows):
         R = np.repeat(self._batch.R, np.diff(seen.offsets), axis=0) if seen.R is None else seen.R
         right = which & seen.with_right
         observations = Observations(which, seen.offsets, seen.ids, seen.uvd, R, right, seen.v_right)
-        outcome = self._batch.engine.step(dt, observations, Odometry(fused, values, covariances))
+        outcome = self._batch.engine.step(dt, observations, Odometry.of_velocities(fused, values, covariances))
         self._times[which] = seen.times[which]
         self.nis[which], self.nis_dof[which] = outcome.nis[which], outcome.dof[which]
         reports = Reports(seen.offsets, seen.ids, outcome)

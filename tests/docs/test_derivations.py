@@ -4,6 +4,7 @@
 """
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,20 +18,23 @@ from filters import (
     InverseDepth,
     LeftInvariant,
     RightInvariant,
+    Start,
     StereoCamera,
+    StereoEKF,
     StereoNoise,
+    StereoObservation,
     VelocityDriven,
 )
 from filters.geometry import rotations
 from filters.geometry.derivatives import jacobian_of
 from filters.geometry.retractions import AdditiveQuaternion, RotationVector
+from filters.geometry.vectors import turned_by
 from filters.landmarks.inverse_depth import angles_of, ray_of
-from filters.state.joint_state import world_rotation_of_variables
+from filters.state.joint_state import JointState
 from filters.state.layout import StateLayout
-from filters.updates.extended import chain_rule
 
+from ..filters.dense import gamma_of_variables, linearised, moved_by
 from ..filters.first_sight import first_sight
-from ..filters.state.states import without_map
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted((ROOT / "docs" / "derivations").glob("*.md"))
@@ -167,9 +171,10 @@ class TestInverseDepth:
         noise = np.diag([1.0, 2.0, 3.0]) + 0.5
         new = first_sight(InverseDepth(), CAMERA, state.position, R, uvd[None], noise)
         rho = uvd[2] / (f_b * n)
-        np.testing.assert_allclose(new.started.parameters[0], [*angles_of(R @ h), rho], **EXACT)
+        np.testing.assert_allclose(new.parameters[0], [*angles_of(R @ h), rho], **EXACT)
         by_g = jacobian_of(angles_of, (R @ h)[None])[1][0] @ R
-        np.testing.assert_allclose(new.by_leading[0], np.hstack([ZERO, [*(-by_g @ skew(h)), np.zeros(3)]]), **EXACT)
+        by_pose = np.hstack([ZERO, [*(-by_g @ skew(h)), np.zeros(3)]])
+        np.testing.assert_allclose(new.by_leading[0], np.hstack([by_pose, np.zeros((3, 6))]), **EXACT)
         by_pixel = by_g @ np.array([[1 / FX, 0], [0, 1 / FY], [0, 0]])
         by_rho = [*(-rho / n**2 * np.array([h[0] / FX, h[1] / FY])), 1 / (f_b * n)]
         expected = np.vstack([np.column_stack([by_pixel, np.zeros(2)]), by_rho])
@@ -189,29 +194,34 @@ class TestEuclidean:
         h = CAMERA.backproject(uvd)
         noise = np.diag([1.0, 2.0, 3.0]) + 0.5
         new = first_sight(Euclidean(), CAMERA, state.position, R, uvd[None], noise)
-        np.testing.assert_allclose(new.started.parameters[0], state.position + R @ h, **EXACT)
-        np.testing.assert_allclose(new.by_leading[0], np.hstack([EYE, -R @ skew(h)]), **EXACT)
+        np.testing.assert_allclose(new.parameters[0], state.position + R @ h, **EXACT)
+        np.testing.assert_allclose(new.by_leading[0], np.hstack([EYE, -R @ skew(h), np.zeros((3, 6))]), **EXACT)
         by_uvd = np.linalg.inv(CAMERA.project_jacobian(h))
         np.testing.assert_allclose(new.noise[0], R @ by_uvd @ noise @ by_uvd.T @ R.T, **EXACT)
         np.testing.assert_allclose(by_uvd[:, 2], -h / uvd[2], **EXACT)
 
 
 class TestMeasurements:
-    def test_the_chain(self, state, rng):
-        y = np.array([[0.1, -0.05, 0.1]])
-        a = state.position[None] + 0.1 * rng.normal(size=(1, 3))
-        seen = InverseDepth().relative_to(state.position, a, y)
-        R = state.R_wc
-        h_c = seen.homogeneous[:, :3] @ R
-        T = np.array([[1.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
-        C = CAMERA.project_scaled_jacobian(h_c[0], seen.homogeneous[0, 3])
+    def test_the_chain(self, state):
+        """H of the left pixels of a filter whose camera has moved on from the anchor."""
+        slam = StereoEKF(CAMERA, StereoNoise(EYE), gate=None, measurement="left", error="so3")
+        slam.reset(Start(state.position, state.orientation))
+        seen = StereoObservation([7], [[700.0, 150.0, 20.0]])
+        slam.update(seen)
+        joint = slam.state
+        now = replace(state, position=state.position + np.array([0.3, -0.1, 0.2]))
+        slam.state = replace(joint, camera=now, predicted=now)
+        shown = InverseDepth().relative_to(now.position, joint.anchors(), joint.parameters())
+        R = now.R_wc
+        h_c = shown.homogeneous[:, :3] @ R
+        T = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+        C = CAMERA.project_scaled_jacobian(h_c[0], shown.homogeneous[0, 3])
         C_h, C_s = C[:, :3], C[:, 3:]
-        points_c = np.hstack([h_c, seen.homogeneous[:, 3:]])
-        by_pose, by_map = chain_rule(R, seen, points_c, T @ C[None])
-        np.testing.assert_allclose(by_pose[0, :, :3], T @ C_h @ R.T @ seen.by_position[0, :3], **EXACT)
-        np.testing.assert_allclose(by_pose[0, :, 3:], T @ C_h @ skew(h_c[0]), **EXACT)
-        expected = T @ (C_h @ R.T @ seen.by_map[0, :3] + C_s @ seen.by_map[0, 3:])
-        np.testing.assert_allclose(by_map[0], expected, **EXACT)
+        H = linearised(slam, seen).H[0]
+        np.testing.assert_allclose(H[:, :3], T @ C_h @ R.T @ shown.by_position[0, :3], **EXACT)
+        np.testing.assert_allclose(H[:, 3:6], T @ C_h @ skew(h_c[0]), **EXACT)
+        expected = T @ (C_h @ R.T @ shown.by_map[0, :3] + C_s @ shown.by_map[0, 3:])
+        np.testing.assert_allclose(H[:, joint.map_rows(np.array([0]))[0]], expected, **EXACT)
 
 
 class TestErrors:
@@ -229,21 +239,28 @@ class TestErrors:
         np.testing.assert_allclose(rotations.matrix(moved), state.R_wc @ exp(delta), **EXACT)
         np.testing.assert_allclose(RotationVector().transport(delta), J_r(delta), **EXACT)
 
-    def test_what_cannot_be_seen(self, state, rng):
-        r, v, X = state.position, state.linear_velocity, rng.normal(size=3)
+    def test_what_cannot_be_seen(self, state):
+        r, v = state.position, state.linear_velocity
         expected = np.vstack([-skew(r), state.R_wc.T, -skew(v), ZERO])
-        np.testing.assert_allclose(world_rotation_of_variables(StateLayout(), state), expected, **EXACT)
-        np.testing.assert_allclose(Euclidean().world_rotation(None, X[None])[0], -skew(X), **EXACT)
+        np.testing.assert_allclose(gamma_of_variables(StateLayout(), state), expected, **EXACT)
         y = np.array([[0.4, -0.3, 0.07]])
         m = np.array(ray_of(*y[0, :2]))
         by_turn = [*(-jacobian_of(angles_of, m[None])[1][0] @ skew(m)), np.zeros(3)]
-        np.testing.assert_allclose(InverseDepth().world_rotation(X[None], y)[0], by_turn, **EXACT)
+        start = InverseDepth().start_from
+
+        def around(theta, at):
+            return start((*turned_by(theta, m), at[2]))
+
+        np.testing.assert_allclose(jacobian_of(around, np.zeros((1, 3)), y)[1][0], by_turn, **EXACT)
 
     @pytest.mark.parametrize("error", [RightInvariant(), LeftInvariant()])
     def test_an_invariant_correction(self, state, rng, error):
         """Both lines of the page, and the one they have in common."""
         delta = rng.normal(size=12)
-        moved = error.moved(without_map(state, np.eye(12), Euclidean()), delta).camera
+        slam = StereoEKF(CAMERA, StereoNoise(EYE), error=error)
+        layout, landmark = slam.options.layout, slam.options.landmark
+        slam.state = replace(JointState.at(Start(), layout, landmark), camera=state, predicted=state, P=np.eye(12))
+        moved = moved_by(slam, delta)[0].camera
         theta = state.R_wc @ delta[3:6]
         J_l = J_r(-theta)
         np.testing.assert_allclose(moved.R_wc, exp(theta) @ state.R_wc, **EXACT)

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from filters import Hybrid
 from filters.contract.variables import Variable
 from filters.landmarks.landmark_model import LandmarkModel
 from filters.measurements.measurement_model import MeasurementModel
@@ -215,7 +214,7 @@ def values_of(variables: tuple[Variable, ...]) -> dict[str, np.ndarray]:
     return {variable.name: variable.value for variable in variables}
 
 
-MODELS: dict[str, LandmarkModel] = {**LANDMARKS, "hybrid of both": Hybrid(near_distance=14.0)}
+MODELS: dict[str, LandmarkModel] = dict(LANDMARKS)
 
 
 def situations_of(model: LandmarkModel, among: tuple = SITUATIONS) -> tuple:
@@ -224,7 +223,7 @@ def situations_of(model: LandmarkModel, among: tuple = SITUATIONS) -> tuple:
     return tuple(
         situation
         for situation in among
-        if all(model.can_start(s.rays_w[:, :3], s.rays_w[:, 3]).all() for s in map(situation, map(rng, range(3))))
+        if all(model.can_start_from(tuple(h)) for s in map(situation, map(rng, range(3))) for h in s.rays_w)
     )
 
 

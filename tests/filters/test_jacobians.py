@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from filters import BodyVelocity, MotionModel
 from filters.geometry import rotations
+from filters.geometry.derivatives import columns_of
 from filters.geometry.retractions import AdditiveQuaternion, RotationVector
 from filters.landmarks.landmark_model import LandmarkModel
 from filters.measurements.measurement_model import MeasurementModel
@@ -174,18 +175,17 @@ for _name, _model in {**MODELS, **NUMERICAL}.items():
     def _seen(model: LandmarkModel, s: Situation):
         """Values of landmarks of the situation, and anchors a little away from where the camera is."""
         new = model.started(s.camera.position, s.rays_w[:, :3], s.rays_w[:, 3])
-        anchors = np.where(new.anchored[:, None], s.camera.position + s.anchor_offset, np.nan)
-        return new.parameters, anchors if model.anchored else None
+        return new.parameters, s.camera.position + s.anchor_offset if model.anchored else None
 
     @case(f"landmark {_name}: started", _situations)
     def _(s: Situation, model=_model):
         position, h_w, scale = s.camera.position, s.rays_w[:, :3], s.rays_w[:, 3]
         new = model.started(position, h_w, scale)
-        claimed = np.concatenate([new.by_position, new.by_direction, new.by_scale[:, :, None]], axis=2)
+        claimed = np.concatenate([new.by_position, new.by_seen], axis=2)
 
         def function(e: np.ndarray) -> np.ndarray:
             other = model.started(position + e[:3], h_w + e[3:6], scale + e[6])
-            return model.local(new.parameters, other.parameters)
+            return columns_of(model.local_by, new.parameters, other.parameters)
 
         return function, claimed
 
@@ -196,7 +196,8 @@ for _name, _model in {**MODELS, **NUMERICAL}.items():
 
         def function(e: np.ndarray) -> np.ndarray:
             shifted = None if anchors is None else anchors + e[3:6]
-            return model.homogeneous(s.camera.position + e[:3], shifted, model.retract(parameters, _each(e[-3:])))
+            own = columns_of(model.retract_by, parameters, _each(e[-3:]))
+            return model.relative_to(s.camera.position + e[:3], shifted, own).homogeneous
 
         return function, np.concatenate([claimed.by_position, claimed.by_map], axis=2)
 
@@ -209,7 +210,7 @@ for _name, _model in {**MODELS, **NUMERICAL}.items():
 
         def function(e: np.ndarray) -> np.ndarray:
             shifted = None if anchors is None else anchors + e[:3] * unit[:, :3]
-            return model.points(shifted, model.retract(parameters, e[-3:] * unit[:, -3:])).positions
+            return model.points(shifted, columns_of(model.retract_by, parameters, e[-3:] * unit[:, -3:])).positions
 
         return function, claimed * unit[:, None]
 
@@ -219,51 +220,10 @@ for _name, _model in {**MODELS, **NUMERICAL}.items():
         claimed = model.inverse_distances(s.camera.position, anchors, parameters)
 
         def function(e: np.ndarray) -> np.ndarray:
-            other = model.retract(parameters, _each(e[3:]))
+            other = columns_of(model.retract_by, parameters, _each(e[3:]))
             return model.inverse_distances(s.camera.position + e[:3], anchors, other).values
 
         return function, np.concatenate([claimed.by_position, claimed.by_parameters], axis=1)
-
-    @case(f"landmark {_name}: world_rotation", _situations)
-    def _(s: Situation, model=_model):
-        parameters, anchors = _seen(model, s)
-
-        def function(e: np.ndarray) -> np.ndarray:
-            return model.local(parameters, model.rotated(anchors, parameters, Rotation.from_rotvec(e).as_matrix()))
-
-        return function, model.world_rotation(anchors, parameters)
-
-    @case(f"landmark {_name}: transport", _situations)
-    def _(s: Situation, model=_model):
-        parameters, _ = _seen(model, s)
-        delta = 0.3 * s.anchor_offset
-        there, claimed = model.retract(parameters, delta), model.transport(parameters, delta)
-
-        def function(e: np.ndarray) -> np.ndarray:
-            return model.local(there, model.retract(parameters, delta + e))
-
-        return function, np.broadcast_to(np.eye(3), (COUNT, 3, 3)) if claimed is None else claimed
-
-    @case(f"landmark {_name}: retract is delta to first order", _situations)
-    def _(s: Situation, model=_model):
-        parameters, _ = _seen(model, s)
-        return (
-            lambda e: model.local(parameters, model.retract(parameters, _each(e))),
-            np.broadcast_to(np.eye(3), (COUNT, 3, 3)),
-        )
-
-    @case(f"landmark {_name}: turned_jacobians", _situations)
-    def _(s: Situation, model=_model):
-        parameters, anchors = _seen(model, s)
-        theta, correction = s.delta, 0.1 * s.anchor_offset
-
-        def at(e: np.ndarray) -> np.ndarray:
-            angle = theta + e[3:]
-            return model.turned(anchors, parameters, angle, correction + e[:3])
-
-        here = at(np.zeros(6))
-        claimed = np.concatenate(model.turned_jacobians(anchors, parameters, theta, correction), axis=2)
-        return lambda e: model.local(here, at(e)), claimed
 
 
 def _each(delta: np.ndarray) -> np.ndarray:

@@ -6,12 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from filters import MeasurementModel, MotionModel, StereoCamera, Variable
+from filters import MeasurementModel, MotionModel, Variable
 from filters.geometry import rotations
-from filters.geometry.arrays import FloatArray
 from filters.geometry.retractions import RotationVector
 from filters.geometry.vectors import plus, product, quaternion, rotate, scaled
-from filters.measurements.measurement_model import Values
 
 DISPARITY_ERRORS = Variable("disparity-errors", [1.02, 0.003], np.diag([0.01, 0.002]) ** 2)
 """Scale of the disparity, and its shear over v."""
@@ -23,18 +21,18 @@ class ShearedPair(MeasurementModel):
 
     variables: tuple[Variable, ...] = (DISPARITY_ERRORS,)
 
-    def predict(self, camera: StereoCamera, points_c: FloatArray, values: Values) -> FloatArray:
+    def project(self, camera, h, values):
         """(u, v, d')."""
-        scale, shear = values["disparity-errors"]
-        uvd = camera.project_scaled(points_c[..., :3], points_c[..., 3])
-        uvd[..., 2] = scale * uvd[..., 2] + shear * (uvd[..., 1] - camera.cy)
-        return uvd
+        (scale, shear), v = values.disparity_errors, camera.fy * h[1] / h[2] + camera.cy
+        d = camera.fx * camera.baseline * h[3] / h[2]
+        return camera.fx * h[0] / h[2] + camera.cx, v, scale * d + shear * (v - camera.cy)
 
-    def backproject(self, camera: StereoCamera, uvd: FloatArray, values: Values) -> FloatArray:
+    def unproject(self, camera, uvd, values):
         """The inverse."""
-        scale, shear = values["disparity-errors"]
-        d = (uvd[:, 2] - shear * (uvd[:, 1] - camera.cy)) / scale
-        return np.column_stack([camera.ray(uvd), d / camera.disparity_constant])
+        scale, shear = values.disparity_errors
+        d = (uvd[2] - shear * (uvd[1] - camera.cy)) / scale
+        x, y = (uvd[0] - camera.cx) / camera.fx, (uvd[1] - camera.cy) / camera.fy
+        return x, y, 1.0, d / (camera.fx * camera.baseline)
 
 
 BIAS = Variable("bias", [0.1, 0.0, -0.05, 0.01, 0.0, 0.02], 0.05**2 * np.eye(6), random_walk=np.full(6, 0.01))

@@ -3,151 +3,122 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
 from filters.checks.conformance import require
-from filters.checks.part_contracts.comparison import (
-    SCALES,
-    SHIFT,
-    TOLERANCE,
-    TURN,
-    assert_close,
-    unit_directions,
-)
+from filters.checks.part_contracts.comparison import SCALES, TOLERANCE, TURN, assert_close, unit_directions
 from filters.geometry import derivatives, rotations
 from filters.geometry.arrays import FloatArray
-from filters.landmarks.landmark_model import LandmarkModel, StartedLandmarks
-
-Started = tuple[FloatArray, FloatArray | None, FloatArray, StartedLandmarks]
-"""Position of the camera, anchors, what was seen from the position (M, seen_size), and the landmarks."""
+from filters.geometry.derivatives import columns_of, jacobian_of
+from filters.landmarks.landmark_model import LandmarkModel
 
 
-def _started(model: LandmarkModel, moved: bool = True) -> Started:
-    """Landmarks with their anchors where the camera was, or `moved` off."""
+def _seen(model: LandmarkModel) -> FloatArray:
+    """Numbers (M, seen_size) by which landmarks are seen that can start, from their anchors or the origin of W."""
     rng, count = np.random.default_rng(0), len(SCALES)
-    position, vectors = rng.uniform(-5.0, 5.0, 3), rng.standard_normal((count, 3 * model.seen_vectors))
-    if model.in_anchor:
-        position = np.zeros(3)
-    others = np.column_stack([SCALES, 0.1 * rng.standard_normal((count, model.seen_size))])
-    seen = np.hstack([vectors, others])[:, : model.seen_size]
-    seen = seen[model.can_start(*model.apart(seen))]
-    require(len(seen), "no landmark can be started")
-    new = model.started(position, *model.apart(seen))
-    if model.seen_size != 4:  # what can be seen may have to keep constraints, as the vectors of a line
-        here = np.where(new.anchored[:, None], position, np.nan) if model.anchored else None
-        seen = model.homogeneous(position, here, new.parameters)
-        new = model.started(position, *model.apart(seen))
-    anchors = position + moved * rng.uniform(-2.0, 2.0, (len(seen), 3))
-    return position, np.where(new.anchored[:, None], anchors, np.nan) if model.anchored else None, seen, new
+    others = np.column_stack([SCALES, 0.1 * rng.standard_normal((count, model.seen_size - 4))])
+    seen = np.hstack([rng.standard_normal((count, 3)), others])
+    if model.seen_size != 4:  # what starts may have to keep numbers of its own at zero
+        seen = columns_of(model.point_of, columns_of(model.start_from, _able(model, seen)))
+    return _able(model, seen)
+
+
+def _able(model: LandmarkModel, seen: FloatArray) -> FloatArray:
+    able: FloatArray = seen[columns_of(lambda h: (model.can_start_from(h),), seen)[:, 0].astype(bool)]
+    require(len(able), "no landmark can be started")
+    return able
+
+
+def _slopes(function: Callable[..., Any], *arrays: FloatArray) -> FloatArray:
+    """Jacobian (M, k, n) of a plain function by its first argument, by differences."""
+    first, *others = arrays
+    return derivatives.jacobian(lambda e: columns_of(function, first + e, *others), first.shape[1])
+
+
+def _assert_slopes(what: str, function: Callable[..., Any], *arrays: FloatArray) -> None:
+    """Raise an `AssertionError` where derivatives by dual numbers are not those of differences."""
+    by_duals = jacobian_of(function, *arrays)[1]
+    require(np.isfinite(by_duals).all(), f"a derivative of {what} is not finite")
+    assert_close(f"the derivative of {what}", by_duals, _slopes(function, *arrays))
 
 
 def check_landmark_start(model: LandmarkModel) -> None:
-    """A landmark is seen where it was started, of any number of them, none included."""
-    position, anchors, seen, new = _started(model, moved=False)
-    require(new.parameters.shape == (len(seen), model.value_size), f"parameters are {new.parameters.shape}")
-    assert_close(
-        "homogeneous",
-        unit_directions(model.homogeneous(position, anchors, new.parameters)),
-        unit_directions(seen),
-        1e-9,
-    )
-    require(new.by_seen.shape == (len(seen), model.size, model.seen_size), f"Jacobians are {new.by_seen.shape}")
-    none = model.started(position, *model.apart(seen[:0])).parameters
-    assert_close(
-        "homogeneous of none",
-        model.homogeneous(position, None if anchors is None else none[:, :3], none),
-        none[:0, :1] @ np.ones((1, model.seen_size)),
-    )
+    """A landmark is seen where it was started."""
+    seen = _seen(model)
+    values = columns_of(model.start_from, seen)
+    require(values.shape == (len(seen), model.value_size), f"start_from gives {values.shape[1]} numbers")
+    again = columns_of(model.point_of, values)
+    require(again.shape == seen.shape, f"point_of gives {again.shape[1]} numbers")
+    assert_close("point_of start_from", unit_directions(again), unit_directions(seen), 1e-9)
+    if model.anchored:
+        require(np.isfinite(values).all(), "a value of a landmark that can start is not finite")
 
 
 def check_landmark_start_jacobians(model: LandmarkModel) -> None:
-    """Jacobians of a start are those of differences, and finite wherever a landmark can be started."""
-    position, _, seen, new = _started(model)
-    J, scale = np.concatenate([new.by_position, new.by_seen], axis=2), 3 * model.seen_vectors
-    far, nearer = seen.copy(), seen.copy()
-    far[:, scale : scale + 1], nearer[:, scale:] = 1e-9, nearer[:, scale:] - 2.0 * derivatives.STEP
-    far = far[model.can_start(*model.apart(far))]
-    for by in (J, *vars(model.started(position, *model.apart(far))).values()):
-        require(np.isfinite(by).all(), "a Jacobian of a start is not finite")
-    at = model.can_start(*model.apart(nearer))
-    seen = seen[at]
+    """Derivatives of a start are those of differences, and finite wherever a landmark can be started."""
+    seen = _seen(model)
 
-    def moved(e: FloatArray) -> FloatArray:
-        other = model.started(position + e[:3], *model.apart(seen + e[3:]))
-        return model.local(new.parameters[at], other.parameters)
+    def started(h: Any, y: Any) -> Any:
+        return model.local_by(y, model.start_from(h))
 
-    assert_close("the Jacobian of started", J[at], derivatives.jacobian(moved, 3 + model.seen_size))
+    far = seen.copy()
+    far[:, 3] = 1e-9
+    far = _able(model, far)
+    by_seen = jacobian_of(started, far, columns_of(model.start_from, far))[1]
+    require(np.isfinite(by_seen).all(), "a Jacobian of a start is not finite")
+    nearer = seen - 2.0 * derivatives.STEP * (np.arange(seen.shape[1]) == 3)
+    seen = seen[columns_of(lambda h: (model.can_start_from(h),), nearer)[:, 0].astype(bool)]
+    _assert_slopes("start_from", started, seen, columns_of(model.start_from, seen))
 
 
 def check_landmark_jacobians(model: LandmarkModel) -> None:
-    """Jacobians of a landmark in the map are those of differences, at infinity and beyond, too."""
-    position, anchors, _, new = _started(model)
-    x = new.parameters
-    claimed = model.relative_to(position, anchors, x)
+    """Derivatives of a landmark in the map are those of differences, at infinity and beyond, too."""
+    values = columns_of(model.start_from, _seen(model))
+    still, theta = np.zeros((len(values), model.size)), np.array([[0.1, -0.2, 0.15]])
+    _assert_slopes("point_of", lambda e, y: model.point_of(model.retract_by(y, e)), still, values)
+    if model.in_world:
+        return
+    both = np.hstack([still + 0.02, np.broadcast_to(theta, (len(values), 3))])
 
-    def seen(e: FloatArray) -> FloatArray:
-        own = model.retract(x, np.broadcast_to(e[6:], (len(x), model.size)))
-        return model.homogeneous(position + e[:3], None if anchors is None else anchors + e[3:6], own)
+    def carried(x: Any, y: Any) -> Any:
+        return model.turned_by(y, x[model.size :], x[: model.size])
 
-    by_all = np.nan_to_num(derivatives.jacobian(seen, 6 + model.size))
-    assert_close("by_position of relative_to", claimed.by_position, by_all[:, :, :3])
-    assert_close("by_map of relative_to", claimed.by_map, by_all[:, :, 6 if anchors is None else 3 :])
-    turned = derivatives.jacobian(lambda e: model.local(x, model.rotated(anchors, x, rotations.exp(e))), 3)
-    assert_close("world_rotation", model.world_rotation(anchors, x), turned)
-    theta, correction = np.array([0.1, -0.2, 0.15]), np.full((len(x), model.size), 0.02)
-
-    def carried(e: FloatArray) -> FloatArray:
-        return model.turned(anchors, x, theta + e[:3], correction + e[3:])
-
-    uncorrected = model.turned(anchors, x, theta, np.zeros_like(correction))
-    assert_close("turned without a correction", uncorrected, model.rotated(anchors, x, rotations.exp(theta)), 1e-9)
-    there = carried(np.zeros(3 + model.size))
-    by_both = derivatives.jacobian(lambda e: model.local(there, carried(e)), 3 + model.size)
-    claimed_both = model.turned_jacobians(anchors, x, theta, correction)
-    assert_close("turned_jacobians", np.concatenate(claimed_both[::-1], axis=2), by_both)
+    there = columns_of(carried, both, values)
+    _assert_slopes("turned_by", lambda x, y, end: model.local_by(end, carried(x, y)), both, values, there)
+    turned = columns_of(lambda y: model.turned_by(y, tuple(theta[0]), (0.0,) * model.size), values)
+    seen, again = columns_of(model.point_of, values), columns_of(model.point_of, turned)
+    seen[:, :3] = seen[:, :3] @ rotations.exp(theta[0]).T
+    assert_close("turned_by without a correction", unit_directions(again), unit_directions(seen), 1e-9)
 
 
 def check_landmark_retraction(model: LandmarkModel) -> None:
-    """A correction is undone by `local`, and `transport` is its Jacobian."""
-    _, anchors, _, new = _started(model)
-    x, delta = new.parameters, np.random.default_rng(1).uniform(-0.1, 0.1, (len(new.parameters), model.size))
-    there = model.retract(x, delta)
-    assert_close("retract of nothing", model.retract(x, np.zeros_like(delta)), x, 1e-12)
-    assert_close("local of retract", model.local(x, there), delta, 1e-9 * max(1.0, np.abs(x).max()))
-    by_delta = derivatives.jacobian(lambda e: model.local(there, model.retract(x, delta + e)), model.size)
-    transport = model.transport(x, delta)
-    still = np.broadcast_to(np.eye(model.size), by_delta.shape)
-    assert_close(
-        "transport", still if transport is None else transport, by_delta, max(TOLERANCE, 1e-11 * np.abs(x).max())
-    )
+    """A correction is undone by `local_by`, and nothing is changed by none."""
+    values = columns_of(model.start_from, _seen(model))
+    delta = np.random.default_rng(1).uniform(-0.1, 0.1, (len(values), model.size))
+    there, least = columns_of(model.retract_by, values, delta), max(1.0, np.abs(values).max())
+    assert_close("retract_by nothing", columns_of(model.retract_by, values, 0.0 * delta), values, 1e-12)
+    assert_close("local_by of retract_by", columns_of(model.local_by, values, there), delta, 1e-9 * least)
+    slopes = jacobian_of(lambda c, y, end: model.local_by(end, model.retract_by(y, c)), delta, values, there)[1]
+    differences = _slopes(lambda c, y, end: model.local_by(end, model.retract_by(y, c)), delta, values, there)
+    assert_close("the derivative of retract_by", slopes, differences, max(TOLERANCE, 1e-11 * np.abs(values).max()))
 
-    def without_a_turn(e: FloatArray) -> FloatArray:
-        return model.local(x, model.turned(anchors, x, np.zeros(3), np.zeros_like(delta) + e))
+    def without_a_turn(c: Any, y: Any) -> Any:
+        return model.local_by(y, model.turned_by(y, (0.0, 0.0, 0.0), c))
 
-    assert_close("turned without a turn", derivatives.jacobian(without_a_turn, model.size), still)
+    if not model.in_world:
+        still = np.broadcast_to(np.eye(model.size), slopes.shape)
+        assert_close("turned_by without a turn", _slopes(without_a_turn, 0.0 * delta, values), still)
 
 
 def check_landmark_invariance(model: LandmarkModel) -> None:
-    """A landmark is seen the same after the world has been turned or, with its anchor, shifted."""
-    position, anchors, _, new = _started(model)
-    x = new.parameters
-    seen = model.homogeneous(position, anchors, x)
-    if model.in_anchor:
-        assert_close("rotated of what is in the axes of the anchor", model.rotated(anchors, x, TURN), x, 1e-12)
-        return
-    turned = model.rotated(anchors, x, TURN)
-    again = model.homogeneous(TURN @ position, None if anchors is None else anchors @ TURN.T, turned)
-    assert_close("homogeneous in a turned world", again, model.with_axes(TURN, seen), 1e-9)
-    if anchors is None and (model.in_world or type(model).shifted is not LandmarkModel.shifted):
-        shifted = model.homogeneous(position + SHIFT, None, model.shifted(x, SHIFT))
-        assert_close("shifted in a shifted world", unit_directions(shifted), unit_directions(seen), 1e-9)
-        by_shift = derivatives.jacobian(lambda e: model.local(x, model.shifted(x, e)), 3)
-        assert_close("world_translation", model.world_translation(x), by_shift)
-    if anchors is not None:
-        free = new.anchored
-        shifted = model.homogeneous(position + SHIFT, anchors + SHIFT, x)
-        assert_close("homogeneous in a shifted world", shifted[free], seen[free], 1e-9)
+    """In a world that is turned, a landmark starts where the turned one is."""
+    seen = _seen(model)
+    turned = np.hstack([seen[:, :3] @ TURN.T, seen[:, 3:]])
+    able = columns_of(lambda h: (model.can_start_from(h),), turned)[:, 0].astype(bool)
+    again = columns_of(model.point_of, columns_of(model.start_from, turned[able]))
+    assert_close("a start in a turned world", unit_directions(again), unit_directions(turned[able]), 1e-9)
 
 
 CHECKS: tuple[Callable[..., None], ...] = (

@@ -14,7 +14,6 @@ from filters.contract.inputs import StereoObservation
 from filters.contract.variables import VELOCITY
 from filters.geometry import derivatives
 from filters.geometry.arrays import FloatArray
-from filters.geometry.retractions import ADDITIVE, Retraction
 from filters.measurements.measurement_model import MeasurementModel, Values
 
 
@@ -57,34 +56,29 @@ def check_measurement_inverse(sensor: MeasurementModel) -> None:
 
 
 def check_measurement_jacobians(sensor: MeasurementModel) -> None:
-    """Jacobians of numbers and backprojection are those of differences, by the variables, too."""
+    """Derivatives of numbers and backprojection are those of differences, by the variables, too."""
     points_c, values = _points(sensor)
-    nearer = points_c - 2.0 * derivatives.STEP * (np.arange(points_c.shape[1]) == 3 * sensor.seen_vectors)
+    nearer = points_c - 2.0 * derivatives.STEP * (np.arange(points_c.shape[1]) == 3)
     points_c = points_c[sensor.in_front(nearer)]
     uvd = sensor.predict(REFERENCE_CAMERA, points_c, values)[:, :3]
-    for what, claimed, function, start, size in (
-        ("jacobians", sensor.jacobians, sensor.predict, points_c, sensor.seen_size),
-        ("backprojection_jacobians", sensor.backprojection_jacobians, sensor.backproject, uvd, 3),
+    for what, claimed, function, start in (
+        ("project", sensor.jacobians, sensor.predict, points_c),
+        ("unproject", sensor.backprojection_jacobians, sensor.backproject, uvd),
     ):
         J = claimed(REFERENCE_CAMERA, start, values)
-        moved = partial(_of_moved, function, start, values)
-        assert_close(f"by_point of {what}", J.by_point, derivatives.jacobian(moved, size))
-        retractions = {v.name: (v.retraction, v.size) for v in sensor.variables}
-        if sensor.sees_velocity:
-            retractions[VELOCITY] = ADDITIVE, len(values[VELOCITY])
-        for name, (retraction, size) in retractions.items():
-            by_variable = derivatives.jacobian(partial(_of_corrected, function, start, values, name, retraction), size)
-            assert_close(f"{name} of {what}", J.by_variable[name], by_variable)
+        by_point = derivatives.jacobian(partial(_of_moved, function, start, values), start.shape[1])
+        assert_close(f"the derivative of {what}", J.by_point, by_point)
+        for name in sensor.value_names:
+            by_variable = derivatives.jacobian(partial(_of_changed, function, start, values, name), len(values[name]))
+            assert_close(f"the derivative of {what} by {name}", J.by_variable[name], by_variable)
 
 
 def _of_moved(function: Any, start: FloatArray, values: Values, e: FloatArray) -> Any:
     return function(REFERENCE_CAMERA, start + e, values)
 
 
-def _of_corrected(
-    function: Any, start: FloatArray, values: Values, name: str, retraction: Retraction, e: FloatArray
-) -> Any:
-    return function(REFERENCE_CAMERA, start, {**values, name: retraction.retract(values[name], e)})
+def _of_changed(function: Any, start: FloatArray, values: Values, name: str, e: FloatArray) -> Any:
+    return function(REFERENCE_CAMERA, start, {**values, name: values[name] + e})
 
 
 def check_measurement_stages(sensor: MeasurementModel) -> None:

@@ -9,7 +9,6 @@ from typing import Any
 import pytest
 
 from filters import (
-    ConstantVelocity,
     MotionModel,
     StereoEKF,
     StereoFilter,
@@ -19,7 +18,7 @@ from filters import (
 )
 from filters.catalogue.registry import NOT_OPEN, FilterFactory, MadeFilter, make_with_common_options
 from filters.checks.conformance import REFERENCE_CAMERA, REFERENCE_NOISE
-from filters.motions.motion_model import CameraState, MotionPrediction
+from filters.geometry.vectors import plus
 
 from ..delayed import DelayedEKF
 
@@ -30,8 +29,12 @@ COMMON = {"gate": 0.9, "motion": NUMBERS, "consensus": True}
 class Gliding(MotionModel):
     """A motion model of somebody else's."""
 
-    def predict(self, state: CameraState, dt: float, odometry: Any) -> MotionPrediction:
-        return ConstantVelocity(2.0, 0.2).predict(state, dt, odometry)
+    def step(self, x: Any, dt: float, n: Any) -> Any:
+        velocity = plus(x.linear_velocity, n, 1.0)
+        return plus(x.position, velocity, dt), x.orientation, velocity, x.angular_velocity
+
+    def sigmas(self, dt: float) -> tuple[float, ...]:
+        return 2.0 * dt, 2.0 * dt, 2.0 * dt
 
 
 class Beside(StereoEKF):

@@ -143,9 +143,9 @@ def test_checks_do_not_hang_on_assert_statements(flags: list[str]) -> None:
     program = (
         "from filters import Euclidean, check_filter, check_part\n"
         "from tests.filters.false_claims import liar\n"
-        "from tests.filters.checks.test_part_checks import UsesNothing, WrongSign\n"
+        "from tests.filters.checks.test_part_checks import NoCrossTerm, UsesNothing\n"
         "print(len(check_filter(liar('pose', 'negative'), raise_on_failure=False).failed) > 0)\n"
-        "parts = WrongSign(), UsesNothing(), Euclidean()\n"
+        "parts = NoCrossTerm(), UsesNothing(), Euclidean()\n"
         "print(*(len(check_part(part, raise_on_failure=False).failed) for part in parts))\n"
     )
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}

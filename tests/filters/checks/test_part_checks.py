@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,16 +14,13 @@ from filters import (
     ConstantVelocity,
     DepthCamera,
     Euclidean,
-    FirstEstimates,
     Hybrid,
     InverseDepth,
     MotionModel,
     Polar,
-    QuaternionError,
     RangeBearing,
     RightInvariant,
     RotationVectorError,
-    SensorJacobians,
     Spherical,
     StageRows,
     Variable,
@@ -40,7 +37,7 @@ CHECKED = ("landmark", "measurement", "motion", "error")
 NAMED = [make_part(slot, name) for slot in CHECKED for name in SLOTS[slot].named]
 SET = [
     CalibratedPair(0.25, 3e-3, 2e-3, 5e-3, 2e-3, 1e-3),
-    Hybrid(near_distance=10.0),
+    Hybrid(linearity_limit=None),
     RightInvariant(reset=True),
     make_part("measurement", {"name": "unrectified", "right_pose": (0.5, 0.02, -0.1, 0.05, 0.1, -0.2)}),
 ]
@@ -57,45 +54,40 @@ def test_parts_of_the_package_keep_their_contract(part: Any, check: Any) -> None
 class StartsElsewhere(InverseDepth):
     """Forgets Eq. 22: rho is that of the ray at z = 1, not of the unit ray."""
 
-    def started(self, position: Any, h_w: Any, scale: Any) -> Any:
-        new = super().started(position, h_w, scale)
-        return replace(new, parameters=np.column_stack([new.parameters[:, :2], scale]))
+    def start_from(self, h: Any) -> Any:
+        theta, phi, _ = super().start_from(h)
+        return theta, phi, h[3]
 
 
-class ForgetsTheScale(InverseDepth):
-    """Leaves a Jacobian of the start at zero."""
+class CutsTheDerivative(InverseDepth):
+    """Takes a number out of its derivatives."""
 
-    def started(self, position: Any, h_w: Any, scale: Any) -> Any:
-        return replace(super().started(position, h_w, scale), by_scale=np.zeros((len(scale), 3)))
+    def start_from(self, h: Any) -> Any:
+        theta, phi, rho = super().start_from(h)
+        return theta, phi, getattr(rho, "value", rho)
 
 
-class WrongSign(Euclidean):
-    """Its Jacobian by the camera position has the wrong sign."""
+class WrongSlope(Euclidean):
+    """A number that it gives does not follow its argument."""
 
-    def relative_to(self, position: Any, anchors: Any, parameters: Any) -> Any:
-        seen = super().relative_to(position, anchors, parameters)
-        return replace(seen, by_position=-seen.by_position)
+    def point_of(self, y: Any) -> Any:
+        x = getattr(y[0], "value", y[0])
+        return x, y[1], y[2], 1.0
 
 
 class HalfBack(Spherical):
-    """`local` is not the inverse of `retract`."""
+    """`local_by` is not the inverse of `retract_by`."""
 
-    def local(self, parameters: Any, other: Any) -> Any:
-        return 0.5 * super().local(parameters, other)
-
-
-class NoTransport(Spherical):
-    """Takes the error before for the error after a correction."""
-
-    def transport(self, parameters: Any, delta: Any) -> None:
-        return None
+    def local_by(self, y: Any, other: Any) -> Any:
+        return tuple(0.5 * c for c in super().local_by(y, other))
 
 
-class StaysBehind(Euclidean):
-    """Does not turn with the world."""
+class StaysBehind(Spherical):
+    """Starts in a direction of the world, whatever it sees."""
 
-    def rotated(self, anchors: Any, parameters: Any, R: Any) -> Any:
-        return parameters.copy()
+    def start_from(self, h: Any) -> Any:
+        x, y, z, rho = super().start_from((h[0] + 0.1, h[1], h[2], h[3]))
+        return x, y, z, rho
 
 
 class TurnsTooFar(Polar):
@@ -105,21 +97,18 @@ class TurnsTooFar(Polar):
         return super().turned_by(y, tuple(2.0 * angle for angle in theta), c)
 
 
-class TurnsWithItsAnchor(Polar):
-    """It is in the axes of its anchor, and turns with the world as if it were not."""
-
-    in_anchor = True
-    anchored = False
-
-    def rotated(self, anchors: Any, parameters: Any, R: Any) -> Any:
-        return np.hstack([parameters[:, :3] @ R.T, parameters[:, 3:]])
-
-
 class AtInfinity(Euclidean):
     """Says that it can start without a distance."""
 
     def can_start_from(self, h: Any) -> Any:
         return True
+
+
+class RotatesItself(InverseDepth):
+    """Overrides what follows from its functions."""
+
+    def relative_to(self, position: Any, anchors: Any, parameters: Any) -> Any:
+        return super().relative_to(position, anchors, parameters)
 
 
 # --- measurements ---
@@ -128,39 +117,43 @@ class AtInfinity(Euclidean):
 class DoubleDisparity(RangeBearing):
     """Predicts what it does not backproject."""
 
-    def predict(self, camera: Any, points_c: Any, values: Any) -> Any:
-        return super().predict(camera, points_c, values) * [1.0, 1.0, 2.0]
+    def project(self, camera: Any, h: Any, values: Any = None) -> Any:
+        u, v, d = super().project(camera, h)
+        return u, v, 2.0 * d
 
 
 class NoCrossTerm(RangeBearing):
     """Leaves du / dz out."""
 
-    def jacobians(self, camera: Any, points_c: Any, values: Any) -> Any:
-        J = super().jacobians(camera, points_c, values).by_point.copy()
-        J[:, 0, 2] = 0.0
-        return SensorJacobians(J, {})
+    def project(self, camera: Any, h: Any, values: Any = None) -> Any:
+        u, v, d = super().project(camera, (h[0], h[1], getattr(h[2], "value", h[2]), h[3]))
+        return u, v, d
 
 
 class ForgetsItsVariable(CalibratedPair):
-    """Has no Jacobian by its own variable."""
+    """Has no derivative by its own variable."""
 
-    def jacobians(self, camera: Any, points_c: Any, values: Any) -> Any:
-        return SensorJacobians(super().jacobians(camera, points_c, values).by_point, {})
+    def project(self, camera: Any, h: Any, values: Any = None) -> Any:
+        still = type(values)(*(tuple(getattr(x, "value", x) for x in value) for value in values))
+        return super().project(camera, h, still)
 
 
-class OnlyOnePoint(RangeBearing):
-    """Fails where there is nothing to see."""
+class NotTheSameScale(RangeBearing):
+    """Sees longer directions as other points."""
 
-    def predict(self, camera: Any, points_c: Any, values: Any) -> Any:
-        assert len(points_c) > 0
-        return super().predict(camera, points_c, values)
+    def project(self, camera: Any, h: Any, values: Any = None) -> Any:
+        u, v, d = super().project(camera, h)
+        return u, v, d * h[2]
+
+    def unproject(self, camera: Any, uvd: Any, values: Any = None) -> Any:
+        return super().unproject(camera, uvd)
 
 
 class DepthEverywhere(DepthCamera):
     """Claims to see the depth of points at infinity."""
 
-    def in_front(self, points_c: Any) -> Any:
-        return points_c[:, 2] > 0.0
+    def can_see(self, h: Any) -> Any:
+        return h[2] > 0.0
 
 
 class UsesNothing(RangeBearing):
@@ -174,19 +167,20 @@ class UsesNothing(RangeBearing):
 
 
 class HalfTheStep(ConstantVelocity):
-    """F of half the time step."""
+    """Takes the derivatives of a part of the step away."""
 
-    def predict(self, state: Any, dt: Any, odometry: Any) -> Any:
-        return replace(super().predict(state, dt, odometry), F=super().predict(state, 0.5 * dt, odometry).F)
+    def step(self, x: Any, dt: Any, n: Any) -> Any:
+        after = super().step(x, dt, n)
+        still = tuple(getattr(v, "value", v) for v in x.linear_velocity)
+        return plus(plus(after[0], x.linear_velocity, -0.5 * dt), still, 0.5 * dt), *after[1:]
 
 
 class DriftsEast(ConstantVelocity):
     """Prefers a direction of the world."""
 
-    def predict(self, state: Any, dt: Any, odometry: Any) -> Any:
-        predicted = super().predict(state, dt, odometry)
-        east = predicted.state.position + np.array([dt, 0.0, 0.0])
-        return replace(predicted, state=replace(predicted.state, position=east))
+    def step(self, x: Any, dt: Any, n: Any) -> Any:
+        after, *others = super().step(x, dt, n)  # which Numba cannot compile
+        return plus(after, (1.0, 0.0, 0.0), dt), *others
 
 
 class Jumps(MotionModel):
@@ -203,40 +197,20 @@ class Jumps(MotionModel):
 class CrypticWithoutOdometry(VelocityDriven):
     """Does not say what it misses."""
 
-    def predict(self, state: Any, dt: Any, odometry: Any) -> Any:
+    def check_odometry(self, odometry: Any) -> None:
         if odometry is None:
             raise ValueError("no input")
-        return super().predict(state, dt, odometry)
 
 
 # --- errors ---
 
 
-class TwiceTheTurn(RotationVectorError):
-    """Turns twice as far as the correction says."""
-
-    def moved(self, state: Any, delta: Any) -> Any:
-        twice = delta.copy()
-        twice[3:6] *= 2.0
-        return super().moved(state, twice)
-
-
-class StaysAsItWas(QuaternionError):
-    """Does not carry the covariance along."""
-
-    def transport(self, state: Any, moved: Any, delta: Any) -> Any:
-        return super().transport(state, state, 0.0 * delta)
-
-
 class AlongTheWorld(RotationVectorError):
-    """Corrects less along an axis of the world, the further it goes."""
+    """Claims the error of the pose along an axis of the world."""
 
-    reset = False
-
-    def moved(self, state: Any, delta: Any) -> Any:
-        changed = delta.copy()
-        changed[0] += delta[0] ** 2
-        return super().moved(state, changed)
+    def pose_error(self, camera: Any, P_pose: Any, position: Any, orientation: Any) -> Any:
+        error, covariance = super().pose_error(camera, P_pose, position, orientation)
+        return error + np.eye(6)[0], covariance
 
 
 class WrongFrame(RotationVectorError):
@@ -245,13 +219,6 @@ class WrongFrame(RotationVectorError):
     def pose_error(self, camera: Any, P_pose: Any, position: Any, orientation: Any) -> Any:
         error, covariance = super().pose_error(camera, P_pose, position, orientation)
         return np.concatenate([camera.R_wc.T @ error[:3], error[3:]]), covariance
-
-
-class Unconstrained(FirstEstimates):
-    """Leaves Jacobians as they are."""
-
-    def constrained(self, J: Any, image: Any, state: Any) -> Any:
-        return J
 
 
 @dataclass(frozen=True)
@@ -274,32 +241,30 @@ class RefusesAtLength(RangeBearing):
 
 BROKEN = {
     StartsElsewhere(): "A landmark is seen where it was started",
-    ForgetsTheScale(): "Jacobians of a start",
-    AtInfinity(): "Jacobians of a start",
-    WrongSign(): "Jacobians of a landmark in the map",
+    CutsTheDerivative(): "Derivatives of a start",
+    AtInfinity(): "Derivatives of a start",
+    WrongSlope(): "Derivatives of a landmark in the map",
     HalfBack(): "A correction is undone",
-    NoTransport(): "A correction is undone",
-    StaysBehind(): "A landmark is seen the same",
-    TurnsTooFar(): "Jacobians of a landmark in the map",
-    TurnsWithItsAnchor(): "A landmark is seen the same",
+    StaysBehind(): "In a world that is turned, a landmark",
+    TurnsTooFar(): "Derivatives of a landmark in the map",
+    RotatesItself(): "A part gives its plain functions",
     DoubleDisparity(): "A point is backprojected to where it is",
-    NoCrossTerm(): "Jacobians of numbers and backprojection",
-    ForgetsItsVariable(offset_sigma=1.0): "Jacobians of numbers and backprojection",
-    OnlyOnePoint(): "Numbers have the documented shapes",
+    NoCrossTerm(): "Derivatives of numbers and backprojection",
+    ForgetsItsVariable(offset_sigma=1.0): "Derivatives of numbers and backprojection",
+    NotTheSameScale(): "Numbers have the documented shapes",
     DepthEverywhere(): "Numbers have the documented shapes",
     UsesNothing(): "Stages use the numbers of the sensor",
     HalfTheStep(): "F, G and the H of odometry",
     DriftsEast(): "In a world that is turned and shifted",
     Jumps(): "A prediction has the documented shapes",
     CrypticWithoutOdometry(): "A prediction has the documented shapes",
-    TwiceTheTurn(): "To first order a correction adds",
-    StaysAsItWas(): "`transport` is the Jacobian",
-    AlongTheWorld(): "In a world that is turned, a correction",
+    AlongTheWorld(): "The pose has no error against itself",
     WrongFrame(): "The pose has no error against itself",
-    Unconstrained(): "Constrained Jacobians take",
     AcceptsAnything(): "A setting that is no number",
     RefusesAtLength(): "A setting that is no number",
 }
+ENGINE = {"A measurement that is what the filter expects", "In a world that is turned, the same measurements"}
+"""Checks of what the engine does with an error definition: a part says which, and cannot break it."""
 
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
@@ -313,16 +278,16 @@ def test_what_is_wrong_with_a_part_is_found(part: object, line: str) -> None:
 def test_every_check_has_a_part_that_fails_it() -> None:
     failing = {line.partition(":")[0] for part in BROKEN for line in check_part(part, raise_on_failure=False).failed}
     every = {check.__doc__.splitlines()[0].rstrip(".") for part in NAMED for check in checks_of(part)}
-    assert every <= failing
+    assert {line for line in every if not any(map(line.startswith, ENGINE))} <= failing
 
 
 def test_a_failure_is_raised_with_each_check_that_failed() -> None:
     with pytest.raises(
         ConformanceError,
-        match=r"WrongSign: 5 checks passed, 1 failed; runs in Python, on columns\n  failed: Jacobians of a landm",
+        match=r"NoCrossTerm: 5 checks passed, 1 failed; runs in .*\n  failed: Derivatives of numbers",
     ):
-        check_part(WrongSign())
-    passed = "Euclidean: 6 checks passed, 0 failed; runs in machine code, with Jacobians by dual numbers"
+        check_part(NoCrossTerm())
+    passed = "Euclidean: 7 checks passed, 0 failed; runs in machine code, with Jacobians by dual numbers"
     assert str(check_part(Euclidean())) == passed
 
 

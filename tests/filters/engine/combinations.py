@@ -68,9 +68,6 @@ def combinations() -> Iterator[Case]:
         yield Case(f"{landmark}/{name}/{error}", {"landmark": landmark, "error": error, **options}, 2)
     for landmark in LANDMARKS:
         yield from _of_landmark(landmark)
-    for error in ERRORS:
-        near = {"name": "hybrid", "near_distance": 15.0}
-        yield Case(f"hybrid near/{error}", {"landmark": near, "error": error})
     yield Case("ri reset", {"landmark": "shared-anchor", "error": RightInvariant(reset=True)})
     for model, v_right in product((LeftThenRight(2.0), Stacked(2.0)), (False, True)):
         yield Case(f"copied {type(model).__name__} {v_right}", {"measurement": model}, 5, v_right)

@@ -2,9 +2,30 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from filters.state.layout import LinearisedMeasurements
+
+@dataclass(frozen=True)
+class LinearisedMeasurements:
+    """M measurements of k rows each, linear in the errors of the first rows and of some blocks."""
+
+    innovation: np.ndarray
+    """(M, k)."""
+    by_leading: np.ndarray
+    """(M, k, c)."""
+    by_map: np.ndarray
+    """(M, k, w)."""
+    map_rows: np.ndarray
+    """(M, w): rows that `by_map` is by."""
+    R: np.ndarray
+    """(M, k, k)."""
+
+    def times(self, delta: np.ndarray) -> np.ndarray:
+        """H delta, (M, k)."""
+        of_map = np.einsum("mkw,mw->mk", self.by_map, delta[self.map_rows])
+        return self.by_leading @ delta[: self.by_leading.shape[2]] + of_map
 
 
 def random_covariance(rng: np.random.Generator, size: int) -> np.ndarray:

@@ -9,7 +9,6 @@ from filters import BodyVelocity, Start, StereoEKF, StereoObservation, VelocityD
 from filters.engine.batch import FilterBatch
 
 from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, SPEED, START_COVARIANCE, drive
-from ..stranger.first_camera import InFirstCamera
 from ..third_party import BiasedOdometry, ShearedPair
 from .beliefs import assert_same_belief
 
@@ -85,7 +84,7 @@ def test_what_is_read_of_all_at_once_has_the_bits_of_what_each_says(options: dic
         assert batch.state_sizes[index] == slam.state_size
 
 
-@pytest.mark.parametrize("options", [*OPTIONS, {"landmark": "euclidean"}, {"landmark": InFirstCamera()}])
+@pytest.mark.parametrize("options", [*OPTIONS, {"landmark": "euclidean"}])
 def test_the_maps_of_all_in_w_are_those_that_each_tells(options: dict[str, object]) -> None:
     frames, batch = drives(), batch_of(COUNT, **options)
     for k in range(4):

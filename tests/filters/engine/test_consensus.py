@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from filters import Extended, RangeBearing, Start, StereoEKF, StereoObservation
+from filters import Start, StereoEKF, StereoObservation
 from filters.checks.conformance import REFERENCE_CAMERA as CAMERA
 from filters.checks.conformance import REFERENCE_NOISE as NOISE
 from filters.contract.noise import gate_limit
 from filters.geometry import symmetric
 
-from .linear_problems import dense
+from ..dense import linearised
 
 COUNT, DT, SPEED = 30, 0.1, 5.0
 VAGUE = np.diag(np.repeat([1e-6, 1e-6, 3.0, 0.3], 3) ** 2)
@@ -77,10 +77,8 @@ def test_it_is_the_best_of_all_single_updates_written_out(seed: int) -> None:
     scene = Scene(seed, consensus=True, gate=0.99)
     state, observation = scene.slam.state, scene.observe(np.arange(0, COUNT, 2))
     R = observation.covariances(NOISE)
-    stage = RangeBearing().stages(observation, R)[0]
-    linear = Extended().linearise(RangeBearing(), CAMERA, state, np.arange(COUNT), stage)
-    nu, H, _ = dense(linear, len(state.P))
-    P, nu, H = symmetric.full(state.P), nu.reshape(COUNT, 3), H.reshape(COUNT, 3, -1)
+    linear = linearised(Scene(seed, gate=None).slam, observation)
+    P, nu, H = symmetric.full(state.P), linear.innovation, linear.H
     limit, inverse_R = gate_limit(0.99, 3), np.linalg.inv(NOISE.R)
     S = H @ P @ H.transpose(0, 2, 1) + R
     believable = np.einsum("mk,mkl,ml->m", nu, np.linalg.inv(S), nu) <= limit

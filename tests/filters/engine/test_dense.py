@@ -103,7 +103,7 @@ def project(recipe: Recipe, state: FilterState) -> np.ndarray:
         h, rho = own - state.x[:3], np.ones(len(own))
     else:
         rho = own[:, 2]
-        h = rho[:, None] * (state.blocks[state.anchor[:, 0]] - state.x[:3]) + directions(own)
+        h = rho[:, None] * (state.blocks[state.anchor] - state.x[:3]) + directions(own)
     o, focal, baseline, *turn = calibration_of(recipe, state.x)
     h = h @ rotation @ Rotation.from_rotvec(turn).as_matrix().T
     u, v = CAMERA.fx * h[:, 0] / h[:, 2], CAMERA.fy * h[:, 1] / h[:, 2]

@@ -7,26 +7,23 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 from scipy.optimize import least_squares
 
 from filters import (
     ConstantVelocity,
-    Extended,
     LeftThenRight,
-    RangeBearing,
     Stacked,
-    Stage,
     Start,
     StereoEKF,
     StereoNoise,
     StereoObservation,
 )
 from filters.geometry import symmetric
-from filters.state.layout import LinearisedMeasurements
 
-from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, INDEPENDENT_UVD, SPEED, drive, run
+from ..dense import linearised, retracted
+from ..drives import DT, INDEPENDENT_PIXELS, INDEPENDENT_UVD, SPEED, drive, run
 from .beliefs import assert_same_belief, make, scaled
-from .linear_problems import dense, update
 
 FULL = StereoNoise([[1.0, 0.3, 0.6], [0.3, 1.5, -0.2], [0.6, -0.2, 2.0]])
 
@@ -95,22 +92,17 @@ def test_the_right_row_adds_exactly_its_information() -> None:
     slam.predict(DT)
     state, seen = slam.state, frames[3].observation
     seen = seen.select(np.isin(seen.ids, state.ids))
-    index = np.array([state.ids.tolist().index(i) for i in seen.ids])
-    R = seen.covariances(INDEPENDENT_PIXELS)
-
-    def linearised(stage: Stage) -> LinearisedMeasurements:
-        return Extended().linearise(RangeBearing(), CAMERA, state, index, stage)
-
     S = np.diag(1 / np.sqrt(np.diag(symmetric.full(state.P))))
     information = []
-    for sensor in (RangeBearing(), Stacked()):
-        P = state.P.copy(order="F")
-        (stage,) = sensor.stages(seen, R)
-        update(P, linearised(stage))
-        information.append(np.linalg.inv(S @ symmetric.full(P) @ S))
-    rows = Stage(seen.uvd[:, 1:2], np.array([[0.0, 1.0, 0.0]]), np.ones((len(seen), 1, 1)))
-    _, H, _ = dense(linearised(rows), len(state.P))
-    gained = np.linalg.inv(S) @ (H.T @ H) @ np.linalg.inv(S)
+    for measurement in ("joint", "stacked"):
+        other = make(landmark="euclidean", drop_unseen=False, measurement=measurement, gate=None)
+        other.state = state
+        linear = linearised(other, seen)
+        by_prior = np.linalg.inv(S @ symmetric.full(state.P) @ S)
+        H = (linear.H @ np.linalg.inv(S)).reshape(-1, len(S))
+        information.append(by_prior + H.T @ np.linalg.solve(block_diag(*linear.R), H))
+    H = linearised(slam, seen).H[:, 1] @ np.linalg.inv(S)
+    gained = H.T @ H
     np.testing.assert_allclose(information[1] - information[0], gained, rtol=0, atol=1e-6 * np.abs(gained).max())
 
 
@@ -221,7 +213,7 @@ def test_iterating_converges_to_the_map_estimate(landmark: str, error: str) -> N
 
     def moved(x: np.ndarray) -> StereoEKF:
         there = copy.deepcopy(prior)
-        there.state = prior.options.error.moved(prior.state, root @ x)
+        there.state = retracted(prior, root @ x)
         return there
 
     def residuals(x: np.ndarray) -> np.ndarray:

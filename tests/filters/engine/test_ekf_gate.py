@@ -12,6 +12,7 @@ from filters import ConstantVelocity, Start, StereoEKF, StereoObservation
 from filters.geometry import symmetric
 
 from .. import textbook
+from ..dense import plus
 from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, SPEED, drive, run
 from .beliefs import assert_identical, assert_same_belief, make, snapshot, tilted
 
@@ -48,7 +49,7 @@ def test_the_gate_passes_consistent_measurements_at_its_nominal_rate(
     for _ in range(draws):
         error = root @ rng.standard_normal(len(P))
         truth = copy.deepcopy(stereo_filter)
-        truth.state = stereo_filter.options.error.moved(stereo_filter.state, error)
+        truth.state = plus(stereo_filter.state, error)
         exact = truth.forecast().uvd
         z = exact + rng.multivariate_normal(np.zeros(3), INDEPENDENT_PIXELS.R, count)
         row = exact[:, 1] + rng.standard_normal(count) if v_right else None

@@ -22,6 +22,7 @@ from filters import (
 )
 from filters.geometry import rotations, symmetric
 
+from ..dense import at_first_estimates, gamma
 from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, SPEED, drive, start
 from ..inertial_drives import UNIT, driven, measured
 from ..slots import ERRORS, LANDMARKS
@@ -161,11 +162,11 @@ def test_a_step_turns_the_vectors_of_the_world_with_it() -> None:
     assert np.abs(state.predicted.variables["gravity"] - state.camera.variables["gravity"]).max() > 1e-3
     found = []
     for scale in (0.0, 1.0):
-        twin, gamma = copy.deepcopy(slam), state.at_first_estimates().world_rotation()
-        twin.state = replace(state, P=scale * np.asfortranarray(gamma @ gamma.T))
+        twin, turned = copy.deepcopy(slam), gamma(at_first_estimates(state))
+        twin.state = replace(state, P=scale * np.asfortranarray(turned @ turned.T))
         twin.predict(DT, inertial=given)
         found.append(symmetric.full(twin.state.P))
-    there = twin.state.at_first_estimates().world_rotation()
+    there = gamma(at_first_estimates(twin.state))
     np.testing.assert_allclose(found[1] - found[0], there @ there.T, rtol=0, atol=1e-9 * np.abs(there).max() ** 2)
 
 

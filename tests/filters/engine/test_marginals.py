@@ -8,12 +8,13 @@ import pytest
 from filters import Hybrid, InverseDepthStereoEKF, StereoFilter, make_filter
 from filters.geometry import rotations, symmetric
 
+from ..dense import plus
 from ..drives import CAMERA, INDEPENDENT_PIXELS, drive, finish
 from ..numeric import numeric_jacobian
 from ..slots import ERRORS, LANDMARKS
 from .beliefs import make, scaled
 
-MODELS = (*LANDMARKS, Hybrid(near_distance=20.0))
+MODELS = (*LANDMARKS, Hybrid(0.3))
 KINDS = [{"landmark": model} for model in MODELS]
 KINDS += [{"landmark": "shared-anchor", "error": error} for error in ERRORS]
 
@@ -42,7 +43,7 @@ def test_it_is_the_covariance_that_a_numeric_jacobian_of_everything_gives(option
     state, order = slam.state, np.argsort(slam.state.ids)
 
     def shown(delta: np.ndarray) -> np.ndarray:
-        moved = ERRORS["so3"].moved(state, delta)
+        moved = plus(state, delta)
         turn = rotations.log(state.camera.R_wc.T @ moved.camera.R_wc)
         positions = moved.model.points(moved.anchors(order), moved.parameters(order)).positions
         return np.concatenate([moved.camera.position, turn, positions.ravel()])

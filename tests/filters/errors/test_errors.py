@@ -10,39 +10,46 @@ from filters import LeftInvariant, RightInvariant
 from filters.geometry import rotations, symmetric
 from filters.motions.motion_model import POSITION, ROTATION
 
+from ..dense import gamma, minus, moved_by, plus
 from ..numeric import numeric_jacobian, relative_difference
 from ..slots import ERRORS, LANDMARKS
-from .worlds import small_correction, some_state, standard_error, turned_world
+from .worlds import small_correction, some_filter, turned_world
 
 
 @pytest.mark.parametrize("landmark", LANDMARKS)
 def test_gamma_is_the_effect_of_turning_the_world(landmark: str) -> None:
-    state = some_state(landmark)
-    numeric = numeric_jacobian(lambda e: standard_error(state, turned_world(state, Rotation.from_rotvec(e))), 3)
-    assert relative_difference(state.world_rotation(), numeric) < 1e-7
-
-
-@pytest.mark.parametrize("landmark", LANDMARKS)
-def test_the_unobservable_directions_depend_on_the_distance_of_a_landmark_only_without_anchors(landmark: str) -> None:
-    """Of an anchored one on its anchor and bearing (Cohen, Korotkine and Forbes, arXiv 2606.19307)."""
-    model, h_w = LANDMARKS[landmark], np.random.default_rng(0).standard_normal((5, 3))
-    near, far = (model.started(np.zeros(3), h_w, np.full(5, scale)).parameters for scale in (1.0, 0.1))
-    anchors = np.zeros((5, 3)) if model.anchored else None
-    same = np.allclose(model.world_rotation(anchors, near), model.world_rotation(anchors, far), rtol=0, atol=1e-9)
-    assert same == model.anchored
+    """Of the reference, by which other tests tell what cannot be seen."""
+    state = some_filter(landmark, "so3").state
+    numeric = numeric_jacobian(lambda e: minus(state, turned_world(state, Rotation.from_rotvec(e))), 3)
+    assert relative_difference(gamma(state), numeric) < 1e-7
 
 
 @pytest.mark.parametrize("error", ERRORS)
 @pytest.mark.parametrize("landmark", LANDMARKS)
 def test_every_correction_is_delta_to_first_order(landmark: str, error: str) -> None:
-    state = some_state(landmark)
-    numeric = numeric_jacobian(lambda d: standard_error(state, ERRORS[error].moved(state, d)), len(state.P))
-    np.testing.assert_allclose(numeric, np.eye(len(state.P)), rtol=0, atol=1e-7)
+    slam = some_filter(landmark, error)
+    state = slam.state
+    for seed in range(5):
+        delta = small_correction(state, seed, 1e-4)
+        np.testing.assert_allclose(minus(state, moved_by(slam, delta)[0]), delta, rtol=0, atol=2e-7)
+
+
+@pytest.mark.parametrize("landmark", LANDMARKS)
+@pytest.mark.parametrize("error", ["quaternion", "so3", RightInvariant(reset=True), LeftInvariant()], ids=str)
+def test_p_is_carried_along_by_the_jacobian_of_the_retraction(landmark: str, error: object) -> None:
+    """d minus(moved by delta, moved by delta + e) / d e, whole columns, where a definition resets."""
+    slam = some_filter(landmark, error)
+    state, delta = slam.state, small_correction(slam.state, 3, 0.1)
+    there, carried = moved_by(slam, delta)
+    J = numeric_jacobian(lambda e: minus(there, moved_by(slam, delta + e)[0]), len(delta), 1e-5)
+    expected = J @ symmetric.full(state.P) @ J.T
+    sigmas = np.sqrt(np.diag(expected))
+    np.testing.assert_allclose(carried / np.outer(sigmas, sigmas), expected / np.outer(sigmas, sigmas), atol=1e-6)
 
 
 @pytest.mark.parametrize("error", ERRORS)
 def test_pose_covariance_is_that_of_the_pose_error(error: str) -> None:
-    state, definition = some_state("euclidean"), ERRORS[error]
+    state, definition = some_filter("euclidean", error).state, ERRORS[error]
     camera, P_pose = state.camera, symmetric.full(state.P)[:6, :6]
 
     def error_of(delta: np.ndarray) -> np.ndarray:
@@ -58,9 +65,10 @@ def test_pose_covariance_is_that_of_the_pose_error(error: str) -> None:
 @pytest.mark.parametrize("error", ERRORS)
 def test_pose_error_is_the_correction_that_leads_to_the_truth(error: str) -> None:
     """Not only to first order; in the coordinates of the definition."""
-    state, definition = some_state("euclidean"), ERRORS[error]
+    slam, definition = some_filter("euclidean", error), ERRORS[error]
+    state = slam.state
     delta = small_correction(state, 7, 0.4)
-    truth = definition.moved(state, delta).camera
+    truth = moved_by(slam, delta)[0].camera
     actual, _ = definition.pose_error(state.camera, np.eye(6), truth.position, truth.orientation)
     R_wc, expected = state.camera.R_wc, delta[:6].copy()
     if isinstance(definition, RightInvariant):
@@ -68,4 +76,15 @@ def test_pose_error_is_the_correction_that_leads_to_the_truth(error: str) -> Non
         expected[POSITION] += rotations.skew(state.camera.position) @ expected[ROTATION]
     if isinstance(definition, LeftInvariant):
         expected[POSITION] = R_wc.T @ delta[POSITION]
-    np.testing.assert_allclose(actual, expected, rtol=0, atol=1e-11)
+    np.testing.assert_allclose(actual, expected, rtol=0, atol=1e-8)
+
+
+def test_a_clone_is_corrected_like_a_pose() -> None:
+    slam = some_filter("shared-anchor", "so3")
+    slam.clone_pose("then")
+    state = slam.state
+    root = np.random.default_rng(4).standard_normal((len(state.P), len(state.P) + 5))
+    state.P = np.asfortranarray(root @ root.T)
+    slam.state = state
+    delta = small_correction(state, 1)
+    np.testing.assert_allclose(minus(plus(state, delta), moved_by(slam, delta)[0]), 0.0, rtol=0, atol=1e-7)

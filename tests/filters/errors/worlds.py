@@ -1,4 +1,4 @@
-"""States in general position, the same states in a turned world, and what lies between two states."""
+"""States in general position, the same states in a turned world, and drives with odometry."""
 
 from __future__ import annotations
 
@@ -7,10 +7,12 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from filters import BodyVelocity, StereoEKF
-from filters.motions.motion_model import ANGULAR, CAMERA_SIZE, LINEAR, POSITION, ROTATION, CameraState
+from filters import BodyVelocity, ErrorDefinition, StereoEKF
+from filters.geometry.derivatives import columns_of
+from filters.motions.motion_model import CameraState
 from filters.state.joint_state import JointState
 
+from ..dense import own_blocks
 from ..drives import DT, Frame, drive
 from ..engine.beliefs import make, tilted
 
@@ -36,21 +38,22 @@ def driven(frames: list[Frame], **options) -> StereoEKF:
     return stereo_filter
 
 
-def some_state(landmark: str) -> JointState:
-    """A map of several frames seen from a pose in general position, with a dense covariance."""
-    stereo_filter = tilted(make(landmark=landmark, drop_unseen=False))
+def some_filter(landmark: str, error: str | ErrorDefinition) -> StereoEKF:
+    """A filter with a map of several frames seen from a pose in general position, and a dense covariance."""
+    slam = tilted(make(landmark=landmark, error=error, drop_unseen=False))
     for k, frame in enumerate(drive(1, 5, visible=4, depths=(6.0, 30.0))):
         if k:
-            stereo_filter.predict(DT)
-        stereo_filter.update(frame.observation)
-    state = stereo_filter.state
-    root = np.random.default_rng(2).standard_normal(state.P.shape)
-    return replace(state, P=np.asfortranarray(np.tril(root @ root.T)))
+            slam.predict(DT)
+        slam.update(frame.observation)
+    state = slam.state
+    root = np.random.default_rng(2).standard_normal((len(state.P), len(state.P) + 5))
+    slam.state = replace(state, predicted=state.camera, P=np.asfortranarray(np.tril(root @ root.T)))
+    return slam
 
 
 def turned_world(state: JointState, turn: Rotation) -> JointState:
     """Camera and map, rotated about the origin of W."""
-    camera = state.camera
+    camera, model, own = state.camera, state.model, own_blocks(state)
     moved = CameraState(
         turn.apply(camera.position),
         (turn * Rotation.from_quat(camera.orientation)).as_quat(),
@@ -59,25 +62,11 @@ def turned_world(state: JointState, turn: Rotation) -> JointState:
     )
     blocks = state.blocks.copy()
     blocks[:, :3] = turn.apply(blocks[:, :3])
-    blocks[state.parameter_block] = state.model.rotated(state.anchors(), state.parameters(), turn.as_matrix())
+    if len(own):
+        seen = columns_of(model.point_of, state.blocks[own])
+        seen[:, :3] = turn.apply(seen[:, :3])
+        blocks[own] = columns_of(model.start_from, seen)
     return replace(state, camera=moved, blocks=blocks)
-
-
-def standard_error(state: JointState, other: JointState) -> np.ndarray:
-    """The error in standard coordinates that leads from `state` to `other`; (n,)."""
-    start, end = Rotation.from_quat(state.camera.orientation), Rotation.from_quat(other.camera.orientation)
-    error = np.zeros(len(state.P))
-    error[POSITION] = other.camera.position - state.camera.position
-    error[ROTATION] = (start.inv() * end).as_rotvec()
-    error[LINEAR] = other.camera.linear_velocity - state.camera.linear_velocity
-    error[ANGULAR] = other.camera.angular_velocity - state.camera.angular_velocity
-    blocks = (other.blocks - state.blocks)[:, :3]
-    own = state.model.local(state.parameters(), other.parameters())
-    if state.model.anchored:  # azimuth, if it is the first number, is an angle
-        own[:, 0] = np.arctan2(np.sin(own[:, 0]), np.cos(own[:, 0]))
-    blocks[state.parameter_block] = own
-    error[CAMERA_SIZE:] = blocks.ravel()
-    return error
 
 
 def small_correction(state: JointState, seed: int, size: float = 0.2) -> np.ndarray:

@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from filters import InverseDepth, RangeBearing
+from filters.geometry.derivatives import columns_of
 
 from ..drives import ODD_CAMERA as CAMERA
 from ..first_sight import first_sight
@@ -24,13 +25,14 @@ by_angles = pytest.mark.parametrize("model", [LANDMARKS[name] for name in ANGLES
 
 
 def started(model, uvd: np.ndarray):
-    parameters = first_sight(model, CAMERA, POSITION, R_WC, uvd).started.parameters
+    parameters = first_sight(model, CAMERA, POSITION, R_WC, uvd).parameters
     return np.tile(POSITION, (len(uvd), 1)) if model.anchored else None, parameters
 
 
 def can_start(model, R_wc: np.ndarray, uvd: np.ndarray) -> list[bool]:
     points_c = RangeBearing().backproject(CAMERA, uvd, {})
-    return model.can_start(points_c[:, :3] @ R_wc.T, points_c[:, 3]).tolist()
+    seen = np.hstack([points_c[:, :3] @ R_wc.T, points_c[:, 3:]])
+    return [bool(model.can_start_from(tuple(h))) for h in seen.tolist()]
 
 
 @every
@@ -68,10 +70,6 @@ def test_inverse_distance_is_that_of_the_point_from_where_it_was_seen(model) -> 
 @every
 def test_no_landmark_is_no_error(model) -> None:
     empty = np.zeros((0, 3))
-    new = first_sight(model, CAMERA, POSITION, R_WC, empty)
-    assert new.started.parameters.shape == (0, model.value_size)
-    assert new.by_leading.shape == (0, 3, 6)
-    assert new.noise.shape == (0, 3, 3)
     anchors, values = empty if model.anchored else None, np.zeros((0, model.value_size))
     assert model.relative_to(POSITION, anchors, values).by_map.shape[:2] == (0, 4)
     assert model.points(anchors, values).positions.shape == (0, 3)
@@ -82,9 +80,11 @@ def test_no_landmark_is_no_error(model) -> None:
 def test_in_a_turned_world_it_is_seen_in_the_turned_direction(model) -> None:
     anchors, parameters = started(model, UVD)
     R, other = Rotation.from_rotvec([0.4, 0.9, -0.6]).as_matrix(), np.array([4.0, 0.0, 9.0])
-    seen = model.homogeneous(other, anchors, parameters)
+    seen = model.relative_to(other, anchors, parameters).homogeneous
     turned = None if anchors is None else anchors @ R.T
-    again = model.homogeneous(R @ other, turned, model.rotated(anchors, parameters, R))
+    h = columns_of(model.point_of, parameters)
+    values = columns_of(model.start_from, np.hstack([h[:, :3] @ R.T, h[:, 3:]]))
+    again = model.relative_to(R @ other, turned, values).homogeneous
     np.testing.assert_allclose(again, np.hstack([seen[:, :3] @ R.T, seen[:, 3:]]), rtol=1e-10, atol=1e-12)
 
 
@@ -92,7 +92,8 @@ def test_in_a_turned_world_it_is_seen_in_the_turned_direction(model) -> None:
 def test_local_undoes_retract(model) -> None:
     _, parameters = started(model, UVD)
     delta = 0.1 * RNG.standard_normal((len(UVD), 3))
-    np.testing.assert_allclose(model.local(parameters, model.retract(parameters, delta)), delta, rtol=0, atol=1e-12)
+    there = columns_of(model.retract_by, parameters, delta)
+    np.testing.assert_allclose(columns_of(model.local_by, parameters, there), delta, rtol=0, atol=1e-12)
 
 
 @by_angles
@@ -129,7 +130,7 @@ def test_directions_are_those_of_the_paper() -> None:
     """Eq. 5: theta turns about y from +z to +x, phi lifts against +y (down)."""
     angles = np.array([[0, 0], [np.pi / 2, 0], [0, np.pi / 2], [np.pi, 0]])
     expected = [[0, 0, 1], [1, 0, 0], [0, -1, 0], [0, 0, -1]]
-    rays = InverseDepth().homogeneous(np.zeros(3), np.zeros((4, 3)), np.column_stack([angles, np.zeros(4)]))
+    rays = columns_of(InverseDepth().point_of, np.column_stack([angles, np.zeros(4)]))
     np.testing.assert_allclose(rays[:, :3], expected, atol=1e-15)
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from filters import Polar, Spherical, Start, StereoEKF, StereoObservation
+from filters.geometry.derivatives import columns_of
 from filters.landmarks.spherical import tangent_basis
 
 from ..drives import CAMERA, DT
@@ -28,10 +29,10 @@ def test_no_direction_is_singular(model: Spherical) -> None:
     scale = np.full(len(EVERYWHERE), 0.1)
     started = model.started(np.zeros(3), EVERYWHERE, scale)
     delta = np.random.default_rng(1).uniform(-0.5, 0.5, (len(EVERYWHERE), 3))
-    moved = model.retract(started.parameters, delta)
-    assert model.local(started.parameters, moved) == pytest.approx(delta, abs=1e-12)
+    moved = columns_of(model.retract_by, started.parameters, delta)
+    assert columns_of(model.local_by, started.parameters, moved) == pytest.approx(delta, abs=1e-12)
     assert np.linalg.norm(moved[:, :3], axis=1) == pytest.approx(1.0)
-    sizes = np.linalg.svd(started.by_direction[:, :2], compute_uv=False)
+    sizes = np.linalg.svd(started.by_seen[:, :2, :3], compute_uv=False)
     assert sizes == pytest.approx(np.ones_like(sizes), abs=1e-9)
 
 
@@ -76,9 +77,10 @@ def test_every_error_definition_takes_it(landmark: str, error: str) -> None:
 
 def test_a_landmark_without_a_distance_has_no_logarithm() -> None:
     h_w, scale = np.tile([[0.0, 0.0, 1.0]], (4, 1)), np.array([0.1, 1e-12, 0.0, -0.1])
-    assert Polar().can_start(h_w, scale).tolist() == [True, True, False, False]
-    assert Spherical().can_start(h_w, scale).all()
+    seen = np.column_stack([h_w, scale])
+    assert [bool(Polar().can_start_from(h)) for h in seen] == [True, True, False, False]
+    assert all(Spherical().can_start_from(h) for h in seen)
     started = Polar().started(np.zeros(3), h_w[:2], scale[:2])
     assert started.parameters[:, 3] == pytest.approx(-np.log(scale[:2]))
-    assert np.isfinite(started.by_direction).all()
-    assert started.by_scale[:, 2] == pytest.approx(-1.0 / scale[:2], rel=1e-9)
+    assert np.isfinite(started.by_seen).all()
+    assert started.by_seen[:, 2, 3] == pytest.approx(-1.0 / scale[:2], rel=1e-9)

@@ -38,13 +38,14 @@ def measured(depth: float) -> tuple[np.ndarray, np.ndarray]:
 def landmark(name: str, uvd: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Parameters and J_R R J_R^T of landmarks started at the origin."""
     new = first_sight(LANDMARKS[name], CAMERA, np.zeros(3), np.eye(3), np.atleast_2d(uvd), NOISE.R)
-    return new.started.parameters, new.noise
+    return new.parameters, new.noise
 
 
 def cloud(name: str, uvd: np.ndarray) -> np.ndarray:
     """Where noisy measurements put the landmark; for XYZ the literal Eq. 21, which also takes d < 0."""
     if name != "euclidean":
-        return landmark(name, uvd)[0]
+        points_c = np.column_stack([CAMERA.ray(uvd), uvd[:, 2] / CAMERA.disparity_constant])
+        return LANDMARKS[name].started(np.zeros(3), points_c[:, :3], points_c[:, 3]).parameters
     return CAMERA.ray(uvd) * (CAMERA.disparity_constant / uvd[:, 2])[:, None]
 
 

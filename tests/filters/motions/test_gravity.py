@@ -22,9 +22,9 @@ from filters import (
 )
 from filters.geometry import symmetric
 from filters.geometry.vectors import plus, product, quaternion, scaled
-from filters.state.joint_state import world_rotation_of_variables
 from filters.state.layout import StateLayout
 
+from ..dense import at_first_estimates, gamma, gamma_of_variables
 from ..drives import CAMERA, INDEPENDENT_PIXELS
 from ..numeric import numeric_jacobian, relative_difference
 
@@ -80,14 +80,14 @@ def test_turning_the_world_turns_it() -> None:
     layout = StateLayout.of((), Thrown().variables)
     camera = CameraState.at(Start(), {"gravity": G})
     numeric = numeric_jacobian(lambda e: Rotation.from_rotvec(e).apply(G) - G, 3)
-    assert relative_difference(world_rotation_of_variables(layout, camera)[layout.places["gravity"]], numeric) < 1e-7
+    assert relative_difference(gamma_of_variables(layout, camera)[layout.places["gravity"]], numeric) < 1e-7
 
 
 def learnt(slam: StereoEKF, axis: np.ndarray) -> float:
     """Information on a rotation of the world about an axis in W, where its Jacobians are taken; 1: as at the start."""
     state = slam.state
-    point = slam.options.error.linearisation_point(state) or state
-    direction = point.world_rotation() @ axis
+    point = at_first_estimates(state) if slam.options.error.first_estimates else state
+    direction = gamma(point) @ axis
     return 0.2**2 * float(direction @ np.linalg.solve(symmetric.full(state.P), direction))
 
 

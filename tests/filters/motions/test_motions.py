@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from filters import BodyVelocity, ConstantVelocity, InverseDepthStereoEKF, StereoEKF, VelocityDriven
-from filters.checks.conformance import shown_arrays
-from filters.motions.motion_model import CameraState, LinearMeasurement, MotionPrediction
+from filters import BodyVelocity, ConstantVelocity, InverseDepthStereoEKF, MotionModel, VelocityDriven
+from filters.motions.motion_model import CameraState, MotionPrediction
 
-from ..drives import CAMERA, INDEPENDENT_PIXELS, drive
+from ..drives import CAMERA, INDEPENDENT_PIXELS
 
 DT = 0.1
 
@@ -99,57 +98,30 @@ def _grown(matrix: np.ndarray, rows: int, columns: int) -> np.ndarray:
 
 
 class _FifteenStates(ConstantVelocity):
-    """Has an acceleration, too, which is not in the state of the filters here."""
+    def step(self, x, dt, n):
+        return *ConstantVelocity.step(self, x, dt, n), (0.0, 0.0, 0.0)
 
+
+class _PositionInThePlane(ConstantVelocity):
+    def step(self, x, dt, n):
+        return (x.position[0], x.position[2]), *ConstantVelocity.step(self, x, dt, n)[1:]
+
+
+class _PredictsByItself(ConstantVelocity):
     def predict(self, state: CameraState, dt: float, odometry: BodyVelocity | None) -> MotionPrediction:
-        usual = super().predict(state, dt, odometry)
-        return MotionPrediction(usual.state, _grown(usual.F, 3, 3) + np.diag([0.0] * 12 + [1.0] * 3), usual.G, usual.Q)
-
-
-class _NoiseOfOtherSize(ConstantVelocity):
-    def predict(self, state: CameraState, dt: float, odometry: BodyVelocity | None) -> MotionPrediction:
-        usual = super().predict(state, dt, odometry)
-        return MotionPrediction(usual.state, usual.F, usual.G, _grown(usual.Q, 3, 3))
-
-
-class _PositionAsColumn(ConstantVelocity):
-    def predict(self, state: CameraState, dt: float, odometry: BodyVelocity | None) -> MotionPrediction:
-        usual, moved = super().predict(state, dt, odometry), super().predict(state, dt, odometry).state
-        column = CameraState(moved.position[:, None], moved.orientation, moved.linear_velocity, moved.angular_velocity)
-        return MotionPrediction(column, usual.F, usual.G, usual.Q)
-
-
-class _ReturnsTheStateAlone(ConstantVelocity):
-    def predict(self, state: CameraState, dt: float, odometry: BodyVelocity | None) -> MotionPrediction:
-        return super().predict(state, dt, odometry).state  # type: ignore[return-value]
-
-
-class _OdometryOfFifteenStates(ConstantVelocity):
-    def odometry_measurement(self, state: CameraState, dt: float, odometry: BodyVelocity) -> LinearMeasurement | None:
-        usual = super().odometry_measurement(state, dt, odometry)
-        assert usual is not None
-        return LinearMeasurement(usual.innovation, _grown(usual.H, 0, 3), usual.R)
+        return super().predict(state, dt, odometry)
 
 
 @pytest.mark.parametrize(
     ("motion", "complaint"),
     [
-        (_FifteenStates(), r"_FifteenStates must return F of shape \(12, 12\), got \(15, 15\)"),
-        (_NoiseOfOtherSize(), r"_NoiseOfOtherSize must return G of shape \(12, 9\), got \(12, 6\)"),
-        (_PositionAsColumn(), r"_PositionAsColumn must return state.position of shape \(3,\), got \(3, 1\)"),
-        (
-            _ReturnsTheStateAlone(),
-            r"_ReturnsTheStateAlone must return a MotionPrediction from predict, got CameraState",
-        ),
-        (_OdometryOfFifteenStates(), r"must return the H of odometry of shape \(6, 12\), got \(6, 15\)"),
+        (_FifteenStates(), r"^_FifteenStates.step must give \(3, 4, 3, 3\) numbers, got \(3, 4, 3, 3, 3\)$"),
+        (_PositionInThePlane(), r"^_PositionInThePlane.step must give \(3, 4, 3, 3\) numbers, got \(2, 4, 3, 3\)$"),
+        (_PredictsByItself(), "^_PredictsByItself must not have predict of its own: it follows from step$"),
+        (MotionModel(), "^MotionModel must have step: see MotionModel$"),
     ],
-    ids=lambda value: type(value).__name__ if isinstance(value, ConstantVelocity) else "",
+    ids=lambda value: type(value).__name__ if isinstance(value, MotionModel) else "",
 )
-def test_a_motion_model_of_other_shapes_is_refused(motion: ConstantVelocity, complaint: str) -> None:
-    slam: StereoEKF = InverseDepthStereoEKF(CAMERA, INDEPENDENT_PIXELS, motion=motion)
-    slam.update(drive(1)[0].observation)
-    before, P = shown_arrays(slam), slam.state.P.copy()
+def test_a_motion_of_other_functions_is_refused(motion: MotionModel, complaint: str) -> None:
     with pytest.raises(ValueError, match=complaint):
-        slam.predict(DT, BodyVelocity([0.0, 0.0, 5.0], np.zeros(3), np.eye(6)))
-    assert all(np.array_equal(a, b, equal_nan=True) for a, b in zip(before, shown_arrays(slam), strict=True))
-    np.testing.assert_array_equal(slam.state.P, P)
+        InverseDepthStereoEKF(CAMERA, INDEPENDENT_PIXELS, motion=motion)

@@ -12,6 +12,7 @@ from scipy.stats import chi2
 from filters import CameraState, InertialSamples, StereoEKF, Strapdown, check_part, make_filter
 from filters.geometry import symmetric
 
+from ..dense import at_first_estimates, gamma
 from ..drives import CAMERA, INDEPENDENT_PIXELS
 from ..inertial_drives import (
     BIASES,
@@ -91,8 +92,7 @@ def headed(error: str, seed: int) -> tuple[float, float]:
     slam = StereoEKF(CAMERA, INDEPENDENT_PIXELS, landmark="shared-anchor", error=error, gate=None, motion=KNOWN)
     found = replace(journey, start=replace(journey.start, covariance=prior)).run(slam)
     state = slam.state
-    at = slam.options.error.linearisation_point(state) or state
-    yaw = at.world_rotation() @ np.array([0.0, 1.0, 0.0])
+    yaw = gamma(at_first_estimates(state) if error == "first-estimates" else state) @ np.array([0.0, 1.0, 0.0])
     return 0.3**2 * float(yaw @ np.linalg.solve(symmetric.full(state.P), yaw)), float(np.mean(found[-20:]) / 6)
 
 

@@ -2,17 +2,32 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from filters import Start
 from filters.geometry import symmetric
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
-from filters.landmarks.landmark_model import LandmarkModel, StartedLandmarks
+from filters.landmarks.landmark_model import LandmarkModel
 from filters.motions.motion_model import POSE_SIZE, CameraState
-from filters.state.joint_state import Clone, JointState, NewLandmarks
+from filters.state.joint_state import Clone, JointState
 from filters.state.layout import StateLayout
+
+
+@dataclass(frozen=True)
+class NewLandmarks:
+    """M landmarks that enter the map."""
+
+    ids: IntArray
+    values: FloatArray
+    """(M, v)."""
+    anchored: BoolArray
+    """(M,)."""
+    by_leading: FloatArray
+    """(M, size, c): Jacobian of their errors by the leading rows."""
+    noise: FloatArray
+    """(M, size, size): what the measurement adds."""
 
 
 def camera_at(position: FloatArray) -> CameraState:
@@ -40,21 +55,18 @@ def new_landmarks(
     ids: IntArray, parameters: FloatArray, by_pose: FloatArray, noise: FloatArray, anchored: bool | FloatArray
 ) -> NewLandmarks:
     """Landmarks whose errors are `by_pose` (M, 3, 6) times that of the pose plus noise (M, 3, 3)."""
-    count = len(ids)
-    nothing = np.zeros((count, 3, 3))
-    flags = np.broadcast_to(np.asarray(anchored, dtype=bool), count)
-    return NewLandmarks(ids, StartedLandmarks(parameters, nothing, nothing, nothing[:, :, 0], flags), by_pose, noise)
+    return NewLandmarks(ids, parameters, np.broadcast_to(np.asarray(anchored, dtype=bool), len(ids)), by_pose, noise)
 
 
 def augment(state: JointState, new: NewLandmarks) -> None:
     """Add landmarks, with what they have in common with everything else: the errors of the pose (Eq. 19-25)."""
-    started, model, count = new.started, state.model, len(new.ids)
-    anchors = int(started.anchored.sum())
-    which = np.cumsum(started.anchored) - 1
+    model, count = state.model, len(new.ids)
+    anchors = int(new.anchored.sum())
+    which = np.cumsum(new.anchored) - 1
     if model.shares_anchors:
         anchors, which = min(anchors, 1), np.zeros_like(which)
     values = np.zeros((anchors + count, model.value_size))
-    values[:anchors, :3], values[anchors:] = state.camera.position, started.parameters
+    values[:anchors, :3], values[anchors:] = state.camera.position, new.values
     J = np.zeros((anchors + count, state.size, new.by_leading.shape[2]))
     J[:anchors, :3, :3], J[anchors:] = np.eye(3), new.by_leading
     J = J.reshape(-1, J.shape[2])
@@ -65,7 +77,7 @@ def augment(state: JointState, new: NewLandmarks) -> None:
         own[rows, rows] += noise
     held, made = state.held, state.append(values, values, cross, own)
     state.held = held
-    anchor = np.where(started.anchored, made[np.where(started.anchored, which, 0)], -1)
+    anchor = np.where(new.anchored, made[np.where(new.anchored, which, 0)], -1)
     state.adopt(new.ids, made[anchors:], anchor)
 
 

@@ -9,7 +9,6 @@ import pytest
 
 from filters import (
     ConstantVelocity,
-    ErrorDefinition,
     MovedLandmarks,
     Start,
     StereoEKF,
@@ -197,10 +196,6 @@ def test_a_copy_of_the_state_has_it() -> None:
     np.testing.assert_array_equal(other.belief("scales").covariance, slam.belief("scales").covariance)
 
 
-class OfMyOwn(ErrorDefinition):
-    """An error definition that is not compiled."""
-
-
 @pytest.mark.parametrize(
     ("call", "message"),
     [
@@ -226,7 +221,7 @@ def test_what_cannot_be_is_refused_and_changes_nothing(call, message: str) -> No
     np.testing.assert_array_equal(slam.state.P, P)
 
 
-def test_landmarks_that_hang_on_anchors_and_errors_of_ones_own_are_refused() -> None:
+def test_landmarks_that_hang_on_anchors_are_refused() -> None:
     slam = make(landmark="inverse-depth")
     slam.add_variable(SCALES)
     slam.update(drive(1, 1)[0].observation)
@@ -234,5 +229,3 @@ def test_landmarks_that_hang_on_anchors_and_errors_of_ones_own_are_refused() -> 
     carried = MovedLandmarks(one, np.zeros((1, 3)), np.zeros((1, 3, 3)), np.zeros((1, 3, 4)))
     with pytest.raises(ValueError, match=r'^landmarks must be points of W to be moved: choose landmark="euclidean"$'):
         slam.move_variable("scales", np.zeros(4), np.eye(4), np.eye(4), carried)
-    with pytest.raises(ValueError, match=r"^error OfMyOwn must be compiled"):
-        make(error=OfMyOwn()).add_variable(SCALES)

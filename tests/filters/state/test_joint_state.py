@@ -10,10 +10,10 @@ import pytest
 from filters.geometry import symmetric
 from filters.landmarks.hybrid import Hybrid
 from filters.landmarks.landmark_model import LandmarkModel
-from filters.state.joint_state import JointState, NewLandmarks
+from filters.state.joint_state import JointState
 
 from ..slots import LANDMARKS
-from .states import augment, camera_at, new_landmarks, remove, transform_variables, without_map
+from .states import NewLandmarks, augment, camera_at, new_landmarks, remove, transform_variables, without_map
 
 CAMERA = [("camera", i) for i in range(12)]
 
@@ -87,13 +87,13 @@ def add_to_both(state: JointState, ledger: Ledger, ids: list[int], frame: int, r
     """New landmarks from the present camera position."""
     new = random_new(rng, ids, state.model)
     augment(state, new)
-    anchored = new.started.anchored
+    anchored = new.anchored
     if state.model.shares_anchors and anchored.any():
         ledger.add(("anchor", frame), state.camera.position, np.eye(3, 6), np.zeros((3, 3)))
     for row, i in enumerate(ids):
         if anchored[row] and not state.model.shares_anchors:
             ledger.add(("anchor", i), state.camera.position, np.eye(3, 6), np.zeros((3, 3)))
-        ledger.add(i, new.started.parameters[row], new.by_leading[row], new.noise[row])
+        ledger.add(i, new.values[row], new.by_leading[row], new.noise[row])
         anchor = ("anchor", frame if state.model.shares_anchors else i)
         ledger.anchor_of[i] = anchor if anchored[row] else i  # without an anchor, its own rows twice
 

@@ -11,9 +11,9 @@ from scipy.spatial.transform import Rotation
 from filters import BodyVelocity, Start, StereoEKF, StereoObservation, Variable
 from filters.contract.stereo_filter import StereoFilter
 from filters.geometry import symmetric
-from filters.state.joint_state import world_rotation_of_variables
 from filters.state.layout import StateLayout
 
+from ..dense import constrained, gamma_of_variables
 from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, SPEED, drive, start
 from ..engine.linear_problems import assert_covariances_equal, random_covariance
 from ..third_party import BIAS, DISPARITY_ERRORS, MOUNTING, BiasedOdometry, ShearedPair
@@ -191,8 +191,8 @@ def test_a_correction_with_considered_rows_is_the_schmidt_kalman_filter(rows: in
     expected, before = I_KH @ P @ I_KH.T + K @ R @ K.T, slam.velocity.linear
     assert slam.correct(nu, H_of, R).used
     along = np.eye(len(P))  # the first estimate moves: P is carried to the effect of a turned world there
-    turned = world_rotation_of_variables(layout, slam.state.camera)
-    along[layout.rows[:, None], layout.rows] = slam.options.error.constrained(np.eye(layout.size), turned, state)
+    turned = gamma_of_variables(layout, slam.state.camera)
+    along[layout.rows[:, None], layout.rows] = constrained(np.eye(layout.size), turned, state.predicted, layout)
     expected = along @ expected @ along.T
     actual, regular = symmetric.full(slam.state.P), np.flatnonzero(np.diag(P) > 0.0)
     assert_covariances_equal(actual[np.ix_(regular, regular)], expected[np.ix_(regular, regular)], 1e-8)

@@ -1,4 +1,4 @@
-"""Landmarks of more than three error numbers: own biases, and lines; against the textbook, each other and the truth."""
+"""Landmarks of more than three error numbers, own biases: against the textbook, each other and the truth."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from filters import (
+    Euclidean,
     FilterBatch,
     LandmarkModel,
     RightInvariant,
@@ -24,23 +25,21 @@ from filters.geometry import symmetric
 from .. import textbook
 from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, SPEED, START_COVARIANCE, Frame, drive, finish, run, start
 from .biased import Biased, BiasedPair
-from .lines import ROWS, LinePair, Lines
 
 DEPTHS = (6.0, 40.0)
 BIASED = {"landmark": Biased(), "measurement": BiasedPair()}
-LINES = {"landmark": Lines(), "measurement": LinePair()}
 
 
 class BiasedByNumbers(Biased):
     """The same in Python."""
 
-    kernels = None
+    in_machine_code = False
 
 
 BY_NUMBERS = {"landmark": BiasedByNumbers(), "measurement": BiasedPair()}
 
 
-@pytest.mark.parametrize("part", [Biased(), BiasedPair(), Lines(), LinePair()], ids=lambda part: type(part).__name__)
+@pytest.mark.parametrize("part", [Biased(), BiasedPair()], ids=lambda part: type(part).__name__)
 def test_the_part_is_right(part: object) -> None:
     check_part(part)
 
@@ -232,58 +231,6 @@ def final_nees(slam: StereoEKF, frame: Frame) -> float:
     return float(nees(error[None], covariance[None])[0]) / 6.0
 
 
-def pole_drive(seed: int, frames: int = 15, lean: float = 0.15, v_right: bool = False) -> list[Frame]:
-    """A drive with a turn past poles that lean by some angle."""
-    rng, sensor = np.random.default_rng(seed), LinePair()
-    count, rate = 40, rng.uniform(-0.3, 0.3)
-    points = np.column_stack([rng.uniform(-12, 12, count), np.zeros(count), rng.uniform(6, 40, count)])
-    V = np.column_stack([lean * rng.standard_normal(count), np.ones(count), lean * rng.standard_normal(count)])
-    sigma = np.array([1.0, 1.0, np.sqrt(2.0), 1.0])
-    position, heading, made = np.zeros(3), Rotation.identity(), []
-    for frame in range(frames):
-        if frame:
-            position = position + heading.apply([0.0, 0.0, SPEED * DT])
-            heading = heading * Rotation.from_rotvec([0.0, rate * DT, 0.0])
-        p_c, V_c = heading.inv().apply(points - position), heading.inv().apply(V)
-        numbers = sensor.predict(CAMERA, np.hstack([np.cross(p_c, V_c), V_c]), {})
-        nearest = p_c - V_c * (np.sum(p_c * V_c, axis=1) / np.sum(V_c**2, axis=1))[:, None]
-        seen = (nearest[:, 2] > 3.0) & (numbers[:, 0] > 5.0) & (numbers[:, 0] < CAMERA.width - 5.0)
-        ids = np.flatnonzero(seen)[:20]
-        z = numbers[ids] + sigma * rng.standard_normal((len(ids), 4))
-        R = np.broadcast_to(np.diag(sigma[:3] ** 2), (len(ids), 3, 3))
-        observation = StereoObservation(ids, z[:, :3], z[:, 3] if v_right else None, R)
-        made.append(Frame(position, heading.as_quat(), observation))
-    return made
-
-
-@pytest.mark.parametrize("v_right", [False, True], ids=["one slope", "both slopes"])
-@pytest.mark.parametrize(
-    "error", ["so3", *(pytest.param(error, marks=pytest.mark.slow) for error in ("first-estimates", "right-invariant"))]
-)
-def test_poles_alone_tell_the_pose_consistently(error: str, v_right: bool) -> None:
-    """Mean of 12 x 6 numbers of variance one: within .6 and 1.5; height is not seen by poles, so it is as uncertain."""
-    found, across = [], []
-    for seed in range(12):
-        frames = pole_drive(seed, v_right=v_right)
-        options = {"error": error, "gate": None, "min_disparity": 4.0, **LINES}
-        slam = finish(StereoEKF(CAMERA, INDEPENDENT_PIXELS, **options), frames)
-        found.append(final_nees(slam, frames[-1]))
-        across.append(np.linalg.norm((slam.pose.position - frames[-1].position)[[0, 2]]))
-    assert 0.6 < np.mean(found) < 1.5
-    assert np.mean(across) < 0.3
-
-
-def test_the_map_has_the_point_of_a_line_nearest_to_the_origin() -> None:
-    slam = finish(StereoEKF(CAMERA, INDEPENDENT_PIXELS, error="so3", **LINES), pole_drive(0, 4))
-    map_ = slam.landmarks
-    assert map_.positions.shape == (len(map_.ids), 3)
-    assert (np.linalg.eigvalsh(map_.covariances)[:, 1:] > 0.0).all()
-    forecast = slam.forecast()
-    assert (np.linalg.eigvalsh(forecast.S) > 0.0).all()
-    assert forecast.uvd.shape == (len(map_.ids), 3)
-    assert np.abs(forecast.uvd[:, 1] - CAMERA.cy).max() < ROWS
-
-
 class WithoutPrior(Biased):
     prior = None
 
@@ -292,8 +239,9 @@ class TooSmall(Biased):
     size = 2
 
 
-class NoShift(Biased):
-    anchored = shares_anchors = False
+class StretchedPoint(Euclidean):
+    def retract_by(self, y, c):
+        return tuple(a + 2.0 * b for a, b in zip(y, c, strict=True))
 
 
 @pytest.mark.parametrize(
@@ -302,13 +250,10 @@ class NoShift(Biased):
         ({"landmark": WithoutPrior(), "measurement": BiasedPair()}, r"prior of landmark WithoutPrior must .* \(1, 1\)"),
         ({"landmark": TooSmall(), "measurement": BiasedPair()}, "size of landmark TooSmall must be from 3"),
         ({"landmark": Biased()}, "measurement must have seen_size = 5 with landmark=Biased, got RangeBearing with 4"),
-        ({"measurement": LinePair()}, "measurement must have seen_size = 4 .* got LinePair with 6"),
-        (
-            {"landmark": NoShift(), "measurement": BiasedPair(), "gauge_walk": 1e-3, "error": "right-invariant"},
-            "landmark must have shifted with gauge_walk",
-        ),
+        ({"measurement": BiasedPair()}, "measurement must have seen_size = 4 .* got BiasedPair with 5"),
+        ({"landmark": StretchedPoint()}, "landmark StretchedPoint is a point of W: its retraction must be addition"),
     ],
-    ids=["prior", "size", "seen", "points", "shift"],
+    ids=["prior", "size", "seen", "points", "retraction"],
 )
 def test_numbers_that_do_not_fit_are_refused_in_one_line(options: dict[str, object], words: str) -> None:
     with pytest.raises(ValueError, match=words) as refused:

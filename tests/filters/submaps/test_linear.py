@@ -10,11 +10,11 @@ import pytest
 from filters.geometry import symmetric
 from filters.motions.motion_model import CAMERA_SIZE, CameraState
 from filters.state.joint_state import JointState
-from filters.state.layout import LinearisedMeasurements
 from filters.submaps.chain import SubmapChain
 
-from ..engine.linear_problems import update
-from ..slots import ERRORS, LANDMARKS
+from ..dense import plus
+from ..engine.linear_problems import LinearisedMeasurements, update
+from ..slots import LANDMARKS
 from ..state.states import augment, camera_at, new_landmarks, transform_variables, without_map
 
 DT, IN_VIEW = 0.5, 6
@@ -53,7 +53,7 @@ class LinearSlam:
         R = np.tile(0.01 * np.eye(3), (len(index), 1, 1))
         innovation = z[known] - (state.parameters(index) - state.camera.position)
         measured = LinearisedMeasurements(innovation, by_leading, by_map, state.map_rows(index), R)
-        self.state = ERRORS["so3"].moved(state, update(state.P, measured))
+        self.state = plus(state, update(state.P, measured))
         count = int((~known).sum())
         by_pose, noise = np.tile(np.eye(3, 6), (count, 1, 1)), np.tile(0.01 * np.eye(3), (count, 1, 1))
         position = self.state.camera.position

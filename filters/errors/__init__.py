@@ -1,1 +1,0 @@
-"""Error definitions: one file each, all `ErrorDefinition`."""

@@ -1,1 +1,0 @@
-"""Ways to linearise a measurement for the update: one file each, all `Linearisation`."""
