@@ -217,7 +217,7 @@ class MotionModel:
             return [y for part in self.step(self.record(numbers[:v]), dt, grouped(numbers[v:])) for y in part]
 
         (after,), (J,) = derivatives.jacobian_of(stepped, np.concatenate([x, n])[None])
-        to_errors = np.linalg.pinv(self._by_errors(after))
+        to_errors = self._to_errors(after)
         return after, to_errors @ J[:, :v] @ self._by_errors(x), to_errors @ J[:, v:]
 
     def record(self, numbers: Any) -> Any:
@@ -241,6 +241,12 @@ class MotionModel:
             J[row : row + size, column : column + errors] = block
             row, column = row + size, column + errors
         return J
+
+    def _to_errors(self, numbers: FloatArray) -> FloatArray:
+        """Derivatives (m, v) of the errors by the numbers: the pseudo-inverse, as the columns are orthogonal."""
+        J = self._by_errors(numbers)
+        inverse: FloatArray = J.T / np.sum(J * J, axis=0)[:, None]
+        return inverse
 
     def numbers_of(self, state: CameraState) -> FloatArray:
         """Pose, velocities and values of its variables in one vector; (v,)."""
@@ -267,7 +273,7 @@ class MotionModel:
     def difference(self, state: CameraState, other: CameraState) -> FloatArray:
         """Errors (m,) that take `state` to `other`, to first order."""
         numbers = self.numbers_of(state)
-        errors: FloatArray = np.linalg.pinv(self._by_errors(numbers)) @ (self.numbers_of(other) - numbers)
+        errors: FloatArray = self._to_errors(numbers) @ (self.numbers_of(other) - numbers)
         return errors
 
 
