@@ -35,8 +35,7 @@ from filters.kernels.calls import (
 from filters.kernels.covariance import keep_considered, keep_definite, pose_variances, restore_considered
 from filters.kernels.gating import reweight
 from filters.kernels.landmarks import close_gaps, find, marginalise
-from filters.kernels.linearisation import clear_all, prepare
-from filters.kernels.prediction import clear
+from filters.kernels.linearisation import prepare, take_homogeneous
 from filters.kernels.recipe import Plan
 from filters.kernels.records import (
     BEHIND,
@@ -293,9 +292,7 @@ def become_points(calls: Calls, plan: Plan, S: Storage, b: int, s: Scratch) -> N
             chosen += 1
     if chosen == 0:
         return
-    clear_all(s.by_own, chosen)
-    clear(s.points[:chosen])
-    call(calls.point, (plan.landmark, s.values_taken[:chosen], s.points[:chosen], s.by_own[:chosen]))
+    take_homogeneous(calls, plan, s, s.values_taken, chosen)
     for k in range(chosen):
         i, p = s.taken[k], s.points[k]
         for a in range(3):
@@ -312,9 +309,7 @@ def become_points(calls: Calls, plan: Plan, S: Storage, b: int, s: Scratch) -> N
                     follows = follows or a == c
                 if not follows:
                     s.values_taken[k, a] = before[own[i], a]
-        clear_all(s.by_own, chosen)
-        clear(s.points[:chosen])
-        call(calls.point, (plan.landmark, s.values_taken[:chosen], s.points[:chosen], s.by_own[:chosen]))
+        take_homogeneous(calls, plan, s, s.values_taken, chosen)
         for k in range(chosen):
             i, p = s.taken[k], s.points[k]
             for a in range(3):

@@ -77,7 +77,7 @@ def _left_jacobian(x: FloatArray, delta: FloatArray, J: FloatArray) -> None:
 
 @kernel
 def _by_earlier_errors(plan: Plan, n: int, s: Scratch, count: int, size: int) -> None:
-    """`LinearisedMeasurements.by_earlier_errors`, with the transport in W and D of the scratch."""
+    """Carry H back to the errors before the correction, by W and D of the scratch, and nu what that has explained."""
     measured = plan.measured
     for i in range(count):
         m = s.select[i]

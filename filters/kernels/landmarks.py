@@ -9,7 +9,7 @@ from filters.geometry.three_by_three import cross_matrix, put, times, transposed
 from filters.kernels.blas import kernel, multiply_panel
 from filters.kernels.calls import Calls, call, unit
 from filters.kernels.covariance import move_block, take_leading
-from filters.kernels.linearisation import by_velocity, clear_all, sense, take_variables
+from filters.kernels.linearisation import by_velocity, clear_all, sense, take_homogeneous, take_variables
 from filters.kernels.prediction import clear, constrain, orientation, world_rotation
 from filters.kernels.recipe import Plan
 from filters.kernels.records import (
@@ -107,9 +107,7 @@ def close_gaps(plan: Plan, S: Storage, b: int) -> None:
 @kernel
 def _see_new(calls: Calls, plan: Plan, x: FloatArray, s: Scratch, count: int) -> None:
     """New landmarks, with the values that they start with, in the camera frame (`points`), and the sensor's numbers."""
-    clear_all(s.by_own, count)
-    clear(s.points[:count])
-    call(calls.point, (plan.landmark, s.values[:count], s.points[:count], s.by_own[:count]))
+    take_homogeneous(calls, plan, s, s.values, count)
     R_cw = transposed(orientation(x))
     for i in range(count):
         p, scale = s.points[i], 0.0 if plan.anchors > 0 else s.points[i, 3]
@@ -119,7 +117,10 @@ def _see_new(calls: Calls, plan: Plan, x: FloatArray, s: Scratch, count: int) ->
 
 @kernel
 def _add_prior(plan: Plan, x: FloatArray, s: Scratch, i: int, kept: int) -> None:
-    """(I - G H) prior (I - G H)^T, G d numbers / d (u, v, d) of `small[0]` and H its inverse (`start_landmarks`)."""
+    """Add (I - G H) prior (I - G H)^T: what the measurement leaves open, as after an update with gain G.
+
+    G = d numbers / d (u, v, d), of `small[0]`, and H is its inverse.
+    """
     G, H, by_open, J, by_own = s.small[0], s.small[1], s.small[2], s.by_point[i], s.by_own[i]
     R, most = orientation(x), plan.size - 3
     for p in range(most):

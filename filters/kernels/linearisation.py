@@ -48,14 +48,20 @@ def by_velocity(plan: Plan, x: FloatArray, H: FloatArray) -> None:
 
 
 @kernel
+def take_homogeneous(calls: Calls, plan: Plan, s: Scratch, values: FloatArray, count: int) -> None:
+    """Homogeneous points of landmarks of these values, from their anchors, and the Jacobians by their errors."""
+    clear_all(s.by_own, count)
+    clear(s.points[:count])
+    call(calls.point, (plan.landmark, values[:count], s.points[:count], s.by_own[:count]))
+
+
+@kernel
 def take_points(calls: Calls, plan: Plan, blocks: FloatArray, kind: IntArray, s: Scratch, count: int) -> None:
     """Homogeneous points and Jacobians of the landmarks whose blocks are in `taken`."""
     for i in range(count):
         for a in range(s.values_taken.shape[1]):
             s.values_taken[i, a] = blocks[s.taken[i], a]
-    clear_all(s.by_own, count)
-    clear(s.points[:count])
-    call(calls.point, (plan.landmark, s.values_taken[:count], s.points[:count], s.by_own[:count]))
+    take_homogeneous(calls, plan, s, s.values_taken, count)
     if plan.changes:  # some have become points of W
         for i in range(count):
             if kind[s.taken[i]] == POINT:

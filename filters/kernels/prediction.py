@@ -23,7 +23,7 @@ def orientation(x: FloatArray) -> Nine:
 
 @kernel
 def world_rotation(plan: Plan, x: FloatArray, effect: FloatArray) -> None:
-    """`joint_state.world_rotation_of_variables` in the leading rows of `effect`, zero in the other ones."""
+    """Write the effect of a rotation of the world about its origin on the leading errors, zero in the other rows."""
     v = plan.velocity
     for i in range(len(effect)):
         for a in range(3):
@@ -37,7 +37,7 @@ def world_rotation(plan: Plan, x: FloatArray, effect: FloatArray) -> None:
 
 @kernel
 def constrain(J: FloatArray, rows: int, columns: int, image: FloatArray, source: FloatArray, R: Nine) -> None:
-    """`FirstEstimates.constrained`: J[:, 3:6] += (image - J source) R_wc."""
+    """Constrain a Jacobian to first estimates: J[:, 3:6] += (image - J source) R_wc (`filters.errors`)."""
     for i in range(rows):
         m0, m1, m2 = image[i, 0], image[i, 1], image[i, 2]
         for k in range(columns):

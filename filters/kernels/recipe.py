@@ -62,7 +62,12 @@ class Functions:
         return self.made_by[0], self.made_by[1:]
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Functions) and (self is other or self.made_by == other.made_by != ())
+        if self is other or not isinstance(other, Functions) or not self.made_by:
+            return self is other
+        try:
+            return bool(self.made_by == other.made_by)
+        except ValueError:  # settings that are arrays
+            return False
 
     def __hash__(self) -> int:
         return hash(self.made_by[:1]) if self.made_by else id(self)

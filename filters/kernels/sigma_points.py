@@ -12,7 +12,7 @@ from filters.geometry.rotations import matrix_of, quaternion_of
 from filters.geometry.three_by_three import multiply, put, transposed
 from filters.kernels.blas import kernel
 from filters.kernels.calls import Calls, call, unit
-from filters.kernels.linearisation import chain, clear_all, compare, see, sense
+from filters.kernels.linearisation import chain, clear_all, compare, see, sense, take_homogeneous
 from filters.kernels.prediction import clear, orientation
 from filters.kernels.recipe import Plan
 from filters.kernels.records import POINT, Scratch, Storage
@@ -71,9 +71,7 @@ def _draw(
         clear(s.values_moved[:count])
         given = plan.landmark, s.values_taken[:count], s.theta, s.correction[:count], s.values_moved[:count]
         call(calls.turn, (*given, s.by_correction[:count], s.by_theta[:count]))
-    clear_all(s.by_own, count)
-    clear(s.points[:count])
-    call(calls.point, (plan.landmark, s.values_moved[:count], s.points[:count], s.by_own[:count]))
+    take_homogeneous(calls, plan, s, s.values_moved, count)
     for i in range(count):
         pose = i if i <= 2 * POSE_SIZE else 0
         way, k = (0.0, 0) if i == 0 else (spread if i % 2 else -spread, (i - 1) // 2)

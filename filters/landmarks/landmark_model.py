@@ -74,7 +74,7 @@ class LandmarkModel:
     Sola, Vidal-Calleja, Civera and Montiel, "Impact of landmark parametrization on monocular EKF-SLAM with points and
     lines", IJCV 97(3), 2012.
     Huang, Mourikis and Roumeliotis, "Observability-based rules for designing consistent EKF SLAM estimators", IJRR
-    29(5), 2010 (`first_estimates`).
+    29(5), 2010 (first estimates).
     """
 
     anchored: ClassVar[bool] = False
@@ -89,7 +89,7 @@ class LandmarkModel:
     """Numbers by which a landmark is seen: of a point, direction (3) and scale. More: others behind them."""
     prior: FloatArray | None = None
     """Covariance (size - 3, size - 3) of the error numbers behind the third, which the first measurement of a landmark
-    leaves open: about the values from `parameters_of`, independent of all else."""
+    leaves open: about the values from `start_from`, independent of all else."""
     memory: float | None = None
     """Time constant with which those go back to zero, s: a Gauss-Markov process of first order, `prior` its covariance
     in the long run. They are the last numbers of the value, and add. None: they stay as they are."""
