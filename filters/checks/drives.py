@@ -41,15 +41,15 @@ def predict_step(
     stereo_filter: StereoFilter, dt: float, odometry: BodyVelocity, inertial: InertialSamples | None
 ) -> None:
     """Predict a step, with odometry or inertial samples only if the filter refuses to go without."""
-    try:
-        stereo_filter.predict(dt)
-    except ValueError as error:
-        if "odometry" in str(error):
-            stereo_filter.predict(dt, odometry)
-        elif "inertial" in str(error):
-            stereo_filter.predict(dt, inertial=inertial)
+    refusals = []
+    for given in ({}, {"odometry": odometry}, {"inertial": inertial}):
+        try:
+            stereo_filter.predict(dt, **given)
+        except ValueError as error:
+            refusals.append(error)
         else:
-            raise
+            return
+    raise refusals[0]
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,7 @@
-"""Kernels of the error definitions: corrections of the state, and P carried along with them."""
+"""Kernels of the error definitions: corrections of the state, and P carried along with them.
+
+Derivation: docs/derivations/errors.md.
+"""
 
 from __future__ import annotations
 

@@ -169,9 +169,7 @@ class MotionModel:
         expected, H = self.expected_odometry(self.numbers_of(state), dt)
         return LinearMeasurement(np.concatenate([odometry.linear, odometry.angular]) - expected, H, odometry.covariance)
 
-    def stepped(
-        self, x: FloatArray, dt: float, rows: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    def stepped(self, x: FloatArray, dt: float, rows: FloatArray) -> tuple[FloatArray, ...]:
         """`predict` for numbers (v,) of the state and rows of the input: moved numbers, F, G and Q."""
         if not self.driven:
             sigmas = np.array(self.sigmas(dt))
@@ -207,9 +205,7 @@ class MotionModel:
         """Whether the model says which odometry it expects."""
         return type(self).odometry is not MotionModel.odometry
 
-    def _stepped(
-        self, x: FloatArray, dt: float, n: FloatArray, grouped: Callable[[Any], Any]
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def _stepped(self, x: FloatArray, dt: float, n: FloatArray, grouped: Callable[..., Any]) -> tuple[FloatArray, ...]:
         """Numbers after a step with the noise n (k,), as `step` takes it by groups, and its Jacobians F and G."""
         v = len(x)
 

@@ -1,4 +1,4 @@
-"""The joint state x = (x_C, y_1, ..., y_n) of Eq. 1 with its covariance, as parts and submaps see it.
+"""The joint state x = (x_C, y_1, ..., y_n) of Eq. 1 with its covariance, as filters built on the engine see it.
 
 The error state is that of the named variables (`state.layout`) followed by blocks: landmarks, anchors and clones of
 the pose. All blocks have as many rows as a landmark has error numbers; anchors, and positions and orientations of

@@ -23,8 +23,8 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from filters import ConstantVelocity, Forecast, LandmarkBelief, MotionModel, PoseBelief, Start, StereoEKF, StereoFilter
-from filters import UpdateReport, VelocityBelief
+from filters import Forecast, LandmarkBelief, MotionModel, PoseBelief, Start, StereoEKF, StereoFilter
+from filters import UpdateReport, VelocityBelief, vectors
 
 
 class DeadReckoning(StereoFilter):
@@ -118,8 +118,14 @@ class ItsOwnWay(StereoEKF):
 
 
 class Gliding(MotionModel):
-    def predict(self, state, dt, odometry):
-        return ConstantVelocity(2.0, 0.2).predict(state, dt, odometry)
+    def step(self, x, dt, n):
+        velocity = vectors.plus(x.linear_velocity, n[:3], 1.0)
+        turn = vectors.plus(x.angular_velocity, n[3:], 1.0)
+        orientation = vectors.product(x.orientation, vectors.quaternion(vectors.scaled(dt, turn)))
+        return vectors.plus(x.position, velocity, dt), orientation, velocity, turn
+
+    def sigmas(self, dt):
+        return 2.0 * dt, 2.0 * dt, 2.0 * dt, 0.2 * dt, 0.2 * dt, 0.2 * dt
 
 
 class Waits(DeadReckoning):

@@ -16,7 +16,7 @@ from .test_stranger import START
 class ByNumbers(LateClock):
     """The same in Python."""
 
-    kernels = None
+    in_machine_code = False
 
 
 SIGMAS = np.repeat([0.05, 0.01], 3)  # of odometry, m/s and rad/s: without it a delay hides behind other accelerations
