@@ -10,6 +10,7 @@ from filters.geometry import symmetric
 
 from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, START_COVARIANCE, drive, finish
 from ..slots import LANDMARKS
+from ..stranger.parts import OnS3
 
 WALK = 0.01
 TURN_WEIGHT = 5.0  # as docs/covariances.md measured it
@@ -21,13 +22,13 @@ def make(**options: object) -> StereoEKF:
 
 
 @pytest.mark.parametrize("error", KEEPING)
-@pytest.mark.parametrize("landmark", LANDMARKS)
-def test_the_walk_shows_in_the_pose_and_in_no_forecast(landmark: str, error: str) -> None:
+@pytest.mark.parametrize("landmark", [*LANDMARKS, OnS3()], ids=str)
+def test_the_walk_shows_in_the_pose_and_in_no_forecast(landmark: object, error: str) -> None:
     frames = drive(1, 2, visible=20)
     walked, still = (make(landmark=landmark, error=error, gauge_walk=walk) for walk in (WALK, 0.0))
     for slam in (walked, still):
         slam.reset(
-            Start(linear_velocity=(0.3, 0.0, 5.0), angular_velocity=(0.05, 0.4, 0.0), covariance=START_COVARIANCE)
+            Start((1.0, 2.0, -3.0), (0.1, -0.7, 0.1, 0.7), (0.3, 0.0, 5.0), (0.05, 0.4, 0.0), START_COVARIANCE)
         )
         slam.update(frames[0].observation)
         slam.clone_pose("where it started")

@@ -62,11 +62,6 @@ class OnS3(LandmarkModel):
         longer = np.arctan2(sine, _dot(y, other)) / sine
         return longer * a, longer * b, longer * c
 
-    def shifted(self, parameters, shift):
-        """(x + w shift, w), normalised."""
-        point = np.hstack([parameters[:, :3] + parameters[:, 3:] * shift, parameters[:, 3:]])
-        return point / np.linalg.norm(point, axis=1, keepdims=True)
-
 
 @dataclass(frozen=True)
 class AnchoredOnS3(OnS3):
