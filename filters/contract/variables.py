@@ -9,7 +9,7 @@ import numpy as np
 from filters.contract.validation import covariance_matrix, finite_array, unique_ids
 from filters.geometry import derivatives, rotations
 from filters.geometry.arrays import FloatArray, IntArray
-from filters.geometry.retractions import ADDITIVE, Retraction
+from filters.geometry.retractions import ADDITIVE, Retraction, RotationVector
 
 POSE, VELOCITY = "pose", "velocity"
 """The variables that every filter has."""
@@ -28,7 +28,7 @@ class Variable:
     covariance : (s, s) array_like
         Of its error, in the coordinates of the retraction.
     retraction : Retraction
-        How a correction (s,) changes the value; the default adds it.
+        How a correction (s,) changes the value: the default adds it; `RotationVector()` turns a quaternion, xyzw.
     considered : bool
         Schmidt's consider variable: it has a covariance and correlations, but no measurement changes its value or
         its own covariance.
@@ -64,11 +64,23 @@ class Variable:
         object.__setattr__(self, "value", finite_array(f"value of {what}", self.value, shape))
         size = len(np.atleast_1d(np.asarray(self.covariance, dtype=np.float64)))
         object.__setattr__(self, "covariance", covariance_matrix(f"covariance of {what}", self.covariance, size))
+        self._check_retraction(what, size)
         if self.random_walk is not None:
             walk = finite_array(f"random_walk of {what}", self.random_walk, (size,))
             if (walk < 0.0).any():
                 raise ValueError(f"random_walk of {what} must be standard deviations >= 0, got {walk.tolist()}")
             object.__setattr__(self, "random_walk", walk)
+
+    def _check_retraction(self, what: str, size: int) -> None:
+        wanted = (4, 3) if isinstance(self.retraction, RotationVector) else (len(self.value),) * 2
+        if self.retraction is not ADDITIVE and not isinstance(self.retraction, RotationVector):
+            raise ValueError(
+                f"retraction of {what} must be addition or RotationVector(), of a quaternion, got {self.retraction!r}"
+            )
+        if (len(self.value), size) != wanted:
+            raise ValueError(
+                f"{what} must have {wanted[0]} numbers and {wanted[1]} errors, got {len(self.value)}, {size}"
+            )
 
     @property
     def size(self) -> int:

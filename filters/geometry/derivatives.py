@@ -109,8 +109,17 @@ _PARTIAL: Mapping[Any, Callable[..., tuple[Any, ...]]] = {
     np.tan: lambda r, a: (1.0 + r * r,),
     np.arctan: lambda r, a: (1.0 / (1.0 + a * a),),
     np.arctan2: lambda r, a, b: (b / (a * a + b * b), -a / (a * a + b * b)),
+    np.arcsin: lambda r, a: (1.0 / np.sqrt(1.0 - a * a),),
+    np.arccos: lambda r, a: (-1.0 / np.sqrt(1.0 - a * a),),
+    np.sinh: lambda r, a: (np.cosh(a),),
+    np.cosh: lambda r, a: (np.sinh(a),),
+    np.tanh: lambda r, a: (1.0 - r * r,),
     np.exp: lambda r, a: (r,),
+    np.expm1: lambda r, a: (r + 1.0,),
     np.log: lambda r, a: (1.0 / a,),
+    np.log1p: lambda r, a: (1.0 / (1.0 + a),),
+    np.minimum: lambda r, a, b: (np.where(a <= b, 1.0, 0.0), np.where(a <= b, 0.0, 1.0)),
+    np.maximum: lambda r, a, b: (np.where(a >= b, 1.0, 0.0), np.where(a >= b, 0.0, 1.0)),
 }
 """Partial derivatives of the functions that a part may be made of, from the result and the arguments."""
 

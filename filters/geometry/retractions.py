@@ -1,8 +1,7 @@
 """Retractions: how a correction of a few numbers changes the value of a variable.
 
-`retract` applies it, `local` is the inverse, and `transport` is the Jacobian that carries the covariance from the
-old value to the new one. All take one value or many at once. Those of the orientation are corrections by three numbers
-in the camera frame.
+`retract` applies it, and `local` is the inverse. All take one value or many at once. Those of the orientation are
+corrections by three numbers in the camera frame. The engine has them compiled, with the Jacobians that carry P along.
 
 Derivation: docs/derivations/errors.md.
 """
@@ -16,8 +15,6 @@ import numpy as np
 from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray
 from filters.geometry.machine_code import compiled
-
-_EYE = np.eye(3)
 
 
 class Retraction(Protocol):
@@ -36,9 +33,6 @@ class Retraction(Protocol):
     def local(self, value: FloatArray, other: FloatArray) -> FloatArray:
         """The correction that takes `value` to `other`; (..., v), (..., v) -> (..., s)."""
 
-    def transport(self, delta: FloatArray) -> FloatArray:
-        """d local(retract(x, delta), retract(x, delta + e)) / d e at e = 0; (..., s) -> (..., s, s)."""
-
 
 class Additive:
     """The correction is added."""
@@ -51,11 +45,6 @@ class Additive:
         """The difference."""
         return other - value
 
-    def transport(self, delta: FloatArray) -> FloatArray:
-        """The identity."""
-        size = delta.shape[-1]
-        return np.broadcast_to(np.eye(size), (*delta.shape[:-1], size, size))
-
 
 class AdditiveQuaternion:
     """The paper's: dq is added to the quaternion, which is then normalised.
@@ -63,7 +52,7 @@ class AdditiveQuaternion:
     An additive correction of a unit quaternion is tangent to it, dq = q x (delta / 2, 0), because the
     normalisation Jacobian leaves no variance along q. So the three numbers delta say all there is to say, and
     the 13-number camera state with a singular P becomes a 12-number one with a regular P and the same estimates:
-    normalise(q + dq) is `retract`, the normalisation Jacobian I - q q^T (over the norm) is `transport`.
+    normalise(q + dq) is `retract`, the normalisation Jacobian I - q q^T (over the norm) is `additive_transport_of`.
     """
 
     def retract(self, value: FloatArray, delta: FloatArray) -> FloatArray:
@@ -76,19 +65,10 @@ class AdditiveQuaternion:
         correction: FloatArray = 2.0 * dq[..., :3] / dq[..., 3:]
         return correction
 
-    def transport(self, delta: FloatArray) -> FloatArray:
-        """(I - [delta]x / 2) / (1 + |delta|^2 / 4)."""
-        if delta.ndim == 1:
-            return np.array(additive_transport_of(*delta.tolist())).reshape(3, 3)
-        half = 0.5 * delta
-        square = np.einsum("...i,...i->...", half, half)[..., None, None]
-        jacobian: FloatArray = (_EYE - rotations.skew(half)) / (1.0 + square)
-        return jacobian
-
 
 @compiled
 def additive_transport_of(x: float, y: float, z: float) -> rotations.Nine:
-    """`AdditiveQuaternion.transport`, row by row."""
+    """Jacobian of `AdditiveQuaternion` at a correction, (I - [delta]x / 2) / (1 + |delta|^2 / 4), row by row."""
     a, b, c = 0.5 * x, 0.5 * y, 0.5 * z
     diagonal = 1.0 / (1.0 + a * a + b * b + c * c)
     a, b, c = a * diagonal, b * diagonal, c * diagonal
@@ -105,10 +85,6 @@ class RotationVector:
     def local(self, value: FloatArray, other: FloatArray) -> FloatArray:
         """Log(R^T R_other)."""
         return rotations.log(rotations.matrix(value).swapaxes(-1, -2) @ rotations.matrix(other))
-
-    def transport(self, delta: FloatArray) -> FloatArray:
-        """The right Jacobian of SO(3)."""
-        return rotations.right_jacobian(delta)
 
 
 ADDITIVE: Retraction = Additive()

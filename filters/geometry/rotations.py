@@ -105,32 +105,6 @@ def right_jacobian(rotation_vector: ArrayLike) -> FloatArray:
     return jacobian
 
 
-def left_jacobian_derivative(rotation_vector: FloatArray, vectors: FloatArray) -> FloatArray:
-    """d (J_l(theta) a) / d theta for one theta (3,) and vectors a; (..., 3) -> (..., 3, 3).
-
-    J_l(theta) a = a + b (theta x a) + c theta x (theta x a), b = (1 - cos) / angle^2, c = (angle - sin) / angle^3.
-    """
-    theta, square = rotation_vector, float(rotation_vector @ rotation_vector)
-    if square < 1e-6:
-        b, c = 0.5 - square / 24.0, 1.0 / 6.0 - square / 120.0
-        b_slope, c_slope = -1.0 / 12.0 + square / 180.0, -1.0 / 60.0 + square / 1260.0
-    else:
-        angle = math.sqrt(square)
-        b, c = (1.0 - math.cos(angle)) / square, (angle - math.sin(angle)) / (square * angle)
-        b_slope = (angle * math.sin(angle) - 2.0 * (1.0 - math.cos(angle))) / square**2
-        c_slope = ((1.0 - math.cos(angle)) * angle - 3.0 * (angle - math.sin(angle))) / (square**2 * angle)
-    across = np.cross(theta, vectors)
-    twice = np.cross(theta, across)
-    along = (vectors @ theta)[..., None, None] * np.eye(3)
-    derivative: FloatArray = (
-        b_slope * across[..., :, None] * theta
-        - b * skew(vectors)
-        + c_slope * twice[..., :, None] * theta
-        + c * (along + theta[:, None] * vectors[..., None, :] - 2.0 * vectors[..., :, None] * theta)
-    )
-    return derivative
-
-
 def turned(R: FloatArray, vectors: FloatArray) -> FloatArray:
     """R v of each vector, R one for all or one for each; (3, 3) or (M, 3, 3), (M, 3) -> (M, 3)."""
     product: FloatArray = (R @ vectors[..., None])[..., 0] if R.ndim > 2 else vectors @ R.T
@@ -243,7 +217,10 @@ def right_jacobian_of(x: float, y: float, z: float) -> Nine:
 
 @compiled
 def left_jacobian_derivative_of(t0: float, t1: float, t2: float, a0: float, a1: float, a2: float) -> Nine:
-    """`left_jacobian_derivative` of one vector, row by row."""
+    """d (J_l(theta) a) / d theta, row by row.
+
+    J_l(theta) a = a + b (theta x a) + c theta x (theta x a), b = (1 - cos) / angle^2, c = (angle - sin) / angle^3.
+    """
     square = t0 * t0 + t1 * t1 + t2 * t2
     angle = math.sqrt(square)
     if angle < 1e-1:

@@ -14,18 +14,6 @@ def rows(P: FloatArray, index: IntArray) -> FloatArray:
     return taken
 
 
-def put_rows(P: FloatArray, index: IntArray, values: FloatArray) -> None:
-    """Set full rows `index` of the symmetric matrix; (n, n), (k,), (k, n)."""
-    P[index], P[:, index] = values, values.T
-
-
-def leading_rows(P: FloatArray, count: int) -> FloatArray:
-    """The first `count` full rows; (n, n) -> (count, n)."""
-    taken: FloatArray = P[:, :count].T.copy()
-    taken[:, :count] = full(P[:count, :count])
-    return taken
-
-
 def blocks(P: FloatArray, index: IntArray) -> FloatArray:
     """Symmetric sub-matrices P[index_i, index_i]; (n, n), (M, k) -> (M, k, k)."""
     first, second = index[:, :, None], index[:, None, :]

@@ -322,3 +322,28 @@ _one((np.arctan, math.atan), lambda x: dual(np.arctan(x.value), scaled(1.0 / (1.
 _one((np.sinc,), _sinc)
 _one((np.exp, math.exp), _exp)
 _one((np.log, math.log), lambda x: dual(np.log(x.value), scaled(1.0 / x.value, x.slope)))
+_one((np.log1p, math.log1p), lambda x: dual(np.log1p(x.value), scaled(1.0 / (1.0 + x.value), x.slope)))
+_one((np.expm1, math.expm1), lambda x: dual(np.expm1(x.value), scaled(np.exp(x.value), x.slope)))
+_one((np.sinh, math.sinh), lambda x: dual(np.sinh(x.value), scaled(np.cosh(x.value), x.slope)))
+_one((np.cosh, math.cosh), lambda x: dual(np.cosh(x.value), scaled(np.sinh(x.value), x.slope)))
+_one((np.tanh, math.tanh), lambda x: dual(np.tanh(x.value), scaled(1.0 - np.tanh(x.value) ** 2, x.slope)))
+_one(
+    (np.arcsin, math.asin),
+    lambda x: dual(np.arcsin(x.value), scaled(1.0 / np.sqrt(1.0 - x.value * x.value), x.slope)),
+)
+_one(
+    (np.arccos, math.acos),
+    lambda x: dual(np.arccos(x.value), scaled(-1.0 / np.sqrt(1.0 - x.value * x.value), x.slope)),
+)
+_two(
+    (np.minimum,),
+    lambda a, b: a if a.value <= b.value else b,
+    lambda a, b: a if a.value <= b else dual(float(b), scaled(0.0, a.slope)),
+    lambda a, b: dual(float(a), scaled(0.0, b.slope)) if a <= b.value else b,
+)
+_two(
+    (np.maximum,),
+    lambda a, b: a if a.value >= b.value else b,
+    lambda a, b: a if a.value >= b else dual(float(b), scaled(0.0, a.slope)),
+    lambda a, b: dual(float(a), scaled(0.0, b.slope)) if a >= b.value else b,
+)

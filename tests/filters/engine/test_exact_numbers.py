@@ -21,6 +21,8 @@ from filters import (
     Variable,
 )
 from filters.geometry import rotations, symmetric
+from filters.geometry.derivatives import jacobian_of
+from filters.geometry.vectors import spread_by
 
 from ..dense import at_first_estimates, gamma
 from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, SPEED, drive, start
@@ -171,8 +173,8 @@ def test_a_step_turns_the_vectors_of_the_world_with_it() -> None:
 
 
 @pytest.mark.parametrize("angle", [1e-9, 0.0999, 0.1001, 2.0])
-def test_the_kernel_of_the_derivative_of_j_l_is_its_numpy_form(angle: float) -> None:
+def test_the_derivative_of_j_l_is_that_by_dual_numbers(angle: float) -> None:
     """On both sides of where its series ends."""
     theta, a = angle * np.array([2.0, -1.0, 2.0]) / 3.0, np.array([3.0, 5.0, -7.0])
-    expected = rotations.left_jacobian_derivative(theta, a[None])[0]
+    expected = jacobian_of(lambda turn: spread_by(turn, tuple(a)), theta[None])[1][0]
     np.testing.assert_allclose(rotations.left_jacobian_derivative_of(*theta, *a), expected.ravel(), rtol=0, atol=1e-11)

@@ -27,9 +27,7 @@ def test_the_walk_shows_in_the_pose_and_in_no_forecast(landmark: object, error: 
     frames = drive(1, 2, visible=20)
     walked, still = (make(landmark=landmark, error=error, gauge_walk=walk) for walk in (WALK, 0.0))
     for slam in (walked, still):
-        slam.reset(
-            Start((1.0, 2.0, -3.0), (0.1, -0.7, 0.1, 0.7), (0.3, 0.0, 5.0), (0.05, 0.4, 0.0), START_COVARIANCE)
-        )
+        slam.reset(Start((1.0, 2.0, -3.0), (0.1, -0.7, 0.1, 0.7), (0.3, 0.0, 5.0), (0.05, 0.4, 0.0), START_COVARIANCE))
         slam.update(frames[0].observation)
         slam.clone_pose("where it started")
     before = walked.pose

@@ -33,6 +33,9 @@ def functions(x: Any) -> Any:
             np.arctan2(a, -2.0),
             np.arctan2(2.0, b),
         ),
+        *(np.arcsin(0.3 * a), np.arccos(0.3 * a), np.sinh(b), np.cosh(b), np.tanh(a), np.expm1(a), np.log1p(b)),
+        *(np.minimum(a, b), np.minimum(a, 1.0), np.minimum(1.0, b)),
+        *(np.maximum(a, b), np.maximum(a, 1.0), np.maximum(1.0, b)),
         *(np.copysign(2.0, -a) * b, 5.0),
     )
 

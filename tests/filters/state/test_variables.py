@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from filters import BodyVelocity, Start, StereoEKF, StereoObservation, Variable
 from filters.contract.stereo_filter import StereoFilter
 from filters.geometry import symmetric
+from filters.geometry.retractions import RotationVector
 from filters.state.layout import StateLayout
 
 from ..dense import constrained, gamma_of_variables
@@ -65,6 +66,9 @@ def test_a_name_cannot_stand_for_two_variables() -> None:
         ({"name": ""}, "name must be that of a new variable"),
         ({"value": [np.nan, 0.0]}, "value of variable 'disparity-errors' must be finite"),
         ({"covariance": [[1.0, 2.0], [2.0, 1.0]]}, "covariance of variable 'disparity-errors' must be"),
+        ({"covariance": np.eye(3)}, "variable 'disparity-errors' must have 2 numbers and 2 errors, got 2, 3"),
+        ({"retraction": RotationVector()}, "variable 'disparity-errors' must have 4 numbers and 3 errors, got 2, 2"),
+        ({"retraction": "addition"}, "retraction of variable 'disparity-errors' must be addition or RotationVector"),
         ({"random_walk": [0.1]}, "random_walk of variable 'disparity-errors' must have shape"),
         ({"random_walk": [0.1, -0.1]}, "random_walk of variable 'disparity-errors' must be standard deviations >= 0"),
     ],
