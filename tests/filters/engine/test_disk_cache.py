@@ -18,7 +18,7 @@ import numpy as np
 def seen():
     from filters.kernels.entries import relative_landmarks
     x = np.zeros((1, 13)); x[0, 6] = 1.0
-    own, none = np.zeros((1, 1), dtype=np.int64), np.full((1, 1, 2), -1)
+    own, none = np.zeros((1, 1), dtype=np.int64), np.full((1, 1), -1)
     p_c, P_c, located = np.zeros((1, 3)), np.zeros((1, 3, 3)), np.zeros(1, dtype=np.bool_)
     counts, offsets = np.array([[1, 1]]), np.array([0, 1])
     blocks = np.array([[[2.0, 3.0, 10.0]]])
