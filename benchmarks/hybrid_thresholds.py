@@ -3,8 +3,7 @@
     python benchmarks/hybrid_thresholds.py --seeds 50      # 800 frames, 350 m, pixel noise: half an hour on two cores
 
 The default of `Hybrid` is the largest linearity index with which the pose stays in its 95 % band in at least 90 % of
-the frames. At first sight by a stereo pair the index is 4 sigma_d / d, so a split by
-distance is a threshold, too: 13.7 m are 30 px.
+the frames.
 """
 
 from __future__ import annotations
@@ -22,7 +21,6 @@ from stereo_slam_env.evaluation.consistency import mean_band, share_inside
 from stereo_slam_env.recording.recording import Recording
 
 LIMITS = (0.02, 0.03, 0.05, 0.1)
-DISTANCES = (13.7,)
 
 
 class OwnAnchors(Hybrid):
@@ -35,7 +33,6 @@ CASES: dict[str, dict[str, Any]] = {
     "inverse depth": {"landmark": "shared-anchor"},
     **{f"index < {limit:g}": {"landmark": Hybrid(limit)} for limit in LIMITS},
     "index < 0.03, an anchor each": {"landmark": OwnAnchors(0.03)},
-    **{f"first distance <= {near:g} m": {"landmark": Hybrid(None, near)} for near in DISTANCES},
 }
 
 
