@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from filters.contract.variables import Variable
+from filters.contract.variables import VELOCITY, Variable
 from filters.landmarks.landmark_model import LandmarkModel
 from filters.measurements.measurement_model import MeasurementModel
 from filters.motions.motion_model import ANGULAR, LINEAR, POSITION, ROTATION, CameraState
@@ -230,9 +230,15 @@ def situations_of(model: LandmarkModel, among: tuple = SITUATIONS) -> tuple:
 SENSORS: dict[str, MeasurementModel] = {**MEASUREMENTS, "with variables": ShearedPair()}
 
 
+def values_in(sensor: MeasurementModel, s: Situation) -> dict[str, np.ndarray]:
+    """Values of a sensor's variables at the start, and the velocity as the camera feels it."""
+    felt = np.concatenate([s.camera.R_wc.T @ s.camera.linear_velocity, s.camera.angular_velocity])
+    return {**values_of(sensor.variables), VELOCITY: felt}
+
+
 def measures(sensor: MeasurementModel, s: Situation) -> bool:
     """Whether the sensor has numbers of the situation that a landmark can start from."""
-    values = values_of(sensor.variables)
+    values = values_in(sensor, s)
     with np.errstate(divide="ignore", invalid="ignore"):
         z = sensor.predict(CAMERA, s.rays_c, values)
         finite = np.isfinite(z).all() and np.isfinite(sensor.backproject(CAMERA, z[:, :3], values)).all()

@@ -24,21 +24,23 @@ from ..jacobians import (
     Situation,
     assert_jacobian,
     situations_of,
-    values_of,
+    values_in,
     visible,
 )
 from ..numeric import numeric_jacobian
 from ..slots import ERRORS
+from ..stranger.late_clock import LateClock
 
 CASES = Cases()
 R = np.diag([1.0, 2.0, 3.0])
 SINGLE = {name: sensor for name, sensor in SENSORS.items() if len(sensor.rows(sensor.size == 4)) == 1}
+SINGLE["late clock"] = LateClock()
 """Sensors of one stage: the scratch has the last one alone."""
 
 
 def sight(sensor: MeasurementModel, s: Situation) -> StereoObservation:
     """The landmarks of the situation as the sensor measures them."""
-    z = sensor.predict(CAMERA, s.rays_c, values_of(sensor.variables))
+    z = sensor.predict(CAMERA, s.rays_c, values_in(sensor, s))
     return StereoObservation(np.arange(COUNT), z[:, :3], v_right=z[:, 3] if sensor.size == 4 else None)
 
 
