@@ -29,12 +29,12 @@ from ..jacobians import (
 )
 from ..numeric import numeric_jacobian
 from ..slots import ERRORS
-from ..stranger.late_clock import LateClock
+from ..stranger.late_clock import OFFSET, LateClock
 
 CASES = Cases()
 R = np.diag([1.0, 2.0, 3.0])
 SINGLE = {name: sensor for name, sensor in SENSORS.items() if len(sensor.rows(sensor.size == 4)) == 1}
-SINGLE["late clock"] = LateClock()
+SINGLE["late clock"] = LateClock((replace(OFFSET, value=[0.05]),))
 """Sensors of one stage: the scratch has the last one alone."""
 
 
