@@ -13,6 +13,7 @@ from filters.motions.motion_model import POSITION, ROTATION
 from ..dense import gamma, minus, moved_by, plus
 from ..numeric import numeric_jacobian, relative_difference
 from ..slots import ERRORS, LANDMARKS
+from ..stranger.biased import Biased, BiasedPair
 from .worlds import small_correction, some_filter, turned_world
 
 
@@ -45,6 +46,26 @@ def test_p_is_carried_along_by_the_jacobian_of_the_retraction(landmark: str, err
     expected = J @ symmetric.full(state.P) @ J.T
     sigmas = np.sqrt(np.diag(expected))
     np.testing.assert_allclose(carried / np.outer(sigmas, sigmas), expected / np.outer(sigmas, sigmas), atol=1e-6)
+
+
+@pytest.mark.parametrize("error", [RightInvariant(reset=True), LeftInvariant(), "so3"], ids=str)
+def test_so_it_is_of_blocks_of_four_rows(error: object) -> None:
+    """Landmarks with a bias; their anchors fill three rows."""
+    slam = some_filter(Biased(), error, measurement=BiasedPair())
+    state = slam.state
+    padding = np.zeros(len(state.P), dtype=bool)
+    padding[state.block_rows(np.unique(state.anchor_block)).reshape(-1, 4)[:, 3]] = True
+    P = symmetric.full(state.P)
+    P[padding] = P[:, padding] = 0.0
+    P[padding, padding] = 1.0
+    state.P = np.asfortranarray(P)
+    slam.state, delta = state, np.where(padding, 0.0, small_correction(state, 3, 0.1))
+    there, carried = moved_by(slam, delta)
+    J = numeric_jacobian(lambda e: minus(there, moved_by(slam, delta + e)[0]), len(delta), 1e-5)
+    used, expected = ~padding, J @ P @ J.T
+    sigmas = np.sqrt(np.diag(expected))[used]
+    scale = np.outer(sigmas, sigmas)
+    np.testing.assert_allclose(carried[used][:, used] / scale, expected[used][:, used] / scale, atol=1e-6)
 
 
 @pytest.mark.parametrize("error", ERRORS)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -38,9 +39,9 @@ def driven(frames: list[Frame], **options) -> StereoEKF:
     return stereo_filter
 
 
-def some_filter(landmark: str, error: str | ErrorDefinition) -> StereoEKF:
+def some_filter(landmark: Any, error: str | ErrorDefinition, **options: Any) -> StereoEKF:
     """A filter with a map of several frames seen from a pose in general position, and a dense covariance."""
-    slam = tilted(make(landmark=landmark, error=error, drop_unseen=False))
+    slam = tilted(make(landmark=landmark, error=error, drop_unseen=False, **options))
     for k, frame in enumerate(drive(1, 5, visible=4, depths=(6.0, 30.0))):
         if k:
             slam.predict(DT)
