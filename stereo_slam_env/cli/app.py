@@ -24,6 +24,7 @@ from stereo_slam_env.cli import train as cli_train
 from stereo_slam_env.cli import view as cli_view
 from stereo_slam_env.cli.parts import (
     FILTER_GROUPS,
+    GroupedCommands,
     Interrupted,
     JsonOption,
     TakesTruths,
@@ -38,9 +39,20 @@ if TYPE_CHECKING:
     from sys import UnraisableHookArgs
 
 INTERRUPTED = 130
+_MOVED = {
+    **dict.fromkeys(("--sigma-px", "--sigma"), "noise.independent_pixels=PX"),
+    "--gate": "gate=PROBABILITY, or gate=none",
+    "--search": "search=forecast",
+    **dict.fromkeys(("--consensus", "--no-consensus"), "consensus=true, or consensus=false"),
+    "--reference": "options.reference.kind=surveyed",
+    "--skip-broken": "options.on_broken=skip",
+}
+"""Options that `bench` and `replay` once had, and what `--set` takes in their place."""
 
 app = typer.Typer(
+    cls=GroupedCommands,
     help="Compare stereo EKF-SLAM filters on identical measurements, simulated or real.",
+    context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
@@ -66,6 +78,9 @@ app.command()(cli_view.view)
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command; returns the exit code. Wrong use gets one line on stderr and exit code 2."""
     arguments = list(sys.argv[1:] if argv is None else argv)
+    for option in (argument.partition("=")[0] for argument in arguments if arguments[0] in ("bench", "replay")):
+        if option in _MOVED:
+            return refuse(f"there is no option {option} any more: give --set {_MOVED[option]}")
     try:
         with _no_interruption_is_lost():
             code = app(args=arguments, prog_name="stereo-slam", standalone_mode=False)

@@ -22,9 +22,9 @@ from stereo_slam_env.cli.parts import (
     listed,
     new_directory,
     rig_from,
+    settings_from,
     show_groups,
     show_place,
-    values_from,
     with_options,
 )
 
@@ -34,6 +34,12 @@ if TYPE_CHECKING:
     from stereo_slam_env.benchmark.storage.store import StudyDirectory
 
 Choice = TypeVar("Choice", "FilterChoice", "PolicyChoice")
+
+
+def _setting_keys(incomplete: str) -> list[str]:
+    from stereo_slam_env.benchmark.scenarios.schema import setting_keys
+
+    return [f"{key}=" for key in setting_keys() if key.startswith(incomplete)]
 
 
 @dataclass
@@ -53,26 +59,22 @@ class RunOptions:
     frames: Annotated[int | None, typer.Option("--frames", help="Cut after so many frames.", min=2)] = None
     jobs: JobsOption = 2
     out: OutOption = None
-    sigma_px: Annotated[
-        float | None,
+    odometry: Annotated[
+        bool | None,
         typer.Option(
-            "--sigma-px", "--sigma", help="Pixel noise the filters assume, px.", show_default="what the recording says"
+            "--odometry/--no-odometry",
+            help="Give the filters the odometry.",
+            show_default="what the scenario says; for a real drive, where there is any",
         ),
     ] = None
-    gate: Annotated[
-        str | None,
+    settings: Annotated[
+        list[str] | None,
         typer.Option(
-            "--gate",
-            help="Gate, a probability per landmark, or 'none'.",
-            show_default="what the scenario says; 0.99 for a real drive",
-        ),
-    ] = None
-    search: Annotated[
-        str | None,
-        typer.Option(
-            "--search",
-            help="In images: 'flow', the same tracks for all, or 'forecast', guided by each filter (the paper's way).",
-            show_default="flow",
+            "--set",
+            help="Any field of the scenario, as its file has it: gate=0.9, noise.independent_pixels=0.5, "
+            "options.on_broken=skip, gate=none. May be given several times.",
+            metavar="KEY=VALUE",
+            autocompletion=_setting_keys,
         ),
     ] = None
     record: Annotated[
@@ -95,8 +97,16 @@ class RunOptions:
         typer.Option("--address", help="Scheduler of the Dask cluster.", show_default="one on this machine"),
     ] = None
 
-    def adjusted(self, scenario: Scenario) -> Scenario:
-        """The scenario with these options in place of its own."""
+    def adjusted(self, study: Study) -> Study:
+        """The study with these options in place of its own."""
+        return study.with_scenarios(self._adjusted).with_settings(self.changes)
+
+    @property
+    def changes(self) -> dict[str, Any]:
+        """Fields of the scenario that `--set` gives, by dotted keys."""
+        return settings_from(self.settings or ())
+
+    def _adjusted(self, scenario: Scenario) -> Scenario:
         from stereo_slam_env.benchmark.scenarios.scenario import filter_choice
 
         changes: dict[str, Any] = {}
@@ -106,13 +116,8 @@ class RunOptions:
             changes["filters"] = (*changes.get("filters", scenario.filters), *map(_outside, self.trajectories))
         if self.frames is not None:
             changes["frames"] = self.frames
-        if self.sigma_px is not None:
-            changes["noise"] = {"independent_pixels": self.sigma_px}
-        if self.gate is not None:
-            changes["gate"] = _gate(self.gate)
-            changes["consensus"] = scenario.consensus and changes["gate"] is not None
-        if self.search is not None:
-            changes["search"] = self.search
+        if self.odometry is not None:
+            changes["use_odometry"] = self.odometry
         if self.front_end is not None:
             changes["source"] = _with_front_end(scenario.source, self.front_end)
         return replace(scenario, **changes)
@@ -202,9 +207,6 @@ def bench(
         ),
     ] = None,
     seeds: Annotated[int | None, typer.Option("--seeds", help="Number of recordings, seeds 0, 1, ...", min=1)] = None,
-    odometry: Annotated[
-        bool | None, typer.Option("--odometry/--no-odometry", help="Give the filters the odometry.")
-    ] = None,
     sensor: Annotated[
         str | None,
         typer.Option(
@@ -277,14 +279,11 @@ def bench(
 
     def adjusted(one: Scenario) -> Scenario:
         changes: dict[str, Any] = {} if seeds is None else {"seeds": range(seeds)}
-        if odometry is not None:
-            changes["use_odometry"] = odometry
         if policy is not None:
             changes["policies"] = _chosen("--policy", policy, one.policies, policy_choice)
-        one = replace(one, **changes).with_sensor(measured, drawn)
-        return options.adjusted(one)
+        return replace(one, **changes).with_sensor(measured, drawn)
 
-    study = study.with_scenarios(adjusted)
+    study = options.adjusted(study.with_scenarios(adjusted))
     if rig is not None:
         study = study.with_rig(rig_from(rig))
     check_study(study)
@@ -303,27 +302,6 @@ def replay(
             help="Folder of a real recording (known by its files), a ROS bag, or 'gtsam' for the wheel's example."
         ),
     ],
-    odometry: Annotated[
-        bool | None, typer.Option("--odometry/--no-odometry", help="Use it.", show_default="where there is any")
-    ] = None,
-    consensus: Annotated[
-        bool | None,
-        typer.Option("--consensus/--no-consensus", help="Joint test over each frame.", show_default="for real tracks"),
-    ] = None,
-    reference: Annotated[
-        str | None,
-        typer.Option(
-            "--reference",
-            help="What the truth is: kind=surveyed (motion capture, laser), ins (GPS/INS), simulation, odometry (of "
-            "the same images: no NEES) or unknown; and its errors, m and rad, which are added to what filters claim: "
-            "position_jitter=0.005, rotation_jitter, misalignment, settled_at (s); separated by commas.",
-            metavar="KEY=VALUE,...",
-            show_default="what is known of the recording",
-        ),
-    ] = None,
-    skip_broken: Annotated[
-        bool, typer.Option("--skip-broken", help="Leave out pairs with missing or damaged images, and count them.")
-    ] = False,
     *,
     options: RunOptions,
     images: ImagesOptions,
@@ -338,20 +316,20 @@ def replay(
 
     where = path if path.partition(":")[0] == "gtsam" else str(Path(path).resolve())
     options.require_place()
-    stated = {} if reference is None else values_from("--reference", reference, ["kind"])
-    source = DatasetSource(where, {**images.given(), **({"on_broken": "skip"} if skip_broken else {})}, stated)
     name = f"replay-{Path(where).name.replace(':', '-')}"
     # No bound: the true noise is not known.
-    scenario = options.adjusted(Scenario(name, source, REAL_DRIVE_FILTERS, metrics=("map", "windows")))
-    scenario = replace(scenario, consensus=bool(consensus))
-    check_study(Study.of(scenario))
+    as_it_comes = Scenario(name, DatasetSource(where, images.given()), REAL_DRIVE_FILTERS, metrics=("map", "windows"))
+    study = options.adjusted(Study.of(as_it_comes))
+    check_study(study)
+    scenario = study.only_scenario()
     with options.film(scenario.name) as show:
         with progress_bar(console(stderr=True), "pairs") as progress:
             recording = make_recording(scenario, None, progress)
         show_recording(console(), recording)
-        given: dict[str, Any] = {"use_odometry": odometry, "consensus": consensus, "noise": scenario.noise}
-        given |= {} if options.gate is None else {"gate": scenario.gate}
-        scenario = scenario.set_up_for(source.record(None, scenario.frames), given)
+        given: dict[str, Any] = {"use_odometry": options.odometry}
+        named = {key.partition(".")[0] for key in options.changes}
+        given |= {key: value for key, value in scenario.filter_setup.as_dict().items() if key in named}
+        scenario = scenario.set_up_for(scenario.source.record(None, scenario.frames), given)
         directory = options.directory(Study.of(scenario))
         show(scenario)
     options.run(directory)
@@ -387,12 +365,3 @@ def _outside(text: str) -> FilterChoice:
     if not (label and equals and name):
         raise ValueError(f"--trajectory must be LABEL=FILE, as orbslam3=est.tum, got {text!r}")
     return FilterChoice(label, OUTSIDE, {"file": str(Path(name).absolute())})
-
-
-def _gate(text: str) -> float | None:
-    if text.lower() == "none":
-        return None
-    try:
-        return float(text)
-    except ValueError:
-        raise ValueError(f"--gate must be a probability between 0 and 1, or 'none', got {text!r}") from None

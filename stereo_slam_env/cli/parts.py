@@ -5,13 +5,13 @@ from __future__ import annotations
 import datetime
 import inspect
 import json
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
-from typer.core import TyperCommand
+from typer.core import TyperCommand, TyperGroup
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -128,6 +128,24 @@ def body_from(path: Path | None, estimated: bool) -> Pose | Literal["estimated"]
     return "estimated" if estimated else None if path is None else read_body(path)
 
 
+COMMAND_GROUPS = {
+    "Compare filters": ("bench", "replay", "report", "view", "filters", "scenes", "paper"),
+    "Judge any trajectory": ("evaluate", "calibrate", "claim", "convert", "submit", "verify"),
+    "Learn where to look": ("train", "policies"),
+}
+
+
+class GroupedCommands(TyperGroup):
+    """The commands, listed by the job that they are for."""
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write a section a job: each command and the first sentence of its help."""
+        for title, names in COMMAND_GROUPS.items():
+            commands = {name: self.get_command(ctx, name) for name in names}
+            with formatter.section(title):
+                formatter.write_dl([(n, c.get_short_help_str(limit=200)) for n, c in commands.items() if c])
+
+
 class TakesTruths(TyperCommand):
     """A command whose `--truth` takes all files up to the next option, as a shell writes out `--truth *.csv`."""
 
@@ -198,16 +216,20 @@ def rig_from(text: str) -> str | dict[str, Any]:
     return text.strip() if set(rig) == {"name"} else rig
 
 
-def values_from(option: str, text: str, words: Collection[str]) -> dict[str, float | str]:
-    """Values by name: KEY=NUMBER,... ; those of the keys in `words` are no numbers, but words."""
-    values: dict[str, float | str] = {}
-    for part in text.split(","):
-        key, _, value = (piece.strip() for piece in part.partition("="))
+def settings_from(texts: Iterable[str]) -> dict[str, Any]:
+    """Values by dotted keys that KEY=VALUE give: as TOML has them, else as text; "none" is none."""
+    from stereo_slam_env.files.readers import parse_toml
+
+    settings: dict[str, Any] = {}
+    for text in texts:
+        key, equals, value = (piece.strip() for piece in text.partition("="))
+        if not (equals and value and all(key.split("."))):
+            raise ValueError(f"--set must be KEY=VALUE, as noise.independent_pixels=0.5, got {text!r}")
         try:
-            values[key] = value if key in words else float(value)
+            settings[key] = parse_toml(f"value = {value}")["value"]
         except ValueError:
-            raise ValueError(f"{option} must be numbers by name, as KEY=0.1,OTHER=2, got {text!r}") from None
-    return values
+            settings[key] = None if value == "none" else value
+    return settings
 
 
 def listed(option: str, text: str) -> list[str | dict[str, Any]]:

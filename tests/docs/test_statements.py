@@ -1,8 +1,6 @@
 """Statements of the manual that have been false before, against the code (10 s)."""
 
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import gymnasium as gym
@@ -52,17 +50,6 @@ def test_the_manual_names_the_lock_of_a_run_directory(tmp_path):
     with claimed_folder(tmp_path):
         (lock,) = tmp_path.iterdir()
     assert f"on the file `{lock.name}`" in page("benchmark.md")
-
-
-@pytest.mark.parametrize(("command", "default"), [("bench", "what the scenario says"), ("replay", "0.99 for a real")])
-def test_the_help_says_which_gate_is_taken(command, default):
-    """The presets of `bench` have none, most of them."""
-    done = subprocess.run(
-        [sys.executable, "-m", "stereo_slam_env.cli", command, "--help"], capture_output=True, text=True, timeout=120
-    )
-    assert done.returncode == 0
-    gate = re.search(r"--gate.*?--search", done.stdout, re.DOTALL)[0]
-    assert default in " ".join(gate.replace("│", " ").split())
 
 
 def test_what_was_read_off_kitti_00_is_said():

@@ -16,8 +16,9 @@ from typing import Any, get_type_hints
 
 import msgspec
 
+from filters.catalogue.registry import USUAL
 from stereo_slam_env.benchmark.recordings import sources
-from stereo_slam_env.benchmark.scenarios.scenario import Label, Scenario
+from stereo_slam_env.benchmark.scenarios.scenario import KEYS, Label, Scenario
 from stereo_slam_env.benchmark.scenarios.study import preset_text
 from stereo_slam_env.files.folders import write_atomically
 from stereo_slam_env.files.json_files import write_json
@@ -52,6 +53,13 @@ class _Choice(msgspec.Struct, forbid_unknown_fields=True):
     name: str
     label: Label | msgspec.UnsetType = msgspec.UNSET
     options: dict[str, Any] | msgspec.UnsetType = msgspec.UNSET
+
+
+def setting_keys() -> list[str]:
+    """Dotted keys of a scenario file, with the options of all kinds: for completion."""
+    options = {f"options.{name}" for kind in KINDS for name in kind.__struct_fields__ if name != "arguments"}
+    motion = [f"motion.{name}" for name in USUAL["motion"]]
+    return [*KEYS, "noise.independent_pixels", "noise.diagonal", *motion, *sorted(options)]
 
 
 def scenario_schema() -> dict[str, Any]:

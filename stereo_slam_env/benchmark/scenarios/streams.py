@@ -81,7 +81,7 @@ def check_source(scenario: Scenario) -> None:
         raise ValueError(f"search 'forecast' needs images: scenario {scenario.name!r} has none")
     if scenario.noise is not None and sees:
         raise ValueError(
-            f"scenario {scenario.name!r} must not assume a noise (--sigma-px): in images each measurement comes with "
+            f"scenario {scenario.name!r} must not assume a noise: in images each measurement comes with "
             f"its own covariance"
         )
     for corruption in scenario.corruptions:

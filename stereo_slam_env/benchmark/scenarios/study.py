@@ -96,6 +96,36 @@ class Study:
         """The same study with every scenario changed."""
         return replace(self, cells=tuple(replace(cell, scenario=change(cell.scenario)) for cell in self.cells))
 
+    def with_settings(self, settings: Mapping[str, Any]) -> Study:
+        """The same study with other values of fields in every scenario; without a gate there is no consensus.
+
+        Parameters
+        ----------
+        settings : mapping
+            Values by the keys of a scenario file, dotted: {"gate": None, "noise.independent_pixels": 0.5}.
+
+        Raises
+        ------
+        ValueError
+            A key is unknown, a value is impossible, or the study varies what is given.
+        """
+        if not settings:
+            return self
+        require_known("scenario has no key", [key.partition(".")[0] for key in settings], KEYS)
+        if not settings.get("gate", True):
+            settings = {"consensus": False, **settings}
+
+        def changed(cell: Cell) -> Cell:
+            for key in settings:
+                if any(
+                    f"{key}.".startswith(f"{factor}.") or f"{factor}.".startswith(f"{key}.") for factor in cell.factors
+                ):
+                    raise ValueError(f"{key} must not be set: the grid of {self.name} varies it")
+            values = _plain(_merged(cell.scenario.as_dict(), _nested(settings)))
+            return replace(cell, scenario=Scenario.from_dict(values))
+
+        return replace(self, cells=tuple(map(changed, self.cells)))
+
     def with_rig(self, rig: str | Mapping[str, Any]) -> Study:
         """A study of simulated drives with another stereo rig; where it varies numbers of the rig, it still does.
 

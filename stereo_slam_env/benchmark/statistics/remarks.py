@@ -31,7 +31,7 @@ _CONSEQUENCES: dict[ReferenceKind, str] = {
     "odometry": " What is called error is the distance to it, whose own errors are not known: it "
     "shows gross faults, not which filter is better by a little, and there is no NEES.",
     "unknown": " If a camera has a part in it, what is called error is only a distance, and NEES says nothing: "
-    "replay --reference kind=surveyed, kind=ins or kind=odometry says what it is.",
+    "replay --set options.reference.kind=surveyed (or ins, odometry) says what it is.",
     "none": " There are neither errors nor NEES.",
 }
 

@@ -19,6 +19,7 @@ import stereo_slam_env as sse
 from filters import available_filters
 from filters.catalogue.registry import filter_factory
 from stereo_slam_env.benchmark import presets
+from stereo_slam_env.benchmark.scenarios.schema import setting_keys
 from stereo_slam_env.benchmark.storage.store import RunDirectory
 from stereo_slam_env.cli import app as cli
 from stereo_slam_env.cli.parts import FILTER_GROUPS, PRESET_GROUPS
@@ -102,7 +103,9 @@ def test_bench_compares_and_says_where_everything_is(full_command, tmp_path):
 
 
 def test_options_of_the_command_line_are_stored(command, tmp_path):
-    code, out, _ = command(*BENCH, "--out", tmp_path / "run", "--sigma", "2.5", "--gate", "0.95", "--odometry")
+    code, out, _ = command(
+        *BENCH, "--out", tmp_path / "run", "--set", "noise.independent_pixels=2.5", "--set", "gate=0.95", "--odometry"
+    )
     assert code == 0
     assert "0.95 per landmark" in out
     scenario = json.loads((tmp_path / "run" / "settings.json").read_text())["scenario"]
@@ -208,8 +211,8 @@ def test_two_runs_are_compared(command, tmp_path):
             "6",
             "--jobs",
             "1",
-            "--sigma",
-            sigma,
+            "--set",
+            f"noise.independent_pixels={sigma}",
         )
         assert command(*bench, "--out", tmp_path / name, "--filters", "inverse-depth")[0] == 0
     code, out, _ = command("report", tmp_path / "before", tmp_path / "after")
@@ -282,7 +285,7 @@ def test_replay_against_an_odometry_from_the_same_images_claims_nothing_of_consi
         save_recording(tmp_path / f"{name}.npz", replace(small_recording(frames=40), truth_from=truth_from))
 
     def said(name, *more):
-        common = ("--filters", "inverse-depth", "--jobs", 1, "--gate", "none", "--out", tmp_path / f"run-{name}")
+        common = ("--filters", "inverse-depth", "--jobs", 1, "--set", "gate=none", "--out", tmp_path / f"run-{name}")
         code, out, _ = full_command("replay", tmp_path / f"{name}.npz", *common, *more)
         assert code == 0
         summary = json.loads((tmp_path / f"run-{name}" / "summary.json").read_text())
@@ -297,7 +300,7 @@ def test_replay_against_an_odometry_from_the_same_images_claims_nothing_of_consi
     assert summary["recordings"][0]["reference"] == asdict(SIMULATION)
     assert summary["filters"]["inverse-depth"]["pose_anees"] > 0
 
-    out, summary, page = said("odometry", "--sigma-px", 8)
+    out, summary, page = said("odometry", "--set", "noise.independent_pixels=8")
     for claim in ("NEES /", "it is consistent", "its band", "that band"):
         assert claim not in out
         assert claim not in page
@@ -316,7 +319,7 @@ def test_replay_says_of_a_strangers_truth_that_its_origin_is_unknown_until_it_is
     save_recording(tmp_path / "mine.npz", replace(small_recording(frames=30), truth_from=GIVEN_TRUTH))
 
     def said(name, *more):
-        common = ("--filters", "inverse-depth", "--jobs", 1, "--gate", "none", "--out", tmp_path / name)
+        common = ("--filters", "inverse-depth", "--jobs", 1, "--set", "gate=none", "--out", tmp_path / name)
         code, out, _ = full_command("replay", tmp_path / "mine.npz", *common, *more)
         assert code == 0
         figures = json.loads((tmp_path / name / "summary.json").read_text())["filters"]["inverse-depth"]
@@ -327,12 +330,12 @@ def test_replay_says_of_a_strangers_truth_that_its_origin_is_unknown_until_it_is
         assert "Reference: stated by the recording, origin unknown. It calls its poses true" in text
     assert "independent truth" not in out + page
     make_no_report(monkeypatch)
-    out, _, surveyed = said("surveyed", "--reference", "kind=surveyed, position_jitter=0.001")
+    out, _, surveyed = said("surveyed", *("--set", "options.reference={kind = 'surveyed', position_jitter = 0.001}"))
     assert "Reference: independent truth (surveyed). It calls its poses true" in out
     assert "Its kind was stated for this run. Its stated errors: jitter of 1 mm." in out
     assert surveyed["position_rmse_m"] == figures["position_rmse_m"]
     assert surveyed["pose_anees"] == pytest.approx(figures["pose_anees"], rel=0.2)
-    out, _, odometry = said("odometry", "--reference", "kind=odometry")
+    out, _, odometry = said("odometry", "--set", "options.reference.kind=odometry")
     assert "Reference: odometry from the same images. " in out
     assert odometry["position_rmse_m"] == figures["position_rmse_m"]
     assert odometry["pose_anees"] is None
@@ -340,7 +343,9 @@ def test_replay_says_of_a_strangers_truth_that_its_origin_is_unknown_until_it_is
 
 def test_a_kind_of_poses_that_are_not_there_is_refused(command, tmp_path):
     save_recording(tmp_path / "blind.npz", small_recording(truth=False))
-    code, _, err = command("replay", tmp_path / "blind.npz", "--reference", "kind=ins", "--out", tmp_path / "run")
+    code, _, err = command(
+        "replay", tmp_path / "blind.npz", "--set", "options.reference.kind=ins", "--out", tmp_path / "run"
+    )
     assert code == 2
     assert "reference states kind=ins, but" in err
     assert "has no true pose: leave it out" in " ".join(err.split())
@@ -349,9 +354,9 @@ def test_a_kind_of_poses_that_are_not_there_is_refused(command, tmp_path):
 def test_what_replay_writes_is_read_by_evaluate_with_the_same_nees(command, tmp_path):
     """Of the filters' own errors, against a truth whose errors are stated; the motion over 1 s is scored beside it."""
     save_recording(tmp_path / "drive.npz", replace(small_recording(frames=25), truth_from=SIMULATION))
-    stated = "position_jitter=0.01, rotation_jitter=0.001,settled_at=0.45"
+    stated = "options.reference={position_jitter = 0.01, rotation_jitter = 0.001, settled_at = 0.45}"
     arguments = ("replay", tmp_path / "drive.npz", "--filters", "inverse-depth,right-invariant", "--jobs", 1)
-    code, out, _ = command(*arguments, "--reference", stated, "--out", tmp_path / "run")
+    code, out, _ = command(*arguments, "--set", stated, "--out", tmp_path / "run")
     assert code == 0
     assert "jitter of 10 mm, jitter of 1 mrad. It has settled at 0.45 s: scored from there on." in " ".join(out.split())
     assert "motion NEES, 1 s / 6" in out
@@ -494,7 +499,7 @@ def test_runs_are_judged_together_and_a_pair_without_a_truth(command, tmp_path, 
 @pytest.mark.parametrize(
     ("stated", "complaint"),
     [
-        ("position_jitter", "--reference must be numbers by name"),
+        ("position_jitter=none", "must be a number or text"),
         ("jitter=1", "reference has no statement 'jitter'"),
         ("kind=gps", "kind of a reference must be one of 'simulation', 'surveyed', 'ins', 'odometry', 'unknown'"),
         ("misalignment=-1", "misalignment of a reference must be >= 0"),
@@ -502,7 +507,9 @@ def test_runs_are_judged_together_and_a_pair_without_a_truth(command, tmp_path, 
 )
 def test_stated_errors_that_are_none_are_refused(command, tmp_path, stated, complaint):
     save_recording(tmp_path / "drive.npz", small_recording(frames=4))
-    code, _, err = command("replay", tmp_path / "drive.npz", "--reference", stated, "--out", tmp_path / "run")
+    code, _, err = command(
+        "replay", tmp_path / "drive.npz", "--set", f"options.reference.{stated}", "--out", tmp_path / "run"
+    )
     assert code == 2
     assert complaint in err
     assert not (tmp_path / "run").exists()
@@ -542,7 +549,7 @@ def test_third_party_filters_are_listed_and_benchmarked(command, tmp_path):
 @pytest.mark.usefixtures("third_party")
 def test_what_a_filter_does_not_get_is_in_console_and_summary(command, tmp_path):
     code, out, _ = command(
-        *BENCH, "--out", tmp_path / "run", "--filters", "its-own-way,odometry-only,euclidean", "--gate", 0.99
+        *BENCH, "--out", tmp_path / "run", "--filters", "its-own-way,odometry-only,euclidean", "--set", "gate=0.99"
     )
     assert code == 0
     remarks = (
@@ -604,9 +611,9 @@ def test_scenes_are_listed_and_drawn(command, tmp_path):
         (("bench", "--filters", TABLE.replace("hybrid", "hybird")), "landmark must be one of 'inverse-depth', "),
         (("bench", "--filters", TABLE.replace("_limit", "_limt")), "did you mean 'linearity_limit'?"),
         (("bench", "--filters", TABLE.replace("0.02", "-1")), "linearity_limit must be a finite number > 0, got -1"),
-        (("bench", "--gate", "tight"), "--gate must be a probability"),
-        (("bench", "--gate", "2"), "gate must be a probability"),
-        (("bench", "--sigma", "-1"), "must be a finite number > 0"),
+        (("bench", "--set", "gate=tight"), "gate must be a probability"),
+        (("bench", "--set", "gate=2"), "gate must be a probability"),
+        (("bench", "--set", "noise.independent_pixels=-1"), "must be a finite number > 0"),
         (("replay",), "argument"),
         (("replay", "nowhere"), "nowhere does not exist: give a folder with a recording"),
         (("view", "nowhere"), "nowhere does not exist: give the directory of a run"),
@@ -651,7 +658,9 @@ def test_a_damaged_recording_and_a_damaged_result_are_named(command, tmp_path):
 
 def test_other_settings_never_overwrite_results(command, tmp_path):
     command(*BENCH, "--out", tmp_path / "run", "--filters", "euclidean")
-    code, _, err = command(*BENCH, "--out", tmp_path / "run", "--filters", "euclidean", "--sigma", "2")
+    code, _, err = command(
+        *BENCH, "--out", tmp_path / "run", "--filters", "euclidean", "--set", "noise.independent_pixels=2"
+    )
     assert code == 2
     assert "choose another output directory" in err
 
@@ -789,3 +798,43 @@ def test_older_names_of_filters_resolve_and_are_not_listed():
     for name in ("shared-anchor", "hybrid"):
         assert name not in available_filters()
         assert callable(filter_factory(name))
+
+
+@pytest.mark.parametrize(
+    ("setting", "complaint"),
+    [
+        ("gate", "--set must be KEY=VALUE"),
+        ("=1", "--set must be KEY=VALUE"),
+        ("noise..diagonal=1", "--set must be KEY=VALUE"),
+        ("gait=0.9", "scenario has no key 'gait', did you mean 'gate'"),
+        ("search=sideways", "search must be one of flow, forecast, got 'sideways'"),
+        ("seeds=0.5", "seeds must be whole numbers"),
+        ("options.rout=town", "did you mean 'route'"),
+    ],
+)
+def test_a_setting_that_is_none_is_refused_before_any_work(command, tmp_path, setting, complaint):
+    code, _, err = command("bench", "--set", setting, "--out", tmp_path / "run")
+    assert (code, err.count("\n")) == (2, 1)
+    assert complaint in err
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_setting_does_not_override_what_a_grid_varies(command, tmp_path):
+    for setting in ("noise=none", "noise.diagonal=[1, 1, 1]"):
+        code, _, err = command("bench", "--preset", "mismatch", "--set", setting, "--out", tmp_path / "run")
+        assert code == 2
+        assert "the grid of mismatch varies it" in err
+
+
+def test_an_option_that_moved_is_refused_with_the_field_that_it_became(command):
+    for option, field in (("--gate", "gate="), ("--sigma-px", "noise.independent_pixels="), ("--search", "search=")):
+        code, _, err = command("bench", option, "1")
+        assert (code, f"--set {field}" in err) == (2, True)
+    code, _, err = command("replay", "somewhere", "--reference=kind=ins")
+    assert (code, "--set options.reference" in err) == (2, True)
+
+
+def test_settings_are_completed_from_the_tree_of_scenarios():
+    keys = setting_keys()
+    assert {"gate", "motion.sigma_acceleration", "options.reference", "options.path"} <= set(keys)
+    assert len(set(keys)) == len(keys)

@@ -94,7 +94,7 @@ def test_bench_on_images(command, street, tmp_path):
 
 
 def test_bench_with_a_guided_search_and_a_film_of_it(command, street, tmp_path):
-    guided = ("--sensor", "images", "--search", "forecast", "--gate", "none", "--frames", 2)
+    guided = ("--sensor", "images", "--set", "search=forecast", "--set", "gate=none", "--frames", 2)
     code, out, err = command(
         "bench", "--scenario", street, *guided, *QUICK, "--record", "film.mp4", "--out", tmp_path / "run"
     )
@@ -122,9 +122,12 @@ def test_bench_with_gl(command, street, tmp_path):
         (("--sensor", "foo"), "--sensor must be one of landmarks, images, got 'foo'"),
         (("--sensor", "images", "--renderer", "foo"), "--renderer must be one of tiny, gl, got 'foo'"),
         (("--renderer", "gl"), "--renderer needs --sensor images"),
-        (("--sensor", "images", "--search", "foo"), "search must be one of flow, forecast, got 'foo'"),
-        (("--search", "forecast"), "search 'forecast' needs images"),
-        (("--sensor", "images", "--sigma", "2"), "(--sigma-px): in images each measurement comes with its own"),
+        (("--sensor", "images", "--set", "search=foo"), "search must be one of flow, forecast, got 'foo'"),
+        (("--set", "search=forecast"), "search 'forecast' needs images"),
+        (
+            ("--sensor", "images", "--set", "noise.independent_pixels=2"),
+            "must not assume a noise: in images each measurement",
+        ),
         (("--sensor", "images", "--frames", "81"), "frames must be at most 80 on route 'right-turn', got 81"),
         (("--sensor", "images", "--record", "film.avi"), "film.avi must end in .mp4"),
         (("--sensor", "images", "--record", "nowhere/film.mp4"), "the folder nowhere does not exist"),
@@ -178,7 +181,7 @@ def test_replay_of_images_says_what_was_read(command, folder, tmp_path):
 
 
 def test_replay_of_some_frames_with_a_film(command, folder, tmp_path):
-    options = ("--frames", 4, "--search", "forecast", "--record", "film.mp4")
+    options = ("--frames", 4, "--set", "search=forecast", "--record", "film.mp4")
     code, out, err = command("replay", folder, *options, *QUICK, "--out", tmp_path / "run")
     assert code == 0, err
     assert "4 frames" in out
@@ -206,9 +209,9 @@ def test_the_report_of_a_replay_outlives_the_recording(command, folder, tmp_path
         (("--record", "film.avi"), "must end in .mp4"),
         (("--record", "nowhere/film.mp4"), "the folder nowhere does not exist"),
         (("--filters", "inverse-dept"), "did you mean 'inverse-depth'"),
-        (("--search", "foo"), "search must be one of"),
-        (("--sigma", "2"), "each measurement comes with its own covariance"),
-        (("--gate", "none", "--consensus"), "consensus needs a gate"),
+        (("--set", "search=foo"), "search must be one of"),
+        (("--set", "noise.independent_pixels=2"), "each measurement comes with its own covariance"),
+        (("--set", "gate=none", "--set", "consensus=true"), "consensus needs a gate"),
     ],
 )
 def test_wrong_options_of_replay_are_refused_before_any_work(command, folder, tmp_path, monkeypatch, options, hint):
