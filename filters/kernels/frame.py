@@ -166,7 +166,7 @@ def _stage(
         m = s.select[i]
         if s.ahead[m]:
             s.select[ahead] = m
-            s.fates[m] = GATED  # until it passes the gate and is used
+            s.fates[m] = GATED  # what passes the gate is USED or FAILED in the end: `_apply` says so
             ahead += 1
         else:
             s.fates[m] = BEHIND
@@ -205,7 +205,7 @@ def _gate(calls: Calls, plan: Plan, S: Storage, b: int, s: Scratch, count: int, 
     call(calls.distances, (plan, S.P[b], s, s.select, count, size))
     for i in range(count):
         m = s.select[i]
-        if s.distances[m] <= limit:
+        if s.mahalanobis2[m] <= limit:
             s.select[kept] = m
             kept += 1
     return kept

@@ -61,7 +61,7 @@ def squared_distances(plan: Plan, P: FloatArray, s: Scratch, select: IntArray, c
                 for p in range(total):
                     value += HP[a, p] * s.H[m, b, p]
                 S[a, b] = value
-        s.distances[m] = solve(S, x, size)
+        s.mahalanobis2[m] = solve(S, x, size)
 
 
 @kernel
@@ -72,7 +72,7 @@ def reweight(plan: Plan, s: Scratch, select: IntArray, count: int, size: int) ->
     """
     for i in range(count):
         m = select[i]
-        weight = min((plan.tail_dof + size) / (plan.tail_dof + s.distances[m]), 1.0)
+        weight = min((plan.tail_dof + size) / (plan.tail_dof + s.mahalanobis2[m]), 1.0)
         for a in range(size):
             for b in range(size):
                 s.R[m, a, b] /= weight

@@ -115,7 +115,7 @@ def see(
 
 @kernel
 def compare(T: FloatArray, s: Scratch, count: int, size: int) -> None:
-    """Innovations of the selected measurements, and whether they can be seen at all."""
+    """Innovations `nu` of the selected measurements, and `ahead`: whether the sensor can see them."""
     for i in range(count):
         m = s.select[i]
         s.ahead[m] = s.in_front[i]
@@ -189,7 +189,10 @@ def linearise(
     s: Scratch,
     count: int,
 ) -> None:
-    """Innovation, H and first rows of the selected measurements, H at the state or at the first estimates."""
+    """Innovation, H and first rows of the selected measurements, H at the state or at the first estimates.
+
+    Valid afterwards, by measurement: `nu`, `ahead`, `H`, `base`. The rest of the scratch it writes is its own.
+    """
     T, size = plan.T[variant, stage], plan.rows[variant, stage, 0]
     if plan.first_estimates:
         point, at = S.predicted[b], s.point_blocks

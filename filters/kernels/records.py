@@ -205,7 +205,7 @@ ROWS: Rows = (
     ("where", INT, "M", "landmark of each measurement, -1: not in the map"),
     ("place", INT, "M", "place of each selected measurement among those of the frame"),
     ("land", INT, "M", "landmark of each measurement of a known one"),
-    ("select", INT, "M", "selected measurements"),
+    ("select", INT, "I", "measurements m that are worked on; what a stage refuses is taken out"),
     ("entered", INT, "M", "blocks that new landmarks and clones take"),
     ("fates", BYTE, "M", "outcome of each measurement"),
     ("base", INT, "M 2", "first rows of anchor and own numbers of each landmark"),
@@ -214,8 +214,8 @@ ROWS: Rows = (
     ("R", REAL, "M rows rows", "their noise"),
     ("H", REAL, "M most width", "Jacobian by leading rows, anchor, own rows; of new landmarks by the leading ones"),
     ("nu", REAL, "M rows", "innovations"),
-    ("distances", REAL, "M", "squared distances of single measurements"),
-    ("ahead", FLAG, "M", "whether a measurement passed the stages before, and can be seen"),
+    ("mahalanobis2", REAL, "M", "squared Mahalanobis distances nu^T S^-1 nu, each on its own"),
+    ("ahead", FLAG, "M", "whether the sensor can see it; false of what an earlier stage refused"),
     ("used", FLAG, "M", "whether a chunk had a Cholesky factor"),
     ("support", FLAG, "agree agree", "measurements that agree with each proposal"),
     ("HP", ALIGNED, "chunk n16", "H P of a chunk; rows of 512 numbers would fall on the same lines of a cache"),
@@ -234,25 +234,25 @@ ROWS: Rows = (
     ("odometry_nu", REAL, "odometry", "innovation of odometry"),
     ("odometry_H", REAL, "odometry moved_rows", "its Jacobian"),
     ("odometry_R", REAL, "odometry odometry", "and noise"),
-    ("taken", INT, "K", "blocks that functions of landmarks work on"),
-    ("values_taken", REAL, "K v", "their values"),
-    ("values_moved", REAL, "K v", "values after a correction"),
-    ("points", REAL, "K seen", "homogeneous points, in W"),
-    ("by_own", REAL, "K seen size", "their Jacobians by the own numbers"),
+    ("taken", INT, "I", "blocks that functions of landmarks work on"),
+    ("values_taken", REAL, "I v", "their values"),
+    ("values_moved", REAL, "I v", "values after a correction"),
+    ("points", REAL, "I seen", "homogeneous points, from the anchor (or the origin of W), in the axes of W"),
+    ("by_own", REAL, "I seen size", "their Jacobians by the own numbers"),
     ("theta", REAL, "3", "rotation vector of the world"),
-    ("correction", REAL, "K size", "correction of the own numbers"),
-    ("by_correction", REAL, "K size size", "Jacobian by it"),
-    ("by_theta", REAL, "K size 3", "Jacobian by theta"),
-    ("effect", REAL, "K size 3", "effect of a rotation of the world on the own numbers"),
+    ("correction", REAL, "I size", "correction of the own numbers"),
+    ("by_correction", REAL, "I size size", "Jacobian by it"),
+    ("by_theta", REAL, "I size 3", "Jacobian by theta"),
+    ("effect", REAL, "I size 3", "effect of a rotation of the world on the own numbers"),
     ("sensed", REAL, "sensed", "values of what the sensor depends on besides the point"),
-    ("points_c", REAL, "M seen", "homogeneous points in the camera frame"),
-    ("numbers", REAL, "N numbers", "numbers of the sensor there"),
-    ("by_point", REAL, "N numbers seen", "Jacobian by the point"),
-    ("by_values", REAL, "N numbers others", "Jacobian by the values"),
-    ("in_front", FLAG, "N", "whether the sensor can see it"),
-    ("uvd", REAL, "M 3", "measurements that start landmarks"),
-    ("by_uvd", REAL, "M seen 3", "Jacobian of their points"),
-    ("back_by_values", REAL, "N seen others", "and by the values"),
+    ("points_c", REAL, "I seen", "homogeneous points in the camera frame"),
+    ("numbers", REAL, "I numbers", "numbers of the sensor there"),
+    ("by_point", REAL, "I numbers seen", "Jacobian by the point"),
+    ("by_values", REAL, "I numbers others", "Jacobian by the values"),
+    ("in_front", FLAG, "I", "whether the sensor can see it"),
+    ("uvd", REAL, "I 3", "measurements that start landmarks"),
+    ("by_uvd", REAL, "I seen 3", "Jacobian of their points"),
+    ("back_by_values", REAL, "I seen others", "and by the values"),
     ("by_start", REAL, "M size seen", "Jacobian of the values by the point"),
     ("possible", FLAG, "M", "whether a landmark can start"),
     ("gate_rows", INT, "width", "rows of P that one measurement depends on"),
@@ -276,7 +276,12 @@ ROWS: Rows = (
     ("sizes", np.int32, "3", "arguments of LAPACK"),
 )
 Scratch: Any = record_of(__name__, "Scratch", ROWS)
-"""Room for one filter's frame at a time: one for each thread."""
+"""Room for one filter's frame at a time: one for each thread.
+
+Axis M is the number of a measurement among those of the frame, axis I a place in a selection of them: row i of
+`points_c` or `numbers` belongs to measurement select[i] as `select` was when they were written, by `linearise`. What is
+by M stays valid when the gate takes measurements out of `select`; what is by I does not.
+"""
 
 
 def scratch(recipe: Recipe, storage: Storage, measurements: int, rows: int = 0, columns: int = 0) -> Scratch:
@@ -290,15 +295,9 @@ def scratch(recipe: Recipe, storage: Storage, measurements: int, rows: int = 0, 
     size, seen = plan.size, recipe.seen_size
     width, others, most = plan.measured + 3 * plan.anchors + size, plan.measured - POSE_SIZE, max(MOST_ROWS, size)
     drawn, lines = (2 * width + 1, M) if len(plan.sigma_points) else (1, 0)
-    N, K, v, numbers, moved = (
-        max(M, drawn),
-        max(M, blocks, drawn),
-        recipe.value_size,
-        recipe.sensor_size,
-        len(plan.moved_rows),
-    )
+    places, v, numbers, moved = max(M, blocks, drawn), recipe.value_size, recipe.sensor_size, len(plan.moved_rows)
     sizes = {
-        **{"n": n, "n16": n + 16, "blocks": blocks, "leading": leading, "M": M, "N": N, "K": K, "v": v},
+        **{"n": n, "n16": n + 16, "blocks": blocks, "leading": leading, "M": M, "I": places, "v": v},
         **{"size": size, "seen": seen, "most": most, "width": width, "width1": width + 1, "width8": width + 8},
         **{"numbers": numbers, "others": others, "moved_rows": moved, "moving": len(plan.moved), "odometry": used},
         **{"rows": MOST_ROWS, "chunk": rows, "chunk8": rows + 8, "factors": max(6, 2 * size - 1), "drawn": drawn},

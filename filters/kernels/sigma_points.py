@@ -134,7 +134,10 @@ def fit(
     s: Scratch,
     count: int,
 ) -> None:
-    """As `linearise`, of the stages; of (u, v, d) by Jacobians."""
+    """Innovation, H and R of a stage by sigma points; of the last one, (u, v, d), by Jacobians as `linearise`.
+
+    `points_c` and `numbers` are afterwards those of the last landmark drawn, not of the selection.
+    """
     T, size, P, width = plan.T[variant, stage], plan.rows[variant, stage, 0], S.P[b], len(s.root)
     if stage == plan.T.shape[1] - 1:
         see(calls, plan, x, blocks, S, b, s, count)
