@@ -11,9 +11,6 @@ from .benchmark.scenarios.scenario import PolicyChoice as PolicyChoice
 from .benchmark.scenarios.scenario import Scenario as Scenario
 from .benchmark.scenarios.study import Study as Study
 from .datasets import load as load
-from .envs.drive import StereoDriveEnv as StereoDriveEnv
-from .envs.drive_gaze import StereoDriveGazeEnv as StereoDriveGazeEnv
-from .envs.gaze import StereoGazeEnv as StereoGazeEnv
 from .envs.recorder import RenderedDrive as RenderedDrive
 from .evaluation.drift_calibration import calibrate as calibrate
 from .evaluation.drift_model import DriftModel as DriftModel
@@ -35,6 +32,9 @@ from .recording.trajectory import Trajectory as Trajectory
 from .recording.trajectory_files import load_trajectory as load_trajectory
 from .recording.trajectory_files import save_trajectory as save_trajectory
 from .report.benchmark_report import write_report_of as write_report_of
+from .report.pictures import show_errors as show_errors
+from .report.pictures import show_map as show_map
+from .report.pictures import show_nees as show_nees
 from .sensing.padding import stereo_observation as stereo_observation
 from .world.routes import register_route as register_route
 from .world.surroundings import register_scene as register_scene

@@ -162,10 +162,10 @@ class Comparison:
         return f"{self.title}\n\n{self.table}\n{self.verdict.headline}"
 
     def _repr_html_(self) -> str:
-        seen = {run.filter_name: run for run in self.runs if run.seed == self.runs[0].seed}
-        chart = html.lines_chart(
-            {label: (run.timestamps, run.pose_nees / 6.0) for label, run in seen.items()}, "s", "NEES / 6"
-        )
+        from stereo_slam_env.report.pictures import show_nees
+
+        scored = any(summary.pose_anees is not None for summary in self.summaries)
+        chart = show_nees(self).svg() if scored else ""
         return html.heading(self.title) + html.fixed_width(self.table) + self.verdict._repr_html_() + chart
 
     def report(self, folder: str | Path) -> Path:

@@ -123,7 +123,7 @@ SAYS = [
     ("cv2", "from stereo_slam_env.frontend import StereoTracker"),
     ("cv2", "import gymnasium, stereo_slam_env; gymnasium.make('StereoSlam/Gaze-v0')"),
     ("pybullet", "import gymnasium, stereo_slam_env; gymnasium.make('StereoSlam/Gaze-v0')"),
-    ("pybullet", "import stereo_slam_env as sse; sse.StereoDriveEnv"),
+    ("pybullet", "from stereo_slam_env.envs.drive import StereoDriveEnv"),
     ("numba", "import filters; filters.FilterBatch"),
     ("numba", f"{RIG}; make_filter('inverse-depth', camera=camera, noise=StereoNoise.independent_pixels(1.0))"),
     ("numba", "import gymnasium, stereo_slam_env; gymnasium.make_vec('StereoSlam/Drive-v0', num_envs=2)"),

@@ -97,8 +97,7 @@ def test_results_show_themselves():
     comparison = sse.compare(["inverse-depth", "right-invariant"], "reference-turn", seeds=2, frames=6)
     text, seen = shown(comparison)
     assert "pose NEES / 6" in text
-    assert seen.count("polyline") == 2
-    assert "position error, m" in text  # within a notebook, too, where a console would show it elsewhere
+    assert "Pose NEES / 6, mean of 2 runs" in text  # within a notebook, too, where a console would show it elsewhere
     shown(comparison.verdict)
     text, seen = shown(sse.make_recording("reference-turn", 0))
     assert "1344x391 px" in text

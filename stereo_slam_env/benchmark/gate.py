@@ -200,7 +200,7 @@ def _row(
         failed = percent > limit
         words = difference.tie_words if difference.tied else f"more than {limit:g} % is worse; too few runs for a test"
         return about(percent, "limit", failed, words)
-    shown = {Finding.WORSE: "shown", Finding.BETTER: "better"}.get(difference.finding, "no difference shown")
+    shown = {Finding.WORSE: "shown", Finding.BETTER: "better"}.get(difference.finding, Finding.NOT_SHOWN.value)
     words = difference.tie_words if difference.tied else f"{shown} ({difference.evidence})"
     return about(as_percent(difference.estimate), by, difference.finding is Finding.WORSE, words)
 

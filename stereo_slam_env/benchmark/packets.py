@@ -37,7 +37,7 @@ from stereo_slam_env.benchmark.storage.tables import CellResult, results_of
 from stereo_slam_env.evaluation.results import FilterRun
 from stereo_slam_env.evaluation.run_trajectories import estimate_of, reference_of
 from stereo_slam_env.evaluation.trajectory_score import evaluate_trajectory
-from stereo_slam_env.files.json_files import write_json
+from stereo_slam_env.files.folders import write_json
 from stereo_slam_env.files.readers import read_json
 
 _FORMATS = "stereo-slam packet "

@@ -285,7 +285,9 @@ def bench(
 
     study = options.adjusted(study.with_scenarios(adjusted))
     if rig is not None:
-        study = study.with_rig(rig_from(rig))
+        if other := next((cell.scenario.source.kind for cell in study.cells if not cell.scenario.source.has_rig), None):
+            raise ValueError(f"--rig needs a simulated camera, got a scenario of kind {other!r}")
+        study = study.with_settings({"options.rig": rig_from(rig)})
     check_study(study)
     directory = options.directory(study)
     with options.film(study.name) as show:

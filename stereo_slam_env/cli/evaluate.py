@@ -76,8 +76,7 @@ def evaluate(
     from stereo_slam_env.evaluation.gauges import AlignmentKind
     from stereo_slam_env.evaluation.trajectory_runs import score_runs
     from stereo_slam_env.evaluation.trajectory_score import SCHEMA, evaluate_trajectory
-    from stereo_slam_env.files.folders import own_files, require_writable
-    from stereo_slam_env.files.json_files import write_json
+    from stereo_slam_env.files.folders import own_files, require_writable, write_json
     from stereo_slam_env.recording.trajectory_files import load_trajectory
     from stereo_slam_env.report.trajectory_table import show_runs_score, show_trajectory_scores
 

@@ -16,6 +16,7 @@ from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray
 from filters.motions.motion_model import POSE_SIZE, POSITION, ROTATION
 from stereo_slam_env.evaluation.consistency import mean_band
+from stereo_slam_env.evaluation.figures import readable
 from stereo_slam_env.evaluation.intervals import MeanInterval, mean_interval
 from stereo_slam_env.recording.trajectory import Trajectory, transformed
 
@@ -82,20 +83,21 @@ class ClaimScore:
             return verdict_of(self.nees.mean, self.dof, self.band)
         if self.nees.mean <= self.band[1]:
             return "the two claims do not contradict each other"
-        return f"the two claims together are too tight, by at least {self.per_axis:.3g} per axis"
+        ratio = readable(self.error_ratio)
+        return f"the two claims together are overconfident: differences are at least {ratio} times the claimed sigma"
 
     @property
-    def per_axis(self) -> float:
-        """Factor of the standard deviations, > 1, by the mean NEES."""
-        return per_axis(self.nees.mean, self.dof)
+    def error_ratio(self) -> float:
+        """Errors over the claimed standard deviation, root mean square over the axes."""
+        return error_ratio(self.nees.mean, self.dof)
 
 
 class Fit(StrEnum):
     """A claim against the errors that there are."""
 
     CONSISTENT = "consistent"
-    TIGHT = "too tight"
-    LOOSE = "too loose"
+    TIGHT = "overconfident"
+    LOOSE = "too cautious"
     UNKNOWN = "unknown"
 
 
@@ -112,13 +114,14 @@ def verdict_of(mean_nees: float, dof: int, band: tuple[float, float], runs: str 
     fit = fit_of(mean_nees, band)
     if fit is Fit.CONSISTENT:
         return f"{fit}, as far as {runs} can tell"
-    return "none: NEES is not finite" if fit is Fit.UNKNOWN else f"{fit}, by {per_axis(mean_nees, dof):.3g} per axis"
+    if fit is Fit.UNKNOWN:
+        return "none: NEES is not finite"
+    return f"{fit}: errors are {readable(error_ratio(mean_nees, dof))} times the claimed sigma"
 
 
-def per_axis(mean_nees: float, dof: int) -> float:
-    """Factor of the standard deviations, > 1, that a mean NEES says."""
-    factor = float(np.sqrt(mean_nees / dof))
-    return max(factor, 1.0 / factor) if factor > 0 else float("inf")
+def error_ratio(mean_nees: float, dof: int) -> float:
+    """Errors over the claimed standard deviation, root mean square over the axes, by a mean NEES."""
+    return float(np.sqrt(mean_nees / dof))
 
 
 def claim_score(

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from filters import StereoNoise
+from filters import LandmarkBelief, StereoNoise
 from filters.catalogue.registry import FilterFactory, label_of, make_with_common_options
 from filters.checks.consistency import InconsistentPoseError, nees
 from filters.contract.outputs import UpdateReport
@@ -92,6 +92,7 @@ def run_filter(
     not_given: Mapping[str, str] = {}
     frame_number = -1
     scores: WindowScores | None = None
+    final_map: LandmarkBelief | None = None
     with threadpool_limits(limits=1):
         try:
             made = make_with_common_options(
@@ -113,6 +114,7 @@ def run_filter(
                 frame_number = moment.number + 1
                 if progress is not None:
                     progress(frame_number, len(recording))
+            final_map = made.filter.landmarks if score_map else None
             failure = log.fault()
         except ContractBroken as error:
             failure = log.fault() or str(error)
@@ -126,7 +128,7 @@ def run_filter(
             log.add_windows(scores.series)
     if failure is not None:
         _log.info("%s on %s failed at %s", name, recording.name, failure)
-    return log.result(name, used, seed, failure, memory, not_given)
+    return log.result(name, used, seed, failure, memory, not_given, final_map)
 
 
 def _with_windows(scores: WindowScores | None, moment: Moment, name: str, drive: str) -> WindowScores | None:
@@ -313,6 +315,7 @@ class RunLog:
         failure: str | None,
         memory_mb: float,
         not_given: Mapping[str, str] | None = None,
+        final_map: LandmarkBelief | None = None,
     ) -> FilterRun:
         """The run so far."""
         for name, part in _NEES.items():
@@ -338,6 +341,7 @@ class RunLog:
             memory_mb=memory_mb,
             landmark_statistics=self._scorer.statistics,
             truth_from=self._recording.truth_from,
+            final_map=final_map,
             **self._series,
         )
 

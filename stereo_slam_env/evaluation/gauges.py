@@ -230,7 +230,7 @@ class GaugeScore:
     """The claim under it."""
 
     @property
-    def per_axis(self) -> float:
+    def error_ratio(self) -> float:
         """Standard deviation of the errors over the claimed one, root mean square over the axes."""
         return float(np.sqrt(self.nees / self.dof))
 
@@ -246,7 +246,7 @@ ANOTHER_SIZE = 2.0
 
 def claims_differ(gauges: Sequence[GaugeScore]) -> bool:
     """Whether a claim fits otherwise under another alignment, or is wrong by another size."""
-    sizes = [gauge.per_axis for gauge in gauges if gauge.fit is not Fit.UNKNOWN]
+    sizes = [gauge.error_ratio for gauge in gauges if gauge.fit is not Fit.UNKNOWN]
     otherwise = len({gauge.fit for gauge in gauges}) > 1
     return otherwise or (bool(sizes) and max(sizes) > ANOTHER_SIZE * min(sizes))
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from filters import LandmarkBelief
 from filters.geometry.arrays import FloatArray, IntArray
 from stereo_slam_env.evaluation.landmark_statistics import DepthConvergence, LandmarkStatistics, RangeError
 from stereo_slam_env.evaluation.map_scoring import LandmarkTrace
@@ -112,6 +113,8 @@ class FilterRun:
     """Errors of the map by distance and age."""
     truth_from: Reference = GIVEN_TRUTH
     """What the truth is, where there is one."""
+    final_map: LandmarkBelief | None = None
+    """Landmarks after the last frame; None where they are not kept, as in runs that were stored."""
 
     def __post_init__(self) -> None:
         for series in fields(self):

@@ -214,7 +214,7 @@ class PairedVerdict:
         return f"{text} Log score of the pose: {found.mean:+.3g} [{found.low:+.3g}, {found.high:+.3g}] nats: {shown}."
 
     def _better(self, first: bool, second: bool) -> str:
-        return f"{self.estimate} is better" if first else f"{self.other} is better" if second else "no difference shown"
+        return f"{self.estimate} is better" if first else f"{self.other} is better" if second else "not significant"
 
 
 def evaluate_trajectory(

@@ -12,11 +12,12 @@ import json
 import os
 import re
 import tempfile
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any
 
+import msgspec
 from filelock import FileLock, Timeout
 
 from stereo_slam_env.files.opening import is_plain_name, require_inside
@@ -56,6 +57,21 @@ def write_atomically(path: Path, write: Callable[[IO[bytes]], Any]) -> None:
 def write_text(path: Path, text: str) -> None:
     """Write a text in UTF-8, as `write_atomically`."""
     write_atomically(path, lambda stream: stream.write(text.encode()))
+
+
+def json_text(data: Mapping[str, Any], *, indent: int | None = 2) -> str:
+    """JSON of plain data, NaN and infinity as null, ended by a line break; `indent` None: no other, no spaces."""
+    compact = msgspec.json.encode(data, enc_hook=_plain)
+    return (compact if indent is None else msgspec.json.format(compact, indent=indent)).decode() + "\n"
+
+
+def write_json(path: Path, data: Mapping[str, Any], *, indent: int | None = 2) -> None:
+    """Write JSON, whole or not at all; `indent` as of `json_text`."""
+    write_atomically(path, lambda stream: stream.write(json_text(data, indent=indent).encode()))
+
+
+def _plain(value: Any) -> Any:
+    return dict(value) if isinstance(value, Mapping) else float(value)
 
 
 def require_writable(path: Path) -> None:

@@ -21,8 +21,14 @@ import numpy as np
 from filters.contract.extras import require_module
 from filters.contract.validation import first_line, positive, require_known, whole_number
 from filters.geometry.arrays import FloatArray
-from stereo_slam_env.files.folders import claimed_folder, is_occupied, write_atomically, write_text
-from stereo_slam_env.files.json_files import json_text, write_json
+from stereo_slam_env.files.folders import (
+    claimed_folder,
+    is_occupied,
+    json_text,
+    write_atomically,
+    write_json,
+    write_text,
+)
 from stereo_slam_env.files.opening import open_regular, require_links_inside
 from stereo_slam_env.files.package_versions import commit, version_of
 from stereo_slam_env.files.readers import read_json, read_text, require_plain_zip

@@ -62,7 +62,7 @@ def _guide(comparison: RunComparison) -> str:
     pairing = "recording by recording, on the same measurements" if comparison.paired else "as two unpaired samples"
     common = ", over the recordings that both have" if comparison.paired else ""
     return (
-        f"Compared {pairing}. Green and red: interval and test both show the change; grey: no difference shown. Before"
+        f"Compared {pairing}. Green and red: interval and test both show the change; grey: not significant. Before"
         f" and after are the figures of the reports{common}; the change is the geometric mean of ratios,"
         f" {comparison.how}, and not the ratio of the two, which one hard recording may decide."
     )

@@ -73,7 +73,7 @@ def show_settings(console: Console, scenario: Scenario) -> None:
     if sees:
         lines["search"] = {"flow": "the same for all filters", "forecast": "guided by each filter"}[scenario.search]
     if scenario.source.seeded:
-        lines["seeds"] = f"{len(scenario.seeds)} ({_ranges(scenario.seeds)})"
+        lines["seeds"] = _ranges(scenario.seeds)
     _show_lines(console, lines)
 
 
@@ -259,7 +259,10 @@ def show_comparison(console: Console, comparison: RunComparison) -> None:
 
 
 def _cells(summaries: Sequence[FilterSummary], *, claims: bool, brief: bool) -> dict[str, list[str]]:
-    """Cells of each figure by its title, one a filter; figures that no filter has are left out."""
+    """Cells of each figure by its title, one a filter; figures that no filter has, and counts of nothing, are left out.
+
+    So a table has neither zeros of events that did not happen nor the number of timed runs where it is all of them.
+    """
     figures = [f for f in FIGURES.values() if "console" in f.places and (claims or f.group != "claim")]
     figures.sort(key=lambda figure: figure.group != "claim")
     if brief:
@@ -267,12 +270,21 @@ def _cells(summaries: Sequence[FilterSummary], *, claims: bool, brief: bool) -> 
     rows = {}
     bands = {pose_nees(s)[1] for s in summaries if s.pose_anees_band is not None}
     for figure in figures:
+        if not brief and all(_is_usual(figure, summary) for summary in summaries):
+            continue
         of_all = f" (95 %: {next(iter(bands))})" if figure is POSE_NEES and len(bands) == 1 else ""
         rows[f"{figure.title}{of_all}"] = [_cell(figure, summary) for summary in summaries]
         if figure is EFFICIENCY and not brief:
             limits = [limit_reached(summary) for summary in summaries]
             rows["95 % interval of that"] = [UNKNOWN if found is None else found.sureness for found in limits]
     return {title: cells for title, cells in rows.items() if set(cells) != {UNKNOWN}}
+
+
+def _is_usual(figure: Figure, summary: FilterSummary) -> bool:
+    """Whether a count says nothing: no event, or all runs timed."""
+    usual = summary.runs if figure.name == "timed" else 0
+    counts = figure.per_runs or figure.kind == "integer" or figure.group == "events"
+    return counts and summary.figures[figure.name] == usual
 
 
 def _cell(figure: Figure, summary: FilterSummary) -> str:

@@ -206,7 +206,7 @@ def _difference(summary: FilterSummary, verdict: Verdict) -> TableCell | None:
     if not verdict.comparisons:
         return None
     if summary.filter_name == verdict.best:
-        return answer("0 %", "what the others are held against", "none", _interval_mark(None, verdict), 0.0)
+        return answer("0 %", "reference", "none", _interval_mark(None, verdict), 0.0)
     comparison = verdict.comparisons.get(summary.filter_name)
     if comparison is None or not comparison.difference.count:
         return None

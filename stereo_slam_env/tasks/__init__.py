@@ -1,4 +1,4 @@
-"""Whole tasks with an id: an environment, a filter in the loop, and a reward; levels of difficulty, a curriculum."""
+"""Whole tasks with an id: an environment, a filter in the loop, and a reward; levels of difficulty."""
 
 from filters.contract.extras import public_names
 

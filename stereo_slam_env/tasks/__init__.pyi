@@ -9,6 +9,5 @@ from .drive_choices import DriveChoices as DriveChoices
 from .explore import Coverage as Coverage
 from .explore import explore_by_sweeping as explore_by_sweeping
 from .levels import LEVELS as LEVELS
-from .levels import Curriculum as Curriculum
 from .revisit import LoopClosure as LoopClosure
 from .revisit import close_if_it_pays as close_if_it_pays

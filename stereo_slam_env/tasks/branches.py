@@ -19,7 +19,7 @@ from stereo_slam_env.world.routes import through_streets
 from stereo_slam_env.world.street_grid import LEFT, RIGHT, STRAIGHT, Place, StreetGrid
 from stereo_slam_env.wrappers import BeliefObservation, BeliefPanorama, SelectedKeys
 from stereo_slam_env.wrappers.filter_rows import FilterRows
-from stereo_slam_env.wrappers.recorded_wrapper import RowWrapper
+from stereo_slam_env.wrappers.row_wrapper import RowWrapper
 from stereo_slam_env.wrappers.vectors import vector_of
 
 KEYS = ("belief_sigmas", "branches", "roads_left", "mapped")

@@ -14,7 +14,7 @@ from filters.contract.validation import positive, whole_number
 from filters.geometry.arrays import BoolArray
 from stereo_slam_env.envs.rows import Rows, RowsWrapper, Step
 from stereo_slam_env.policies.rows import follow_route
-from stereo_slam_env.wrappers.recorded_wrapper import RowWrapper
+from stereo_slam_env.wrappers.row_wrapper import RowWrapper
 
 
 class DriveChoicesRows(RowsWrapper):

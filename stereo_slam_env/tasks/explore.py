@@ -21,7 +21,7 @@ from stereo_slam_env.tasks.levels import inner_environment, of_world
 from stereo_slam_env.world.routes import FRAME_PERIOD
 from stereo_slam_env.wrappers import BeliefObservation, BeliefPanorama, SelectedKeys
 from stereo_slam_env.wrappers.filter_rows import FilterRows
-from stereo_slam_env.wrappers.recorded_wrapper import RowWrapper
+from stereo_slam_env.wrappers.row_wrapper import RowWrapper
 from stereo_slam_env.wrappers.vectors import vector_of
 
 KEYS = ("belief_sigmas", "panorama", "head", "car", "route", "progress", "coverage")

@@ -18,7 +18,7 @@ from stereo_slam_env.simulator.state import ODOMETRY_SIGMAS
 from stereo_slam_env.tasks.levels import inner_environment, of_world
 from stereo_slam_env.world.routes import Route
 from stereo_slam_env.wrappers import BeliefObservation, BeliefPanorama, InformationGain, SelectedKeys
-from stereo_slam_env.wrappers.recorded_wrapper import RowWrapper
+from stereo_slam_env.wrappers.row_wrapper import RowWrapper
 from stereo_slam_env.wrappers.vectors import vector_of
 
 KEYS = ("belief_sigmas", "panorama", "ahead", "price")

@@ -19,7 +19,7 @@ from filters.geometry.arrays import BoolArray
 from stereo_slam_env.envs.rows import Arrays, Rows, RowsWrapper, Seeds, Step
 from stereo_slam_env.sensing.padding import NO_LANDMARK
 from stereo_slam_env.wrappers.filter_rows import Belief, filter_rows
-from stereo_slam_env.wrappers.recorded_wrapper import RowWrapper
+from stereo_slam_env.wrappers.row_wrapper import RowWrapper
 
 FARTHEST = 1e4
 """Bound of positions, m."""

@@ -19,7 +19,7 @@ from filters.geometry.camera import StereoCamera
 from filters.kernels.compilation import entry
 from stereo_slam_env.envs.rows import Arrays, Rows, RowsWrapper, Seeds, Step
 from stereo_slam_env.wrappers.filter_rows import FilterRows
-from stereo_slam_env.wrappers.recorded_wrapper import RowWrapper
+from stereo_slam_env.wrappers.row_wrapper import RowWrapper
 
 FEATURES = ("share", "gain", "elevation", "nearness", "in_view", "unseen")
 """Columns of `panorama`."""

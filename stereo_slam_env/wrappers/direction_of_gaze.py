@@ -12,7 +12,7 @@ from filters.contract.validation import whole_number
 from filters.geometry.arrays import BoolArray, FloatArray
 from stereo_slam_env.envs.rows import Rows, RowsWrapper, Step
 from stereo_slam_env.world.vehicle import Head
-from stereo_slam_env.wrappers.recorded_wrapper import RowWrapper
+from stereo_slam_env.wrappers.row_wrapper import RowWrapper
 
 
 class DirectionOfGazeRows(RowsWrapper):

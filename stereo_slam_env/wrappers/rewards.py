@@ -17,7 +17,7 @@ from stereo_slam_env.evaluation.consistency import mean_band
 from stereo_slam_env.evaluation.cramer_rao import ReferenceBelief
 from stereo_slam_env.wrappers.filter_rows import FilterRows
 from stereo_slam_env.wrappers.information import Criterion, InformationCriterion, Subject
-from stereo_slam_env.wrappers.recorded_wrapper import RowWrapper
+from stereo_slam_env.wrappers.row_wrapper import RowWrapper
 
 BeliefOf = Literal["filter", "reference"]
 """Belief that is paid for: that of the filter in the loop, or the reference belief."""

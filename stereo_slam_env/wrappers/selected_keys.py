@@ -10,7 +10,7 @@ from gymnasium import spaces
 
 from filters.contract.validation import require_known
 from stereo_slam_env.envs.rows import Arrays, Rows, RowsWrapper
-from stereo_slam_env.wrappers.recorded_wrapper import RowWrapper
+from stereo_slam_env.wrappers.row_wrapper import RowWrapper
 
 
 class SelectedKeysRows(RowsWrapper):

@@ -34,6 +34,7 @@ OPENERS = {
 NOT_ON_IT = {
     "benchmark/scenarios/study.py _presets": "a file of the package",
     "cli/parts.py _table": "the command line",
+    "cli/parts.py settings_from": "the command line",
     "paper/__init__.py _kept": "its own results: what is wrong with one is that it is computed again",
     "policies/ppo.py _load_state": "needs a network, see tests/stereo_slam_env/policies/test_ppo.py",
     "benchmark/storage/plugin_code.py _digest_of_files": "trajectories that are read before, as `layouts`",

@@ -139,8 +139,8 @@ def test_the_printed_comparison_says_better_worse_or_not_shown():
     assert "better: nearer to its ideal (−" in line("NIS / dof", "inverse-depth", against=Boastful)
     assert "the same in all 7 runs" in line("position error, m", "inverse-depth")
     few = line("position error, m", Boastful, seeds=1)
-    assert few.endswith("no difference shown (1 paired run is too few, 6 are needed)")
-    assert line("diverged runs", **overconfident).endswith("no difference shown")
+    assert few.endswith("not significant (1 paired run is too few, 6 are needed)")
+    assert line("diverged runs", **overconfident).endswith("not significant")
 
 
 def test_the_number_of_recordings_is_an_option_or_a_setting(pytester):

@@ -166,27 +166,6 @@ class Source(msgspec.Struct, frozen=True, tag_field="kind", forbid_unknown_field
         """
         raise ValueError(f"--sensor images needs a scenario of kind 'street', this one is of kind {self.kind!r}")
 
-    def with_rig(self, rig: Mapping[str, Any]) -> Self:
-        """The same drive with another stereo rig, see `sensing.rigs.camera_of`.
-
-        Raises
-        ------
-        ValueError
-            The source has no simulated camera.
-        """
-        if not self.has_rig:
-            raise ValueError(
-                f"--rig needs a simulated camera, that is a scenario of kind 'street', 'gaze' or 'reference', this one "
-                f"is of kind {self.kind!r}"
-            )
-        return self.replaced(rig=rig["name"] if set(rig) == {"name"} else dict(rig))
-
-    @property
-    def rig(self) -> dict[str, Any]:
-        """The simulated rig as a table of numbers and `name`; empty: the usual one."""
-        rig = self.options.get("rig", {})
-        return {"name": rig} if isinstance(rig, str) else dict(rig)
-
     def make_environment(self) -> gym.Env[Any, Any]:
         """The environment in which policies look; only where `for_policies`."""
         raise ValueError(f"a source of kind {self.kind!r} has no environment for policies")

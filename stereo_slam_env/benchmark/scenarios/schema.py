@@ -20,8 +20,7 @@ from filters.catalogue.registry import USUAL
 from stereo_slam_env.benchmark.recordings import sources
 from stereo_slam_env.benchmark.scenarios.scenario import KEYS, Label, Scenario
 from stereo_slam_env.benchmark.scenarios.study import preset_text
-from stereo_slam_env.files.folders import write_atomically
-from stereo_slam_env.files.json_files import write_json
+from stereo_slam_env.files.folders import write_atomically, write_json
 from stereo_slam_env.files.opening import checked_file
 from stereo_slam_env.sensing.corruptions import CORRUPTIONS
 

@@ -102,7 +102,8 @@ class Study:
         Parameters
         ----------
         settings : mapping
-            Values by the keys of a scenario file, dotted: {"gate": None, "noise.independent_pixels": 0.5}.
+            Values by the keys of a scenario file, dotted: {"gate": None, "noise.independent_pixels": 0.5}. A table
+            changes numbers of the one there is; with a `name` it takes its place.
 
         Raises
         ------
@@ -116,32 +117,16 @@ class Study:
             settings = {"consensus": False, **settings}
 
         def changed(cell: Cell) -> Cell:
-            for key in settings:
-                if any(
-                    f"{key}.".startswith(f"{factor}.") or f"{factor}.".startswith(f"{key}.") for factor in cell.factors
-                ):
+            for key, factor in itertools.product(_flat(settings), cell.factors):
+                if f"{key}.".startswith(f"{factor}."):
                     raise ValueError(f"{key} must not be set: the grid of {self.name} varies it")
-            values = _plain(_merged(cell.scenario.as_dict(), _nested(settings)))
-            return replace(cell, scenario=Scenario.from_dict(values))
+            varied = {
+                key: value for key, value in cell.factors.items() if key.startswith(tuple(f"{s}." for s in settings))
+            }
+            values = _merged(_merged(cell.scenario.as_dict(), _nested(settings)), _nested(varied))
+            return replace(cell, scenario=Scenario.from_dict(_plain(values)))
 
         return replace(self, cells=tuple(map(changed, self.cells)))
-
-    def with_rig(self, rig: str | Mapping[str, Any]) -> Study:
-        """A study of simulated drives with another stereo rig; where it varies numbers of the rig, it still does.
-
-        Parameters
-        ----------
-        rig : str or mapping
-            A name, or numbers as for `sensing.rigs.camera_of`: with a `name` they are a rig of their own, else they
-            are put in place of those of each scenario's own rig.
-
-        Raises
-        ------
-        ValueError
-            A scenario has no simulated camera, or the study varies what is given.
-        """
-        given = {"name": rig} if isinstance(rig, str) else dict(rig)
-        return replace(self, cells=tuple(_with_rig(cell, given) for cell in self.cells))
 
     def as_dict(self) -> dict[str, Any]:
         """JSON-able form; `from_dict` reads it."""
@@ -359,28 +344,19 @@ def _with_data(values: dict[str, Any], data: str | Path | None) -> dict[str, Any
     return _merged(values, {"options": {"path": str(folder)}})
 
 
-def _with_rig(cell: Cell, given: Mapping[str, Any]) -> Cell:
-    for key in ("options.rig", *(f"options.rig.{number}" for number in given)):
-        if key in cell.factors:
-            raise ValueError(f"--rig must not give {key}: the grid varies it")
-    rigs = {key.removeprefix("options.rig."): value for key, value in cell.factors.items()}
-    varied = {key: value for key, value in rigs.items() if f"options.rig.{key}" in cell.factors}
-    source = cell.scenario.source
-    rig = {**(varied if "name" in given else source.rig), **given}
-    return replace(cell, scenario=replace(cell.scenario, source=source.with_rig(rig)))
-
-
 def _merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
     """`base` with `changes` in its tables; a value that is no table takes the old one's place.
 
-    A name is short for a table with that `name`, so "vga" with {"baseline": 0.2} is {"name": "vga", "baseline": 0.2}.
+    A name is short for a table with that `name`, so "vga" with {"baseline": 0.2} is {"name": "vga", "baseline": 0.2}; a
+    table with a `name` is another one.
     """
     merged = copy.deepcopy(dict(base))
     for key, value in changes.items():
         before = merged.get(key)
         if isinstance(before, str) and isinstance(value, Mapping):
             before = {"name": before}
-        if isinstance(before, Mapping) and isinstance(value, Mapping) and key != "noise":  # which has one key
+        is_change = isinstance(value, Mapping) and "name" not in value and key != "noise"  # which has one key
+        if is_change and isinstance(before, Mapping):
             value = _merged(before, value)
         merged[key] = copy.copy(value)
     return merged

@@ -40,7 +40,7 @@ class Finding(Enum):
 
     BETTER = "better"
     WORSE = "worse"
-    NOT_SHOWN = "no difference shown"
+    NOT_SHOWN = "not significant"
 
 
 @dataclass(frozen=True)

@@ -166,7 +166,7 @@ def _truth(path: Difference, final: Difference) -> str:
     if shown:
         return f"and its true position error is, run by run, {' and '.join(shown)}"
     open_ones = "; ".join(f"{where} {_change(d)}" for d, where in parts)
-    return f"and no difference of the true position error is shown ({open_ones})"
+    return f"and the true position error does not differ significantly ({open_ones})"
 
 
 def _nees(summary: FilterSummary) -> str:

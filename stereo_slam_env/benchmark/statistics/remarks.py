@@ -28,10 +28,10 @@ _CONSEQUENCES: dict[ReferenceKind, str] = {
     "simulation": "",
     "surveyed": "",
     "ins": " Odometry of the same unit shares its errors.",
-    "odometry": " What is called error is the distance to it, whose own errors are not known: it "
-    "shows gross faults, not which filter is better by a little, and there is no NEES.",
-    "unknown": " If a camera has a part in it, what is called error is only a distance, and NEES says nothing: "
-    "replay --set options.reference.kind=surveyed (or ins, odometry) says what it is.",
+    "odometry": " Errors are only disagreement with it: they show gross faults, not which filter is better by a "
+    "little, and there is no NEES.",
+    "unknown": " If these poses were estimated from the same images, errors are only disagreement and NEES "
+    "says nothing. State what they are: replay --set options.reference.kind=surveyed (or ins, odometry).",
     "none": " There are neither errors nor NEES.",
 }
 
@@ -146,7 +146,7 @@ class Reach(Enum):
     OPEN = "perhaps at the limit"
     AT = "at the limit"
     BEYOND = "beyond the limit"
-    UNSURE = "not told from the limit"
+    UNSURE = "not distinguishable from the limit"
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ those that never diverged is held against each of the others; `pairwise` holds e
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
@@ -18,7 +19,6 @@ from stereo_slam_env.benchmark.statistics.differences import (
     listed,
     percent_words,
     share_difference,
-    signed,
 )
 from stereo_slam_env.benchmark.statistics.measures import POSE_NEES, POSITION, difference_between
 from stereo_slam_env.benchmark.statistics.remarks import Reach, limit_reached
@@ -180,15 +180,15 @@ def _comparison_words(other: FilterSummary, difference: Difference, divergences:
     if difference.tied:
         return f"the error of {name} is {difference.tie_words}"
     if difference.shown:
-        return f"run by run the error of {name} is {percent_words(difference.percent)} ({difference.evidence})"
+        return f"the error of {name} is {percent_words(difference.percent)} ({difference.evidence})"
     if difference.count == 1:
-        return f"one run shows no general difference ({name} is at {signed(difference.percent)} % in it)"
+        return f"the error of {name} is {percent_words(difference.percent)} on this drive, but one drive proves nothing"
     if difference.interval is None:
         return (
-            f"{difference.count} runs are too few to show a difference to {name}, "
-            f"{difference.needed} are needed (run by run {name} is at {signed(difference.percent)} %)"
+            f"{difference.count} runs are too few to compare it with {name}, {difference.needed} are needed "
+            f"(the error of {name} is {percent_words(difference.percent)})"
         )
-    return f"no difference to {name} is shown ({difference.evidence})"
+    return f"the difference from {name} is not significant ({difference.evidence})"
 
 
 # ---- the headline ---------------------------------------------------------------------------------------------------
@@ -237,15 +237,19 @@ def _accuracy(best: FilterSummary, rivals: Sequence[FilterSummary], comparisons:
         error = f"{error}, {widest.tie_words}"
     smallest = f"{who} {'tie for' if tied else 'has'} the smallest position error"
     if undecided:
-        first = f"{smallest}, {error}, but {undecided}."
+        first = f"{smallest}, {error}. {_begun(undecided)}."
     elif not settled:
         first = f"{who} tie: their position error is {error}."
     elif all(c.is_sure for c in comparisons.values() if c.shown):
         first = f"{who} {'tie as' if tied else 'is'} the most accurate, with a position error of {error}."
     else:
         first = f"{smallest} of the filters that never diverged, {error}."
-    behind = "them" if tied else "it"
-    return f"{first} Behind {behind}: {settled}." if settled else first
+    return f"{first} {_begun(settled)}." if settled else first
+
+
+def _begun(words: str) -> str:
+    """Clause as the begin of a sentence; the name of a filter stays as it is."""
+    return re.sub("^(the|on|one) ", lambda match: match[0].capitalize(), words)
 
 
 def _undecided(open_ones: Sequence[FilterComparison]) -> str:
@@ -255,10 +259,10 @@ def _undecided(open_ones: Sequence[FilterComparison]) -> str:
         names += f" and {len(open_ones) - _MOST_WORDED} more"
         most = max((c.difference for c in open_ones), key=lambda d: d.count)
         if most.count == 1:
-            return f"one run shows no general difference to {names}"
+            return f"one drive proves nothing about {names}"
         if most.count and most.too_few:
-            return f"{most.count} runs are too few to show a difference to {names}, {most.needed} are needed"
-        return f"no difference to {names} is shown"
+            return f"{most.count} runs are too few to compare it with {names}, {most.needed} are needed"
+        return f"the differences from {names} are not significant"
     few = [c for c in open_ones if c.difference.count and c.difference.interval is None]
     if len(few) > 1 and len({c.difference.count for c in few}) == 1:
         return "; ".join([_too_few(few), *(c.words for c in open_ones if c not in few)])
@@ -271,8 +275,8 @@ def _too_few(open_ones: Sequence[FilterComparison]) -> str:
     errors = [f"the error of {first[0]} is {first[1]}", *(f"that of {name} {words}" for name, words in others)]
     runs, needed = open_ones[0].difference.count, open_ones[0].difference.needed
     if runs == 1:
-        return f"one run shows no general difference (in it {listed(errors)})"
-    return f"{runs} runs are too few to show a difference, {needed} are needed (run by run {listed(errors)})"
+        return f"on this drive {listed(errors)}, but one drive proves nothing"
+    return f"{runs} runs are too few for a comparison, {needed} are needed ({listed(errors)})"
 
 
 def _nearest(settled: Sequence[FilterComparison]) -> str:
@@ -313,25 +317,22 @@ def pose_nees(summary: FilterSummary) -> tuple[str, str]:
 
 
 def _limit_words(best: FilterSummary) -> str:
-    found, name = limit_reached(best), best.filter_name
+    found = limit_reached(best)
     if found is None:
         return ""
     bound = "the Cramér–Rao bound" + ("" if best.bound_position_m is None else f", {readable(best.bound_position_m)} m")
-    tell = "one run can tell" if found.runs == 1 else f"{found.runs} runs can tell"
-    if found.reach is Reach.SHORT and found.runs < MIN_PAIRS:
-        return f"{name} reaches {found.value} of what theory allows, as far as {tell} ({bound})."
     if found.reach in (Reach.SHORT, Reach.OPEN):
-        sure = found.sureness if found.interval is None else f"{found.sureness} at 95 % confidence"
-        open_ = ", so that it may be at the limit" if found.reach is Reach.OPEN else ""
-        return f"{name} reaches {found.value} of what theory allows ({sure}{open_}; {bound})."
+        sure = found.sureness if found.interval is None else f"95 % interval {found.sureness}"
+        open_ = ", so it may be optimal" if found.reach is Reach.OPEN else ""
+        return f"Its efficiency is {found.value} ({sure}{open_}) of {bound}."
     if found.reach is Reach.AT:
-        return f"The error of {name} is {found.words}: the 95 % interval of bound over error includes 100 % ({bound})."
+        return f"Its error is at the limit: its efficiency, {found.sureness}, may be 100 % of {bound}."
     if found.reach is Reach.BEYOND:
         return (
-            f"The error of {name} is below {bound} (bound over error {found.sureness}): the bound is an average over "
-            f"drives of the assumed motion; these were easier, perhaps by chance, or the filter is told more."
+            f"Its error is below {bound} (efficiency {found.sureness}): the bound is an average over drives of the "
+            f"assumed motion; these were easier, perhaps by chance, or the filter is told more."
         )
-    return f"The error of {name} is not told from the limit, as far as {tell} ({bound})."
+    return f"Its error is {found.value} ({found.sureness}): {bound}."
 
 
 def _cost(best: FilterSummary, rivals: Sequence[FilterSummary]) -> str:

@@ -35,7 +35,7 @@ from stereo_slam_env.recording.archive import reference_of
 
 FORMAT = 4
 _TEXT = ("filter_name", "recording_name", "options", "not_given", "seed", "failure")
-_PARTS = ("counts", "traces", "memory_mb", "landmark_statistics", "truth_from")
+_PARTS = ("counts", "traces", "memory_mb", "landmark_statistics", "truth_from", "final_map")
 _SERIES = tuple(f.name for f in dataclasses.fields(FilterRun) if f.name not in (*_TEXT, *_PARTS))
 _DAMAGE = (MemoryError, OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError)
 _TRACE_SERIES = ("frames", "depth", "sigma", "true_depth", "measured_depth")

@@ -44,8 +44,7 @@ from stereo_slam_env.evaluation.run_figures import (
     RunScore,
     score_of,
 )
-from stereo_slam_env.files.folders import write_atomically
-from stereo_slam_env.files.json_files import write_json
+from stereo_slam_env.files.folders import write_atomically, write_json
 from stereo_slam_env.files.opening import read_bytes, require_links_inside
 from stereo_slam_env.files.readers import read_json
 

@@ -25,8 +25,7 @@ from stereo_slam_env.benchmark.storage.store import VERSION, RunDirectory, Study
 from stereo_slam_env.evaluation.figures import FIGURES, trial_columns
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
 from stereo_slam_env.evaluation.run_figures import Bounds, Figures, RunFigures, key_of, summarise, together
-from stereo_slam_env.files.folders import unfinished_name, write_atomically
-from stereo_slam_env.files.json_files import write_json
+from stereo_slam_env.files.folders import unfinished_name, write_atomically, write_json
 
 SCHEMA = 4
 POSE_NEES = FIGURES["pose_anees"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -27,7 +28,7 @@ MAX_THIN_LINES = 12
 """Single runs drawn behind a median: more would only darken the picture."""
 MAX_DOTS = 100
 """Single runs drawn as dots: the first ones."""
-TRUTH = {"width": 7.0, "opacity": 0.18}
+TRUTH: dict[str, Any] = {"width": 7.0, "opacity": 0.18}
 """How the truth is drawn: broad and pale, below the estimates."""
 
 

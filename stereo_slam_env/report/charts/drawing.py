@@ -301,11 +301,11 @@ class Chart:
         clips = {name: f"clip{i}" for i, name in enumerate(dict.fromkeys(re.findall(r' id="(clip\d+)"', svg)))}
         return re.sub(r"\bclip\d+\b", lambda found: clips.get(found[0], found[0]), svg)
 
-    def save(self, *paths: Path) -> str:
+    def save(self, *paths: str | Path) -> str:
         """Draw it on white into files, by their ending .svg or .png; returns the drawing without a background."""
         svg = self.svg()
         white = on_white(svg)
-        for path in paths:
+        for path in map(Path, paths):
             if path.suffix == ".png":
                 picture = vl_convert.svg_to_png(white, scale=PNG_SCALE)
                 write_atomically(path, partial(_write, picture))
@@ -313,8 +313,8 @@ class Chart:
                 write_text(path, white)
         return svg
 
-    def _repr_mimebundle_(self, **_: Any) -> dict[str, Spec]:
-        return {"application/vnd.vegalite.v6+json": self.spec}
+    def _repr_mimebundle_(self, **_: Any) -> dict[str, Any]:
+        return {"application/vnd.vegalite.v6+json": self.spec, "image/svg+xml": on_white(self.svg())}
 
 
 def _write(content: bytes, stream: IO[bytes]) -> None:

@@ -11,9 +11,9 @@ import pytest
 from gymnasium.utils.env_checker import check_env, data_equivalence
 from scipy.stats import chi2
 
-import stereo_slam_env
 from filters import VelocityDriven, make_filter
 from filters.geometry import rotations
+from stereo_slam_env.envs.drive import StereoDriveEnv
 from stereo_slam_env.envs.drive_gaze import StereoDriveGazeEnv
 from stereo_slam_env.envs.gaze import StereoGazeEnv
 from stereo_slam_env.world.routes import FRAME_PERIOD
@@ -148,7 +148,7 @@ def test_turning_the_head_costs_what_the_page_says(make):
 
 def test_driving_and_looking_are_apart(make):
     """The four actions are those of Drive-v0 and then those of Gaze-v0."""
-    both, drive = make(StereoDriveGazeEnv), make(stereo_slam_env.StereoDriveEnv)
+    both, drive = make(StereoDriveGazeEnv), make(StereoDriveEnv)
     wheel = np.array([0.5, 0.3], dtype=np.float32)
     rollout(both, 5, [np.concatenate([wheel, RIGHT])] * 10)
     rollout(drive, 5, [wheel] * 10)
@@ -158,7 +158,7 @@ def test_driving_and_looking_are_apart(make):
 
 
 def test_the_goal_is_paid_once_at_the_end_of_the_route(make):
-    env = make(stereo_slam_env.StereoDriveEnv, policy="route", goal_weight=7.0)
+    env = make(StereoDriveEnv, policy="route", goal_weight=7.0)
     results = rollout(env, 0, [np.zeros(2)] * 100)
     paid = [result[-1]["reward_goal"] for result in results]
     assert paid == [0.0] * (len(paid) - 1) + [7.0]

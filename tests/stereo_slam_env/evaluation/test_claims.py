@@ -87,7 +87,7 @@ def test_many_runs_show_what_none_of_them_shows():
     assert pose.mean == pytest.approx(np.mean(pose.each))
     assert pose.band == mean_band(6, 20)
     assert pose.alone > 12
-    assert pose.verdict.startswith("too tight")
+    assert pose.verdict.startswith("overconfident")
     assert f"{pose.alone} of 20 would pass for consistent" in found.words
     right = score_runs(biased_runs(20, excess=1.0, seed=3)).claims["pose"]
     assert right.verdict == "consistent, as far as 20 runs can tell"
@@ -132,6 +132,6 @@ def test_two_estimates_without_a_truth_contradict_each_other_or_not():
     assert 0.9 < score.claims["pose"].nees.mean / 6.0 < 1.1
     bold, _ = drives(1000, seed=2, inflate=9.0, name="bold")
     verdict = sse.evaluate_trajectory(right, bold, pair=True).verdict
-    assert verdict.startswith("the two claims together are too tight, by at least 2.")
+    assert verdict.startswith("the two claims together are overconfident: differences are at least 2.")
     with pytest.raises(ValueError, match="pair needs covariances in both files"):
         sse.evaluate_trajectory(right, replace(other, covariances=None), pair=True)

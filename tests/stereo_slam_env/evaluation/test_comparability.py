@@ -103,7 +103,7 @@ def test_a_drift_is_no_other_body():
     drifting = replace(estimate, orientations=rotations.multiply(turn, estimate.orientations))
     score = sse.evaluate_trajectory(drifting, truth)
     assert not score.claims["rotation"].obstacle
-    assert score.claims["rotation"].verdict.startswith("too tight")
+    assert score.claims["rotation"].verdict.startswith("overconfident")
 
 
 @pytest.mark.parametrize("rows", [list(range(9)), "3x3"])
@@ -201,7 +201,7 @@ def test_a_claim_that_is_wrong_by_another_size_under_another_alignment_is_anothe
     assert not alike.depends_on_the_gauge
     offset = replace(tight, positions=tight.positions + 0.5)
     score = sse.evaluate_trajectory(offset, truth, align="none")
-    sizes = {gauge.alignment: gauge.per_axis for gauge in score.gauges}
+    sizes = {gauge.alignment: gauge.error_ratio for gauge in score.gauges}
     assert sizes["none"] > 2.0 * sizes["rigid"]
     assert not score.depends_on_the_gauge  # the caller has said which
     open_one = replace(score, gauge_is_open=True)

@@ -156,7 +156,7 @@ def test_one_triangle_is_mirrored(tmp_path):
 @pytest.mark.parametrize("factor", [0.04, 30.0])
 def test_a_claim_of_the_wrong_size_is_not_excused(tmp_path, factor):
     found = score(tmp_path, full(factor * IN_WORLD), T_TUM, align="none")
-    assert found.verdict.startswith("too tight" if factor < 1.0 else "too loose")
+    assert found.verdict.startswith("overconfident" if factor < 1.0 else "too cautious")
 
 
 @pytest.mark.parametrize(

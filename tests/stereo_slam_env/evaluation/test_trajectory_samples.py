@@ -48,9 +48,9 @@ def files(name):
         ),
         ("openvins", "not judged: the estimate diverged 5.75 s after its first pose", "is not that of the reference"),
         ("stereo vio", "none: no covariance", "the error is 0.111 m after a rigid alignment"),
-        ("cnspy 6", "too tight, by 1.59 per axis; but it depends on the alignment", None),
+        ("cnspy 6", "overconfident: errors are 1.59 times the claimed sigma; but it depends on the alignment", None),
         ("cnspy 7", "consistent, as far as one run can tell", None),
-        ("cnspy 8", "too tight, by 1.77 per axis; but it depends on the alignment", None),
+        ("cnspy 8", "overconfident: errors are 1.77 times the claimed sigma; but it depends on the alignment", None),
         ("euroc", "none: no covariance", "4 of 807 rows repeat the time"),
         ("kitti", "none: no covariance", "a scale of its own, 0.0477 m for a metre"),
         ("orb keyframes", "none: no covariance", "a scale of its own, 0.449 m for a metre"),
@@ -66,7 +66,7 @@ def test_the_runs_of_an_estimator_are_judged_together():
     found = score_runs([sse.evaluate_trajectory(*files(f"cnspy {k}")) for k in (6, 7, 8)]).claims["pose"]
     assert [round(value / 6.0, 2) for value in found.each] == [2.52, 0.83, 3.15]
     assert found.alone == 1
-    assert found.verdict == "too tight, by 1.47 per axis"
+    assert found.verdict == "overconfident: errors are 1.47 times the claimed sigma"
 
 
 def test_the_scale_gap_is_that_of_smfeval_once_the_body_is_moved():

@@ -178,7 +178,7 @@ def filters_of(count, factor, seeds):
 def test_what_is_not_shown_is_a_line():
     said = on_console(show_comparison, filters_of(40, lambda run: 1.0 + 0.01 * run.seed, 3), width=100)
     assert len(said.splitlines()) <= 6
-    assert "filter-00, filter-01, filter-02 and 37 more: no difference shown: 3 runs are too few, " in said
+    assert "filter-00, filter-01, filter-02 and 37 more: not significant: 3 runs are too few, " in said
     assert "to +" not in said  # no interval where no outcome could count
 
 

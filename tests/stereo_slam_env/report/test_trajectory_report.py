@@ -81,7 +81,7 @@ def text_of(page):
 def test_the_verdict_comes_first(tmp_path):
     page = write_trajectory_report(tmp_path, [score(sigma=SIGMA / 3)])
     text = text_of(page)
-    assert text.index("its covariance is too tight, by 2") < text.index("<figure")
+    assert text.index("its covariance is overconfident: errors are 2") < text.index("<figure")
     assert {path.name for path in (tmp_path / "figures").iterdir()} == {
         f"{name}.{ending}"
         for name in ("path", "errors_0", "nees", "calibration", "windows")
@@ -122,7 +122,7 @@ def test_two_estimates_and_the_verdict_on_both(tmp_path):
     text = text_of(page)
     assert "mine (1)" in text
     assert "mine (2)" in text
-    assert "no difference shown" in text
+    assert "not significant" in text
 
 
 def test_without_covariances_there_is_nothing_to_believe(tmp_path):

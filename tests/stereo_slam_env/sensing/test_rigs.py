@@ -12,7 +12,7 @@ import pytest
 from stereo_slam_env.benchmark import Scenario, Study, preset_study
 from stereo_slam_env.benchmark.campaign import check_study
 from stereo_slam_env.benchmark.recordings.reference_problem import short_turn
-from stereo_slam_env.benchmark.recordings.sources import DatasetSource, StreetSource, source_of
+from stereo_slam_env.benchmark.recordings.sources import StreetSource, source_of
 from stereo_slam_env.benchmark.scenarios.streams import make_recording, stream_digest
 from stereo_slam_env.benchmark.scenarios.study import study_from
 from stereo_slam_env.cli import app as cli
@@ -235,23 +235,21 @@ def test_the_option_refuses_another_form(text):
 )
 def test_a_name_replaces_the_rig_of_a_scenario_and_numbers_change_it(own, given, camera):
     scenario = Scenario("s", StreetSource({"route": "right-turn", **own}))
-    (cell,) = Study.of(scenario).with_rig(given).cells
+    (cell,) = Study.of(scenario).with_settings({"options.rig": given}).cells
     assert camera_of(cell.scenario.source.options["rig"]) == camera
     assert cell.scenario.source.options["route"] == "right-turn"
 
 
 def test_a_grid_over_the_baseline_stays_one_with_another_camera():
-    cells = preset_study("baseline").with_rig("vga").cells
+    cells = preset_study("baseline").with_settings({"options.rig": "vga"}).cells
     assert [camera_of(cell.scenario.source.options["rig"]) for cell in cells] == [
         replace(VGA, baseline=cell.factors["options.rig.baseline"]) for cell in cells
     ]
 
 
 def test_a_rig_of_no_use_is_refused():
-    with pytest.raises(ValueError, match=r"--rig must not give options\.rig\.baseline: the grid varies it"):
-        preset_study("baseline").with_rig({"baseline": 0.3})
-    with pytest.raises(ValueError, match=r"--rig needs a simulated camera.*is of kind 'dataset'"):
-        Study.of(Scenario("real", DatasetSource("x"))).with_rig("vga")
+    with pytest.raises(ValueError, match=r"options\.rig\.baseline must not be set: the grid of baseline varies it"):
+        preset_study("baseline").with_settings({"options.rig": {"baseline": 0.3}})
 
 
 def test_bench_takes_a_rig(tmp_path, monkeypatch, capsys):
@@ -268,4 +266,8 @@ def test_bench_takes_a_rig(tmp_path, monkeypatch, capsys):
     assert cli.main([*bench, "--out", str(tmp_path / "no"), "--rig", "baseline=0"]) == 2
     said = capsys.readouterr().err
     assert said == "error: rig.baseline must be a number from 0.001 to 10 m, got 0\n"
+    real = tmp_path / "real.toml"
+    real.write_text('name = "real"\nkind = "dataset"\noptions = { path = "x" }\n')
+    assert cli.main(["bench", "--scenario", str(real), "--out", str(tmp_path / "no"), "--rig", "vga"]) == 2
+    assert "--rig needs a simulated camera, got a scenario of kind 'dataset'" in capsys.readouterr().err
     assert not (tmp_path / "no").exists()

@@ -12,7 +12,6 @@ import stereo_slam_env  # noqa: F401 (registers the ids)
 from stereo_slam_env.envs.core_rows import CoreRows
 from stereo_slam_env.policies import follow_route, normalised_score
 from stereo_slam_env.policies.rows import REFERENCE_RETURNS
-from stereo_slam_env.tasks import Curriculum
 
 from .test_tasks import QUICK, made
 
@@ -101,16 +100,6 @@ def test_who_leaves_the_lane_has_not_explored():
     assert not info["collision"]
     assert info["coverage"] > 1e-3
     assert not info["is_success"]
-
-
-def test_a_curriculum_does_not_go_on_by_leaving_the_lane():
-    env = Curriculum(made("StereoSlam/Explore-v0", goal=1e-3, accuracy=5.0), window=1, levels=("easy", "normal"))
-    for _ in range(2):
-        _, info = env.reset(seed=3)
-        over = False
-        while not over:
-            *_, over, _, _ = env.step(np.array([1.0, 1.0, 0.0, 0.0, 0.0]))
-    assert info["level"] == 0
 
 
 @pytest.mark.parametrize("wrong", [999, -1, 1.0, 1.5, float("nan"), "left", None, [1], True])

@@ -90,8 +90,6 @@ def test_a_source_of_somebody_elses_is_one_class():
         source_of("canned", {"name": "x", "lenght": 5})
     with pytest.raises(ValueError, match=r"options\.length must be a whole number, got 'long'"):
         source_of("canned", {"name": "x", "length": "long"})
-    with pytest.raises(ValueError, match="--rig needs a simulated camera"):
-        scenario.source.with_rig({"baseline": 0.2})
 
 
 def test_an_installed_source_is_found_by_its_entry_point(tmp_path, monkeypatch):

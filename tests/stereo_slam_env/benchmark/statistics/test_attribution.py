@@ -50,7 +50,7 @@ def test_the_choices_that_matter_are_found_with_their_factors():
     assert so3.finding is Finding.NOT_SHOWN
     assert re.search(r"'left' instead of 'joint' makes it 1\d\d % larger \(", attribution.conclusion)
     assert attribution.conclusion.startswith("Position error – measurement: ")
-    assert attribution.conclusion.endswith("error: no difference shown.")
+    assert attribution.conclusion.endswith("error: not significant.")
     shares = attribution.responses[0].shares
     assert list(shares)[:2] == [("measurement",), ("landmark",)]
     assert list(shares)[-1] == ()

@@ -45,7 +45,7 @@ def test_a_policy_that_claims_less_and_is_no_better_is_not():
     assert "claims 50 % less uncertainty" in found.words
     open_ones = {"along the drive": found.path, "at the end": found.final}
     said = "; ".join(f"{where} {signed(d.percent)} %, {d.interval_words}" for where, d in open_ones.items())
-    assert f"no difference of the true position error is shown ({said}): " in found.words
+    assert f"the true position error does not differ significantly ({said}): " in found.words
     assert "claim and truth disagree; and it is overconfident, by the mean of 24 runs: pose NEES / 6" in found.words
     assert "Claim and truth disagree." in verdict.headline
     assert "Not to be taken at its word: boasts;" in verdict.headline

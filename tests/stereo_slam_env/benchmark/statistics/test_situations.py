@@ -55,7 +55,7 @@ SAID = {
     ),
     "one run, too cautious": (((SHY,), {}), ["more uncertainty than it has, as far as one run can tell."], []),
     "ten runs, overconfident": (((BOLD,), {"seeds": 10}), ["it is overconfident, by the mean of 10 runs."], []),
-    "one run with a bound": (((GOOD,), {"bounds": True}), ["of what theory allows, as far as one run can tell"], []),
+    "one run with a bound": (((GOOD,), {"bounds": True}), ["(1 run) of the Cramér–Rao bound"], []),
     "the first filter fails in the only run": (
         ((FAIR, GOOD), {"lost": {"fair": 1}}),
         ["fair, the first of the 2 filters, failed in the only run. good has the smallest position error of the"],
@@ -73,7 +73,7 @@ SAID = {
     ),
     "another filter fails in all of three": (
         ((GOOD, FAIR), {"seeds": 3, "lost": {"fair": 3}}),
-        ["Behind it: fair failed in 3 of 3 runs."],
+        ["fair failed in 3 of 3 runs."],
         ["chance", "most accurate"],
     ),
     "another filter fails in all of eight": (

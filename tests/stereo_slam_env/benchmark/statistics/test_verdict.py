@@ -64,9 +64,9 @@ def test_more_comparisons_need_more_evidence():
 @pytest.mark.parametrize(
     ("ours", "theirs", "says"),
     [
-        ([0.10], [0.20], "one run shows no general difference (other is at +100 % in it)"),
-        ([0.10, 0.14, 0.11], [0.12, 0.13, 0.15], "3 runs are too few to show a difference to other, 6 are needed"),
-        ([0.10, 0.11, 0.12], [0.20, 0.22, 0.21], "3 runs are too few to show a difference to other, 6 are needed"),
+        ([0.10], [0.20], "the error of other is 100 % larger on this drive, but one drive proves nothing"),
+        ([0.10, 0.14, 0.11], [0.12, 0.13, 0.15], "3 runs are too few to compare it with other, 6 are needed"),
+        ([0.10, 0.11, 0.12], [0.20, 0.22, 0.21], "3 runs are too few to compare it with other, 6 are needed"),
         ([0.10, 0.11, 0.12], [0.10, 0.11, 0.12], "the error of other is the same in all 3 runs"),
     ],
 )
@@ -81,7 +81,7 @@ def test_a_gap_in_too_few_runs_for_so_many_comparisons_is_not_shown():
     comparison = compared(HARDNESS[:6], 2 * HARDNESS[:6] * np.linspace(0.9, 1.1, 6), comparisons=2)
     assert not comparison.shown
     assert comparison.difference.interval is None
-    assert comparison.words.startswith("6 runs are too few to show a difference to other, 7 are needed (run by run ")
+    assert comparison.words.startswith("6 runs are too few to compare it with other, 7 are needed (")
 
 
 def test_a_filter_that_completed_nothing_is_not_compared_by_number():
@@ -142,11 +142,9 @@ def test_the_headline_answers_every_question_in_its_own_sentence():
     verdict = judge(summaries, figures)
     assert list(verdict.answers) == ["best", "consistent", "limit", "cost"]
     assert "at 95 % confidence, 8 paired runs" in verdict.answers["best"]
-    assert verdict.answers["limit"] == (
-        "sharp reaches 93 % of what theory allows (8 runs; the Cramér–Rao bound, 0.0187 m)."
-    )
+    assert verdict.answers["limit"] == "Its efficiency is 93 % (8 runs) of the Cramér–Rao bound, 0.0187 m."
     assert re.search(r"ms a frame, 5\d % more than quick\.$", verdict.answers["cost"])
-    assert all("sharp" in answer for answer in verdict.answers.values())
+    assert all("sharp" in verdict.answers[question] for question in ("best", "consistent", "cost"))
     assert verdict.headline == " ".join(verdict.answers.values())
     assert "limit" not in judge(*scored(runs)).answers
 
@@ -157,15 +155,15 @@ def test_many_rivals_do_not_make_a_long_headline():
     ]
     runs = make_runs(behaviours, seeds=range(10), frames=60)
     best = judge(*scored(runs)).answers["best"]
-    assert "and 3 more is shown. Behind it: run by run the error of far-" in best
+    assert "and 3 more are not significant. The error of far-" in best
     assert best.endswith("; and 2 more.")
 
 
 @pytest.mark.parametrize(
     ("seeds", "words"),
     [
-        (1, "but one run shows no general difference to blunt-0, blunt-1, blunt-2 and 2 more."),
-        (6, "but 6 runs are too few to show a difference to blunt-0, blunt-1, blunt-2 and 2 more, 8 are needed."),
+        (1, "One drive proves nothing about blunt-0, blunt-1, blunt-2 and 2 more."),
+        (6, "6 runs are too few to compare it with blunt-0, blunt-1, blunt-2 and 2 more, 8 are needed."),
     ],
 )
 def test_too_few_runs_for_many_rivals_are_called_that_and_not_a_result(seeds, words):
@@ -203,7 +201,7 @@ def test_all_may_be_held_against_a_baseline():
 
 def test_near_equals_are_called_so():
     runs = make_runs(THREE[:2], seeds=range(8), frames=120)
-    assert "no difference to" in judge(*scored(runs)).headline
+    assert "difference from" in judge(*scored(runs)).headline
 
 
 def test_no_truth_and_no_survivor_have_their_own_words():
@@ -248,7 +246,7 @@ def test_equal_filters_tie():
     assert verdict.is_shown
     assert verdict.answers["best"].startswith("twin and copy tie as the most accurate, with a position error of ")
     assert "the same to within 0.1 % in all 8 runs" in verdict.headline
-    assert "Behind them: run by run the error of clumsy is" in verdict.headline
+    assert "The error of clumsy is" in verdict.headline
     assert not re.search(r"[+−]0\.?0* ", verdict.headline)
     alone = judge(*scored([run for run in [*runs, *copies] if run.filter_name != "clumsy"]))
     assert alone.answers["best"].startswith("twin and copy tie: their position error is ")
@@ -258,7 +256,7 @@ def test_equal_filters_tie():
 def test_the_headline_speaks_in_percent_and_in_one_unit_of_nees():
     clear = (Behaviour("sharp", 0.02, milliseconds=9.0), Behaviour("blunt", 0.4))
     headline = judge(*scored(make_runs(clear, seeds=range(8), frames=120))).headline
-    assert re.search(r"the error of blunt is [\d,]+ % larger \(\+", headline)
+    assert re.search(r"The error of blunt is [\d,]+ % larger \(\+", headline)
     assert "times" not in headline
     nees = r"The pose NEES / 6 of sharp is [01]\.\d\d, inside its band \(0\.\d\d to 1\.\d\d\)"
     assert re.search(nees, headline)
@@ -270,4 +268,4 @@ def test_a_divergence_that_may_be_chance_makes_nobody_the_most_accurate():
     best = judge(*scored(runs)).answers["best"]
     assert "most accurate" not in best
     assert "has the smallest position error of the filters that never diverged, " in best
-    assert best.endswith(" Behind it: unlucky failed in 1 of 8 runs, which may be chance.")
+    assert best.endswith(" unlucky failed in 1 of 8 runs, which may be chance.")

@@ -1,4 +1,4 @@
-"""Bases of the wrappers: those made again from their arguments, and those that are a row of a `RowsWrapper`."""
+"""Base of the wrappers: a row of a `RowsWrapper`, made again from its arguments."""
 
 from __future__ import annotations
 
@@ -17,16 +17,19 @@ from stereo_slam_env.simulator.state import Kept
 _ALL = np.ones(1, dtype=np.bool_)
 
 
-class RecordedWrapper(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
-    """Wrapper whose arguments are kept: `env.spec` knows it, and pickle and deepcopy make a fresh one.
+class RowWrapper(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs, Kept):
+    """A wrapper that does what its `OnRows` does on many rows, on one.
 
-    Arguments of subclasses beside `env` are JSON-able.
+    Arguments of `OnRows` are the rows inside, and by their names those of the wrapper. They are JSON-able and kept:
+    `env.spec` knows the wrapper, and pickle and deepcopy make a fresh one.
     """
 
+    changes = ("rows",)
+    OnRows: ClassVar[Callable[..., RowsWrapper]]
     arguments: dict[str, Any]
     """All arguments beside `env`, defaults included."""
 
-    def __new__(cls, env: gym.Env[Any, Any], *args: Any, **arguments: Any) -> RecordedWrapper:
+    def __new__(cls, env: gym.Env[Any, Any], *args: Any, **arguments: Any) -> RowWrapper:
         """Keep the arguments of the subclass, defaults included."""
         made = super().__new__(cls)
         made.arguments = cls._bound(env, *args, **arguments)
@@ -35,6 +38,8 @@ class RecordedWrapper(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     def __init__(self, env: gym.Env[Any, Any]) -> None:
         RecordConstructorArgs.__init__(self, **self.arguments)
         gym.Wrapper.__init__(self, env)
+        self.rows: Any = type(self).OnRows(OneRow(env), **self.arguments)
+        self.observation_space, self.action_space = self.rows.observation_space, self.rows.action_space
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _made_again, (type(self), self.env, self.arguments)
@@ -54,21 +59,6 @@ class RecordedWrapper(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         except AttributeError:
             source = "BeliefObservation" if name in ("slam", "belief") else "an environment StereoSlam/..."
             raise ValueError(f"{type(self).__name__} needs {name!r}: wrap {source} with it") from None
-
-
-class RowWrapper(RecordedWrapper, Kept):
-    """A wrapper that does what its `OnRows` does on many rows, on one.
-
-    Arguments of `OnRows` are the rows inside, and by their names those of the wrapper.
-    """
-
-    changes = ("rows",)
-    OnRows: ClassVar[Callable[..., RowsWrapper]]
-
-    def __init__(self, env: gym.Env[Any, Any]) -> None:
-        super().__init__(env)
-        self.rows: Any = type(self).OnRows(OneRow(env), **self.arguments)
-        self.observation_space, self.action_space = self.rows.observation_space, self.rows.action_space
 
     @classmethod
     def around(cls, inside: gym.Env[Any, Any] | Rows, **arguments: Any) -> Any:
@@ -106,5 +96,5 @@ def _one_row(action: Any) -> Any:
         return [action]
 
 
-def _made_again(kind: type[RecordedWrapper], env: gym.Env[Any, Any], arguments: dict[str, Any]) -> RecordedWrapper:
+def _made_again(kind: type[RowWrapper], env: gym.Env[Any, Any], arguments: dict[str, Any]) -> RowWrapper:
     return kind(env, **arguments)
