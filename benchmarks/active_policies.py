@@ -26,10 +26,10 @@ import numpy as np
 from scipy.stats import bootstrap
 
 from harness import arguments, show
+from stereo_slam_env.envs.active_gaze import GazeTask
+from stereo_slam_env.envs.vectors import LEVELS, WORLDS
 from stereo_slam_env.policies import make_policy
-from stereo_slam_env.policies.gaze_task import GazeTask
 from stereo_slam_env.policies.rows import Oracle, TrueFigures, normalised_score, policy_in_rows, true_figures
-from stereo_slam_env.tasks.levels import LEVELS, WORLDS
 
 SEED = 200_000
 """The first one: nothing was tuned or chosen on these."""

@@ -27,10 +27,10 @@ from filters import ConstantVelocity
 from filters.catalogue.registry import usual_options
 from harness import arguments, by_seed, show
 from stereo_slam_env.benchmark.recordings.reference_problem import long_drive
+from stereo_slam_env.evaluation.bands import rms_ratio_interval
 from stereo_slam_env.evaluation.cramer_rao import Bound, cramer_rao_bound
 from stereo_slam_env.evaluation.figures import trial_figures
 from stereo_slam_env.evaluation.filter_run import run_filter
-from stereo_slam_env.evaluation.intervals import rms_ratio_interval
 from stereo_slam_env.evaluation.trajectory_metrics import ate_rigid
 from stereo_slam_env.evaluation.trial import Trial
 from stereo_slam_env.recording.recording import Recording

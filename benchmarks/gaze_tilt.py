@@ -16,8 +16,8 @@ from filters import make_filter
 from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray
 from harness import arguments, show
+from stereo_slam_env.envs import GazeTask
 from stereo_slam_env.envs.recorder import recording_of
-from stereo_slam_env.policies import GazeTask
 from stereo_slam_env.recording.recording import Recording
 
 DOWN = np.array([0.0, 1.0, 0.0])

@@ -20,7 +20,7 @@ import numpy as np
 from filters import StereoNoise, StereoObservation
 from harness import arguments, by_seed, show
 from stereo_slam_env.benchmark.recordings.reference_problem import long_drive
-from stereo_slam_env.evaluation.consistency import mean_band
+from stereo_slam_env.evaluation.bands import mean_band
 from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.evaluation.results import FilterRun
 from stereo_slam_env.evaluation.run_figures import figures_of, summarise_all

@@ -14,10 +14,10 @@ import numpy as np
 
 from filters import StereoEKF
 from filters.checks.consistency import nees
-from filters.landmarks.hybrid import Hybrid
+from filters.landmarks.inverse_depth import Hybrid
 from harness import arguments, by_seed, show
 from stereo_slam_env.benchmark.recordings.reference_problem import long_drive
-from stereo_slam_env.evaluation.consistency import mean_band, share_inside
+from stereo_slam_env.evaluation.bands import mean_band, share_inside
 from stereo_slam_env.recording.recording import Recording
 
 LIMITS = (0.02, 0.03, 0.05, 0.1)

@@ -3,7 +3,7 @@
     python benchmarks/interval_coverage.py                   # 2000 experiments a cell, two to three minutes on one core
     python benchmarks/interval_coverage.py --experiments 300 # 30 s
 
-Coverage of a 95 % interval of the mean, by kind of interval (`stereo_slam_env.evaluation.intervals` has the
+Coverage of a 95 % interval of the mean, by kind of interval (`stereo_slam_env.evaluation.bands` has the
 the symmetric studentised bootstrap), number of recordings, and distribution of the log ratios; in brackets the width
 by that of Student's t of a normal distribution. Then how often a difference is said to be shown where there is none,
 and where the errors differ by 10 %; and the same of the comparison of consistency, whose values are not logarithms of
@@ -21,7 +21,7 @@ from scipy.stats import norm, t
 from harness import arguments, show
 from stereo_slam_env.benchmark.statistics.differences import difference_of, level
 from stereo_slam_env.benchmark.statistics.measures import POSE_NEES, difference_by
-from stereo_slam_env.evaluation.intervals import studentised_interval
+from stereo_slam_env.evaluation.bands import studentised_interval
 
 RESAMPLES = 1999
 DISTRIBUTIONS: dict[str, Callable[[np.random.Generator, tuple[int, int]], np.ndarray]] = {

@@ -31,7 +31,7 @@ from rich.progress import track
 
 from harness import arguments
 from stereo_slam_env.benchmark import run_benchmark
-from stereo_slam_env.benchmark.storage.run_archive import load_run
+from stereo_slam_env.benchmark.storage.run_files import load_run
 from stereo_slam_env.files.folders import CLAIM
 
 SCENARIO = """

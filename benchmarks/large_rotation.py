@@ -15,7 +15,7 @@ import numpy as np
 
 from harness import arguments, by_seed, mean_and_error, show
 from stereo_slam_env.benchmark.recordings.reference_problem import SIGHT, relative_noise_loop
-from stereo_slam_env.evaluation.consistency import mean_band
+from stereo_slam_env.evaluation.bands import mean_band
 from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.evaluation.results import FilterRun
 

@@ -19,7 +19,7 @@ from filters import StereoObservation
 from harness import arguments, show
 from stereo_slam_env import Recording, evaluate
 from stereo_slam_env.benchmark.recordings.inertial_problem import inertial_drive, inertial_flight
-from stereo_slam_env.evaluation.consistency import mean_band
+from stereo_slam_env.evaluation.bands import mean_band
 from stereo_slam_env.sensing.imu import DATA_SHEETS
 
 PROBLEMS = {"flights": inertial_flight, "drives": inertial_drive}

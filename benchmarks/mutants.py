@@ -84,15 +84,15 @@ ROOMS = {
         ("stereo_slam_env/sensing/*.py",),
         ("tests/stereo_slam_env/sensing", "tests/studies/faults/test_catalogue.py"),
     ),
-    "wrappers": Room(
-        ("stereo_slam_env/wrappers/*.py", "stereo_slam_env/tasks/*.py"),
-        ("tests/stereo_slam_env/wrappers", "tests/stereo_slam_env/tasks"),
+    "envs": Room(
+        ("stereo_slam_env/envs/*.py",),
+        ("tests/stereo_slam_env/envs",),
     ),
     "datasets": Room(("stereo_slam_env/datasets/*.py",), ("tests/stereo_slam_env/datasets",)),
     "frontend": Room(("stereo_slam_env/frontend/*.py",), ("tests/stereo_slam_env/frontend",)),
     "engine": Room(
         (
-            *(f"filters/kernels/{name}.py" for name in ("correction", "covariance", "frame", "gating", "iteration")),
+            *(f"filters/kernels/{name}.py" for name in ("correction", "covariance", "frame", "gating")),
             *(f"filters/kernels/{name}.py" for name in ("landmarks", "linearisation", "prediction", "process_noise")),
             *(f"filters/kernels/{name}.py" for name in ("recipe", "records", "retraction", "sigma_points", "entries")),
             *(f"filters/engine/{name}.py" for name in ("engine", "frames", "recipes", "row")),
@@ -114,7 +114,7 @@ ROOMS = {
     "parts": Room(
         (
             *(f"filters/{room}/*.py" for room in ("landmarks", "measurements", "motions")),
-            *(f"filters/{name}.py" for name in ("errors", "updates")),
+            *(f"filters/{name}.py" for name in ("errors",)),
         ),
         (
             *(f"tests/filters/{room}" for room in ("landmarks", "measurements", "motions", "updates", "errors")),

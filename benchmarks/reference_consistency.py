@@ -20,7 +20,7 @@ from scipy.stats import chi2
 from filters import StereoNoise
 from harness import arguments, by_seed, mean_and_error, show
 from stereo_slam_env.benchmark.recordings.reference_problem import long_drive, short_turn
-from stereo_slam_env.evaluation.consistency import mean_band
+from stereo_slam_env.evaluation.bands import mean_band
 from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.evaluation.results import FilterRun
 

@@ -19,10 +19,11 @@ import numpy as np
 from filters import nees
 from filters.geometry.arrays import FloatArray
 from harness import arguments, show
-from stereo_slam_env.evaluation.consistency import mean_band
-from stereo_slam_env.policies import GazeTask, make_policy
+from stereo_slam_env.envs import GazeTask
+from stereo_slam_env.evaluation.bands import mean_band
+from stereo_slam_env.policies import make_policy
 from stereo_slam_env.policies.rows import policy_in_rows
-from stereo_slam_env.sensing.tracking import TrackingPolicy
+from stereo_slam_env.sensing.padding import TrackingPolicy
 
 RIG = {"fx": 400.0, "fy": 400.0, "cx": 319.5, "cy": 199.5, "width": 640, "height": 400}
 WORLDS: dict[str, dict[str, Any]] = {

@@ -29,7 +29,7 @@ from filters.geometry.camera import StereoCamera
 from harness import arguments, show, undisturbed
 from stereo_slam_env.rendering import pinhole
 from stereo_slam_env.rendering.gl import GLRenderer
-from stereo_slam_env.rendering.images import StereoRenderer
+from stereo_slam_env.rendering.pinhole import StereoRenderer
 from stereo_slam_env.rendering.tiny import TinyRenderer
 from stereo_slam_env.world.frames import WorldFrame
 from stereo_slam_env.world.physics import PhysicsWorld

@@ -35,12 +35,11 @@ from harness import arguments
 from stereo_slam_env.benchmark import preset_study, run_benchmark
 from stereo_slam_env.benchmark.recordings.inertial_problem import inertial_drive, inertial_flight
 from stereo_slam_env.benchmark.recordings.reference_problem import long_drive
+from stereo_slam_env.envs import BeliefObservation, GazeTask, InformationGain
 from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.evaluation.trajectory_score import TrajectoryScore
 from stereo_slam_env.paper import PaperSettings, run_paper
-from stereo_slam_env.policies import GazeTask
 from stereo_slam_env.report.trajectory_report import write_trajectory_report
-from stereo_slam_env.wrappers import BeliefObservation, InformationGain
 
 KEPT = Path(__file__).with_name("same.json")
 STEPS, ROWS = 100, 8

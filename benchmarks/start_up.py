@@ -26,7 +26,7 @@ MODULES = {
     "from filters import StereoCamera, StereoNoise": "from filters import StereoCamera, StereoNoise",
     "from filters import make_filter": "from filters import make_filter; make_filter",
     "import stereo_slam_env": "import stereo_slam_env",
-    "stereo-slam --help": "from stereo_slam_env.cli.__main__ import main; main()",
+    "stereo-slam --help": "from stereo_slam_env.__main__ import main; main()",
 }
 FRAMES = """
 import sys, time

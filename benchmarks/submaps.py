@@ -28,7 +28,7 @@ from filters import Start, StereoEKF, StereoFilter, StereoNoise, StereoObservati
 from filters.checks.conformance import REFERENCE_CAMERA as CAMERA
 from filters.submaps.submap_ekf import SubmapEKF
 from harness import arguments, show
-from stereo_slam_env.evaluation.consistency import mean_band
+from stereo_slam_env.evaluation.bands import mean_band
 
 NOISE = StereoNoise.independent_pixels(1.0)
 DT, SPEED, RADIUS = 0.1, 4.9, 15.0

@@ -25,15 +25,16 @@ from scipy.stats import bootstrap, trim_mean
 
 import stereo_slam_env  # noqa: F401 (registers the ids)
 from harness import arguments, mean_and_error, show
-from stereo_slam_env.policies import follow_route, normalised_score
-from stereo_slam_env.policies.rows import REFERENCE_RETURNS, Oracle
-from stereo_slam_env.tasks import (
+from stereo_slam_env.envs import (
     close_if_it_pays,
     drive_slowly,
     explore_and_close,
     explore_by_sweeping,
+    follow_route,
     to_new_roads,
 )
+from stereo_slam_env.policies import normalised_score
+from stereo_slam_env.policies.rows import REFERENCE_RETURNS, Oracle
 from stereo_slam_env.world.street_grid import RIGHT, STRAIGHT
 
 SEED = 20_000

@@ -22,10 +22,10 @@ import numpy as np
 from scipy.stats import bootstrap, trim_mean
 
 from harness import arguments, show
-from stereo_slam_env.policies.gaze_task import GazeTask, evaluate
-from stereo_slam_env.policies.network import Network
+from stereo_slam_env.envs import GazeTask
 from stereo_slam_env.policies.ppo import LearningCurve, Task
-from stereo_slam_env.policies.registered_task import RegisteredTask
+from stereo_slam_env.policies.registered_task import RegisteredTask, evaluate
+from stereo_slam_env.policies.registry import Network
 from stereo_slam_env.policies.rows import normalised_score
 
 SEED = 300_000

@@ -13,7 +13,7 @@ import numpy as np
 
 import stereo_slam_env as sse
 from filters import Pose, make_filter
-from stereo_slam_env.policies import GazeTask
+from stereo_slam_env.envs import GazeTask
 
 # The map keeps what is out of view, the odometry is believed, what comes back into view is linearised twice.
 OPTIONS = GazeTask().filter_options

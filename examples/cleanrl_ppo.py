@@ -19,7 +19,7 @@ from torch import nn
 from torch.distributions import Normal
 
 import stereo_slam_env  # noqa: F401 (registers the ids)
-from stereo_slam_env.policies import GazeTask
+from stereo_slam_env.envs import GazeTask
 
 DISCOUNT, GAE_LAMBDA, CLIP, EPOCHS, MINIBATCHES = 0.95, 0.95, 0.2, 10, 4
 VALUE_WEIGHT, MAX_GRADIENT, REWARD_SCALE = 0.5, 0.5, 1.0

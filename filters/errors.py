@@ -1,4 +1,4 @@
-"""Error definitions: the retraction of the joint state, and the points at which Jacobians are evaluated.
+"""Error definitions, the retraction of the joint state and where Jacobians are evaluated; updates: by which points.
 
 P is always kept in the standard coordinates (position, rotation on the right, velocity, other variables, landmarks).
 What sets the definitions apart is how they move the state, how P is carried along, and where they linearise; the engine
@@ -22,6 +22,13 @@ References
 Huang, Mourikis and Roumeliotis, IJRR 29(5), 2010. Barrau and Bonnabel, "An EKF-SLAM algorithm with consistency
 properties", arXiv 1510.06263, 2015. Zhang, Wu, Song, Huang and Dissanayake, "Convergence and consistency analysis for a
 3-D invariant-EKF SLAM", IEEE RA-L 2(2), 2017. Ge et al., arXiv 2507.04568, 2025.
+
+Each landmark's measurement depends on its own few rows of the state (pose, anchor, parameters). Sigma points drawn
+from their joint covariance are sent through Eq. 8-10, and a line is fitted: z = mean + H e + error, with the
+covariance of that error added to R. With that H and R the ordinary update is the unscented one on the measured
+sub-state (as Li and Aouf did for a stereo rig), for all landmarks at once, and it keeps its sparsity.
+
+Derivation: docs/derivations/measurements.md.
 """
 
 from __future__ import annotations
@@ -31,9 +38,11 @@ from typing import ClassVar
 
 import numpy as np
 
+from filters.contract.extras import require_core
+from filters.contract.validation import positive
 from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray
-from filters.geometry.retractions import AdditiveQuaternion, Retraction, RotationVector
+from filters.geometry.poses import AdditiveQuaternion, Retraction, RotationVector
 from filters.motions.motion_model import POSITION, ROTATION, CameraState
 
 
@@ -137,3 +146,47 @@ class LeftInvariant(ErrorDefinition):
         J[POSITION, POSITION] = R_wc.T
         covariance = J @ P_pose @ J.T
         return np.concatenate([shift, phi]), 0.5 * (covariance + covariance.T)
+
+
+class Linearisation:
+    """The fifth part of a filter: a line through what the sensor measures near the state."""
+
+    def sigma_points(self, size: int) -> tuple[float, ...]:
+        """Of `size` numbers: distance from the centre, its weights in mean and covariance, weight of each other one.
+
+        None of them: the line is that of the Jacobians.
+        """
+        return ()
+
+
+class Extended(Linearisation):
+    """The extended Kalman filter's: Jacobians at the state, or at the first estimates."""
+
+
+@dataclass(frozen=True)
+class Unscented(Linearisation):
+    """H and R fitted to sigma points.
+
+    Parameters
+    ----------
+    alpha : float
+        Spread of the sigma points.
+    beta : float
+        Weight of the covariance; 2 is the Gaussian choice (Merwe).
+    """
+
+    alpha: float = 0.5
+    beta: float = 2.0
+
+    def __post_init__(self) -> None:
+        positive("alpha", self.alpha)
+        positive("beta", self.beta, allow_zero=True)
+        require_core("filterpy")
+
+    def sigma_points(self, size: int) -> tuple[float, ...]:
+        """Those of Merwe with kappa = 3 - size."""
+        # Half of the time that `import filters` would take, for those who never ask for this.
+        from filterpy.kalman import MerweScaledSigmaPoints
+
+        scaled = MerweScaledSigmaPoints(size, self.alpha, self.beta, 3.0 - size)
+        return float(np.sqrt(self.alpha**2 * 3.0)), float(scaled.Wm[0]), float(scaled.Wc[0]), float(scaled.Wm[1])

@@ -22,26 +22,25 @@ from typing import Any
 from filters.contract.validation import did_you_mean, first_line, require_known
 from filters.errors import (
     ErrorDefinition,
+    Extended,
     FirstEstimates,
     LeftInvariant,
+    Linearisation,
     QuaternionError,
     RightInvariant,
     RotationVectorError,
+    Unscented,
 )
 from filters.landmarks.euclidean import Euclidean
-from filters.landmarks.hybrid import Hybrid
-from filters.landmarks.inverse_depth import InverseDepth, SharedAnchorInverseDepth
+from filters.landmarks.inverse_depth import Hybrid, InverseDepth, SharedAnchorInverseDepth
 from filters.landmarks.landmark_model import LandmarkModel
 from filters.landmarks.spherical import Polar, Spherical
-from filters.measurements.calibrated_pair import CalibratedPair
 from filters.measurements.measurement_model import MeasurementModel
 from filters.measurements.other_cameras import DepthCamera, FisheyePair, UnrectifiedPair
-from filters.measurements.rectified_pair import LeftOnly, LeftThenRight, RangeBearing, Stacked
-from filters.motions.constant_velocity import ConstantVelocity
-from filters.motions.driven import VelocityDriven
+from filters.measurements.rectified_pair import CalibratedPair, LeftOnly, LeftThenRight, RangeBearing, Stacked
+from filters.motions.constant_velocity import ConstantVelocity, VelocityDriven
 from filters.motions.motion_model import MotionModel
 from filters.motions.strapdown import Strapdown
-from filters.updates import Extended, Linearisation, Unscented
 
 Named = str | Mapping[str, Any]
 """Name of a part, or its settings with its name."""

@@ -21,14 +21,14 @@ from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, Scenario
 from stereo_slam_env.benchmark.scenarios.streams import description_of
 from stereo_slam_env.benchmark.scenarios.study import Study
 from stereo_slam_env.benchmark.storage.code_identity import code_digest
-from stereo_slam_env.benchmark.storage.run_archive import packed_bound, packed_run
+from stereo_slam_env.benchmark.storage.run_files import packed_bound, packed_run
 from stereo_slam_env.benchmark.storage.store import open_study
 from stereo_slam_env.evaluation.cramer_rao import cramer_rao_bound
 from stereo_slam_env.evaluation.drift_model import DriftModel, claim
 from stereo_slam_env.evaluation.filter_run import run_filter
-from stereo_slam_env.policies.gaze_task import PolicyEvaluation
-from stereo_slam_env.policies.network import Network
 from stereo_slam_env.policies.ppo import LearningCurve
+from stereo_slam_env.policies.registered_task import PolicyEvaluation
+from stereo_slam_env.policies.registry import Network
 from stereo_slam_env.recording.archive import packed_recording
 from stereo_slam_env.recording.trajectory import Trajectory
 from stereo_slam_env.recording.trajectory_files import save_trajectory

@@ -69,7 +69,7 @@ def bag_of_images() -> Files:
     """Stereo images with their calibration, as `convert` writes them."""
 
     def write(folder: Path) -> None:
-        from stereo_slam_env.datasets.bag_writer import write_mcap
+        from stereo_slam_env.datasets.bag_images import write_mcap
 
         for name, content in seeds.kitti06().items():
             (folder / "in" / name).parent.mkdir(parents=True, exist_ok=True)

@@ -1,7 +1,7 @@
 """A simulated world with a stereo camera, and the evaluation of stereo SLAM filters in it.
 
 Importing this package registers the Gymnasium environments. `__init__.pyi` lists the public names; each is imported
-when it is first used. The rooms that users work in have public names of their own: `stereo_slam_env.wrappers`,
+when it is first used. The rooms that users work in have public names of their own: `stereo_slam_env.envs`,
 `.policies`, `.frontend`, `.datasets`, `.world`, `.sensing`, `.rendering`, `.evaluation`, `.benchmark`,
 `.viewer`.
 """
@@ -38,7 +38,7 @@ def _register(
     """An id: one environment, and its vector by the name in small letters; `best` is the best mean return known."""
     if name in _gym.registry:
         return
-    vectors = "stereo_slam_env.wrappers.vectors" if room.startswith("envs.") else f"stereo_slam_env.{room}"
+    vectors = "stereo_slam_env.envs.vectors" if room.startswith("envs.") else f"stereo_slam_env.{room}"
     task = name.split("/")[1].split("-")[0]
     small = "".join(f"_{letter.lower()}" if letter.isupper() else letter for letter in task).strip("_")
     _gym.register(

@@ -92,7 +92,7 @@ def test_the_wheel_names_its_licence_and_its_command(wheel):
         (commands,) = (archive.read(name).decode() for name in names if name.endswith("entry_points.txt"))
     assert "License-Expression: MIT" in metadata
     assert any(name.endswith("/licenses/LICENSE") for name in names)
-    assert "stereo-slam = stereo_slam_env.cli.__main__:main" in commands
+    assert "stereo-slam = stereo_slam_env.__main__:main" in commands
 
 
 MACHINES = {

@@ -19,10 +19,10 @@ from scipy.stats import chi2, norm
 
 from filters import Start, StereoCamera, StereoFilter, StereoNoise, StereoObservation, make_filter
 from stereo_slam_env.benchmark import long_drive
+from stereo_slam_env.envs import InformationCriterion, log_det
 from stereo_slam_env.evaluation import FilterRun, run_filter
 from stereo_slam_env.report import BAND, INK, MUTED, Chart, filter_colours, plot_error_bounds, plot_nees
 from stereo_slam_env.viewer import style_context
-from stereo_slam_env.wrappers import InformationCriterion, log_det
 
 WIDTH_INCHES = 10.4
 BLUE, ORANGE, GREEN = COLOURS = tuple(filter_colours(("inverse-depth", "dual-bearing", "euclidean")).values())

@@ -18,7 +18,7 @@ from filters.geometry.arrays import FloatArray, IntArray
 from filters.geometry.camera import StereoCamera
 from filters.geometry.poses import Pose
 from filters.landmarks.lasting_errors import LastingErrors
-from filters.measurements.calibrated_pair import PairWithLastingErrors
+from filters.measurements.rectified_pair import PairWithLastingErrors
 from filters.submaps.submap_ekf import SubmapEKF
 
 

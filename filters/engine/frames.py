@@ -12,10 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from filters.contract.variables import VELOCITY
+from filters.contract.outputs import VELOCITY
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
+from filters.joint_state import StateLayout
 from filters.motions.motion_model import CameraState, StepInput
-from filters.state.layout import StateLayout
 
 
 @dataclass(frozen=True, eq=False)

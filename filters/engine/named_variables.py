@@ -9,14 +9,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from filters.contract.noise import gate_limit
-from filters.contract.outputs import Correction, PoseBelief
+from filters.contract.outputs import POSE, VELOCITY, Correction, MovedLandmarks, PoseBelief, Variable, VariableBelief
 from filters.contract.stereo_filter import StereoFilter
 from filters.contract.validation import covariance_matrix, finite_array, gate_probability, require_known
-from filters.contract.variables import POSE, VELOCITY, MovedLandmarks, Variable, VariableBelief
 from filters.engine.options import Options
 from filters.geometry.arrays import IntArray
-from filters.geometry.poses import Pose, relative_jacobian
-from filters.geometry.retractions import ADDITIVE
+from filters.geometry.poses import ADDITIVE, Pose, relative_jacobian
 from filters.motions.motion_model import CameraState
 
 if TYPE_CHECKING:

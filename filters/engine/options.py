@@ -12,15 +12,14 @@ import numpy as np
 
 from filters.contract.inputs import InertialSamples, Start
 from filters.contract.noise import LandmarkDrift
+from filters.contract.outputs import VELOCITY
 from filters.contract.validation import covariance_matrix, gate_probability, positive
-from filters.contract.variables import VELOCITY
-from filters.errors import ErrorDefinition
+from filters.errors import ErrorDefinition, Linearisation
+from filters.joint_state import StateLayout
 from filters.landmarks.landmark_model import LandmarkModel
 from filters.measurements.measurement_model import MeasurementModel, Rig
 from filters.motions.motion_model import CAMERA_SIZE, CameraState, MotionModel
 from filters.parts import make_part
-from filters.state.layout import StateLayout
-from filters.updates import Linearisation
 
 
 @dataclass(frozen=True)

@@ -8,20 +8,19 @@ from typing import Any
 
 import numpy as np
 
-from filters.contract.variables import VELOCITY
+from filters.contract.outputs import VELOCITY
 from filters.engine.frames import ValuePlaces
 from filters.engine.options import Options
 from filters.geometry.arrays import IntArray
 from filters.geometry.camera import StereoCamera
 from filters.geometry.machine_code import settings_of
-from filters.geometry.retractions import ADDITIVE
+from filters.geometry.poses import ADDITIVE
 from filters.kernels.calls import Calls, Unit, addresses, of_part
 from filters.kernels.compilation import counted
-from filters.kernels.correction import correct
+from filters.kernels.correction import correct, iterate
 from filters.kernels.covariance import scale_blocks, shear
 from filters.kernels.frame import become_points, compile_frame, drop_unseen
 from filters.kernels.gating import largest_agreement, squared_distances
-from filters.kernels.iteration import iterate
 from filters.kernels.landmarks import augment, initialise
 from filters.kernels.lift import functions_of
 from filters.kernels.linearisation import linearise

@@ -10,19 +10,18 @@ import numpy as np
 
 from filters.contract.inputs import StereoObservation
 from filters.contract.noise import StereoNoise
-from filters.contract.outputs import UpdateReport
+from filters.contract.outputs import MovedLandmarks, UpdateReport, Variable
 from filters.contract.validation import require_known
-from filters.contract.variables import MovedLandmarks, Variable
 from filters.engine.engine import Engine
 from filters.engine.frames import FrameOutcome, Observations, Odometry, ValuePlaces
 from filters.engine.options import Options
 from filters.engine.recipes import recipe_of
 from filters.geometry.arrays import FloatArray, IntArray
 from filters.geometry.camera import StereoCamera
+from filters.joint_state import AddedVariable, Clone, JointState
 from filters.kernels import records as fates
 from filters.kernels.records import CLONE_POSITION, CLONE_ROTATION, OWN, PLAIN, POINT, VECTOR, FilterState
 from filters.motions.motion_model import CameraState, StepInput
-from filters.state.joint_state import AddedVariable, Clone, JointState
 
 _FATES = {
     "updated": fates.USED,

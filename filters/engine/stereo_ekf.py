@@ -14,28 +14,25 @@ from numpy.typing import ArrayLike
 
 from filters.contract.inputs import BodyVelocity, InertialSamples, Start, StereoObservation
 from filters.contract.noise import LandmarkDrift, StereoNoise
-from filters.contract.outputs import Forecast, LandmarkBelief, PoseBelief, UpdateReport, VelocityBelief
+from filters.contract.outputs import POSE, VELOCITY, Forecast, LandmarkBelief, PoseBelief, UpdateReport, VelocityBelief
 from filters.contract.stereo_filter import AT_ORIGIN, check_rig, check_start, check_step
 from filters.contract.validation import (
     finite_array,
     unique_ids,
     unit_quaternion,
 )
-from filters.contract.variables import POSE, VELOCITY
-from filters.engine.marginals import joint_covariance, landmark_belief, pose_landmark_covariances
 from filters.engine.named_variables import VariableFilter
 from filters.engine.options import Options
-from filters.errors import ErrorDefinition
+from filters.errors import ErrorDefinition, Linearisation
 from filters.geometry.arrays import FloatArray, IntArray
 from filters.geometry.camera import StereoCamera
 from filters.geometry.poses import Pose, relative_jacobian
+from filters.joint_state import JointState, joint_covariance, landmark_belief, pose_landmark_covariances
 from filters.landmarks.landmark_model import LandmarkModel
 from filters.measurements.measurement_model import MeasurementModel
-from filters.motions.driven import moved_by
+from filters.motions.constant_velocity import moved_by
 from filters.motions.motion_model import CameraState, MotionModel, input_of
 from filters.parts import Named
-from filters.state.joint_state import JointState
-from filters.updates import Linearisation
 
 if TYPE_CHECKING:
     from filters.engine.engine import Engine

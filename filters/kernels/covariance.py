@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from filters.geometry.arrays import FloatArray, IntArray
+from filters.geometry.rotations import Nine, matrix_of
 from filters.kernels.blas import kernel
 from filters.kernels.calls import unit
 from filters.kernels.recipe import Plan
@@ -43,6 +44,20 @@ def take_leading(P: FloatArray, n: int, count: int, rows: FloatArray) -> None:
             rows[i, j] = P[j, i]
         for j in range(i, n):
             rows[i, j] = P[i, j]
+
+
+@kernel
+def orientation(x: FloatArray) -> Nine:
+    """R_wc, row by row."""
+    return matrix_of(x[3], x[4], x[5], x[6])
+
+
+@kernel
+def clear(matrix: FloatArray) -> None:
+    """All zero."""
+    for i in range(matrix.shape[0]):
+        for j in range(matrix.shape[1]):
+            matrix[i, j] = 0.0
 
 
 @kernel

@@ -8,7 +8,7 @@ import numpy as np
 from numba import types
 
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
-from filters.geometry.three_by_three import cross_matrix, put, times, transposed
+from filters.geometry.vectors import cross_matrix, put, times, transposed
 from filters.kernels.blas import PLAIN, entry, kernel
 from filters.kernels.calls import (
     FLAGS,
@@ -22,10 +22,9 @@ from filters.kernels.calls import (
     read_storage,
 )
 from filters.kernels.correction import correct_rows
-from filters.kernels.covariance import keep_considered, keep_definite, pose_variances, restore_considered
+from filters.kernels.covariance import keep_considered, keep_definite, orientation, pose_variances, restore_considered
 from filters.kernels.landmarks import clone_pose, close_gaps, marginalise
 from filters.kernels.linearisation import expect
-from filters.kernels.prediction import orientation
 from filters.kernels.records import BLOCKS, LANDMARKS
 from filters.kernels.retraction import SETTLED, correct_state
 from filters.motions.motion_model import POSE_SIZE

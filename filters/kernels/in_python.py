@@ -16,7 +16,7 @@ import numpy as np
 
 from filters.geometry import vectors
 from filters.geometry.derivatives import columns_of, jacobian_of
-from filters.geometry.retractions import ADDITIVE
+from filters.geometry.poses import ADDITIVE
 from filters.kernels.recipe import Functions
 from filters.landmarks.landmark_model import LandmarkModel
 from filters.measurements.measurement_model import MeasurementModel, Rig

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
-from filters.geometry.three_by_three import cross_matrix, put, times, transposed
+from filters.geometry.vectors import cross_matrix, put, times, transposed
 from filters.kernels.blas import kernel, multiply_panel
 from filters.kernels.calls import Calls, call, unit
-from filters.kernels.covariance import move_block, take_leading
+from filters.kernels.covariance import clear, move_block, orientation, take_leading
 from filters.kernels.linearisation import by_velocity, clear_all, sense, take_homogeneous, take_variables
-from filters.kernels.prediction import clear, constrain, orientation, world_rotation
+from filters.kernels.prediction import constrain, world_rotation
 from filters.kernels.recipe import Plan
 from filters.kernels.records import (
     BLOCKS,

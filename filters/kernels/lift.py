@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from filters.contract.inputs import InertialSamples
-from filters.contract.variables import VELOCITY, Variable
-from filters.geometry.retractions import ADDITIVE
+from filters.contract.outputs import VELOCITY, Variable
+from filters.geometry.poses import ADDITIVE
 from filters.geometry.vectors import turned_by
 from filters.kernels.blas import kernel
 from filters.kernels.duals import added, numbers, variables, write

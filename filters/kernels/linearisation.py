@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from filters.geometry.arrays import FloatArray, IntArray
-from filters.geometry.three_by_three import times, transposed
+from filters.geometry.vectors import times, transposed
 from filters.kernels.blas import kernel
 from filters.kernels.calls import Calls, call, unit
-from filters.kernels.prediction import clear, orientation
+from filters.kernels.covariance import clear, orientation
 from filters.kernels.recipe import Plan
 from filters.kernels.records import BLOCKS, LANDMARKS, OWN, POINT, Scratch, Storage
 

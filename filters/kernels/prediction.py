@@ -5,20 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from filters.geometry.arrays import FloatArray
-from filters.geometry.rotations import Nine, matrix_of
-from filters.geometry.three_by_three import cross_matrix, put, transposed
+from filters.geometry.rotations import Nine
+from filters.geometry.vectors import cross_matrix, put, transposed
 from filters.kernels.blas import kernel
 from filters.kernels.calls import Calls, call, unit
 from filters.kernels.correction import correct_rows
-from filters.kernels.covariance import identity, transform_leading
+from filters.kernels.covariance import clear, identity, orientation, transform_leading
 from filters.kernels.recipe import Plan
 from filters.kernels.records import FrameArrays, Scratch
-
-
-@kernel
-def orientation(x: FloatArray) -> Nine:
-    """R_wc, row by row."""
-    return matrix_of(x[3], x[4], x[5], x[6])
 
 
 @kernel
@@ -64,14 +58,6 @@ def settle(plan: Plan, P: FloatArray, n: int, x: FloatArray, predicted: FloatArr
     identity(s.F)
     constrain_step(plan, predicted, x, s.F, s)
     transform_leading(P, n, s)
-
-
-@kernel
-def clear(matrix: FloatArray) -> None:
-    """All zero."""
-    for i in range(matrix.shape[0]):
-        for j in range(matrix.shape[1]):
-            matrix[i, j] = 0.0
 
 
 @unit("predict")

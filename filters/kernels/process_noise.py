@@ -13,11 +13,11 @@ import math
 
 from filters.geometry.arrays import FloatArray, IntArray
 from filters.geometry.rotations import Nine, product_of
-from filters.geometry.three_by_three import IDENTITY, cross_matrix, transposed
+from filters.geometry.vectors import IDENTITY, cross_matrix, transposed
 from filters.kernels.blas import add_square, kernel
 from filters.kernels.calls import Calls, call, exists, unit
+from filters.kernels.covariance import orientation
 from filters.kernels.linearisation import clear_all, from_camera, take_points
-from filters.kernels.prediction import orientation
 from filters.kernels.recipe import Plan
 from filters.kernels.records import BLOCKS, LANDMARKS, OWN, POINT, VECTOR, Scratch, Storage
 

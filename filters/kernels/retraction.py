@@ -6,7 +6,7 @@ Derivation: docs/derivations/errors.md.
 from __future__ import annotations
 
 from filters.geometry.arrays import FloatArray
-from filters.geometry.retractions import additive_transport_of
+from filters.geometry.poses import additive_transport_of
 from filters.geometry.rotations import (
     Four,
     Nine,
@@ -16,12 +16,11 @@ from filters.geometry.rotations import (
     quaternion_of,
     right_jacobian_of,
 )
-from filters.geometry.three_by_three import IDENTITY, cross_matrix, multiply, put, times, transposed
+from filters.geometry.vectors import IDENTITY, cross_matrix, multiply, put, times, transposed
 from filters.kernels.blas import kernel
 from filters.kernels.calls import Calls, call, unit
-from filters.kernels.covariance import identity, scale_block, transform_leading
+from filters.kernels.covariance import clear, identity, orientation, scale_block, transform_leading
 from filters.kernels.linearisation import clear_all
-from filters.kernels.prediction import clear, orientation
 from filters.kernels.recipe import Plan
 from filters.kernels.records import BLOCKS, CLONE_ROTATION, OWN, PLAIN, POINT, Scratch, Storage
 

@@ -9,11 +9,11 @@ import math
 
 from filters.geometry.arrays import FloatArray
 from filters.geometry.rotations import matrix_of, quaternion_of
-from filters.geometry.three_by_three import multiply, put, transposed
+from filters.geometry.vectors import multiply, put, transposed
 from filters.kernels.blas import kernel
 from filters.kernels.calls import Calls, call, unit
+from filters.kernels.covariance import clear, orientation
 from filters.kernels.linearisation import chain, clear_all, compare, see, sense, take_homogeneous
-from filters.kernels.prediction import clear, orientation
 from filters.kernels.recipe import Plan
 from filters.kernels.records import POINT, Scratch, Storage
 from filters.motions.motion_model import POSE_SIZE

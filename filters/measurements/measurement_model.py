@@ -17,7 +17,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from filters.contract.inputs import StereoObservation
-from filters.contract.variables import VELOCITY, Variable
+from filters.contract.outputs import VELOCITY, Variable
 from filters.geometry.arrays import BoolArray, FloatArray
 from filters.geometry.camera import StereoCamera
 from filters.geometry.derivatives import columns_of, jacobian_of

@@ -1,14 +1,21 @@
-"""Constant velocity with white accelerations (Eq. 6, 11, 12).
+"""Constant velocity with white accelerations (Eq. 6, 11, 12), and motion by odometry.
 
-F and G are derived from `step` by dual numbers; docs/derivations/motion.md has them in closed form.
+Odometry is dead reckoning, or a measurement of the pose after a step relative to that before. F and G are derived from
+`step` by dual numbers; docs/derivations/motion.md has them in closed form.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
+import numpy as np
+
+from filters.contract.inputs import BodyVelocity
 from filters.contract.validation import positive
+from filters.geometry import rotations
+from filters.geometry.arrays import FloatArray
+from filters.geometry.poses import Pose
 from filters.geometry.vectors import inverse, plus, product, quaternion, rotate, scaled, turned_by
 from filters.motions.motion_model import MotionModel
 
@@ -48,3 +55,33 @@ class ConstantVelocity(MotionModel):
         """Linear velocity in the camera frame half-way through the turn, and angular velocity."""
         v_c = rotate(inverse(x.orientation), x.linear_velocity)
         return turned_by(scaled(0.5 * dt, x.angular_velocity), v_c), x.angular_velocity
+
+
+@dataclass(frozen=True)
+class VelocityDriven(MotionModel):
+    """Dead reckoning: the odometry is the motion, its covariance the only noise. Needs odometry in every step."""
+
+    driven: ClassVar[bool] = True
+
+    def step(self, x: Any, dt: float, n: Any) -> Any:
+        """r' = r + R Exp(w dt / 2) v dt, q' = q x q(w dt) with n = (v, w)."""
+        v, w = n
+        v_w = rotate(x.orientation, turned_by(scaled(0.5 * dt, w), v))
+        return plus(x.position, v_w, dt), product(x.orientation, quaternion(scaled(dt, w))), v_w, w
+
+
+def moved_by(odometry: BodyVelocity, dt: float, moved: Pose) -> tuple[FloatArray, FloatArray]:
+    """Innovation (6,) of the relative pose `moved`, and its covariance (6, 6).
+
+    The mean velocity is that of the camera half-way through the turn, so that in the frame before the step it has moved
+    by Exp(dt w / 2) v dt, and turned by Exp(dt w). Errors are those of `relative_jacobian`: position, m, in the frame
+    before the step, and rotation, rad, on the right.
+    """
+    turn, way = odometry.angular * dt, odometry.linear * dt
+    half = rotations.exp(0.5 * turn)
+    J = np.zeros((6, 6))
+    J[:3, :3] = dt * half
+    J[:3, 3:] = -0.5 * dt * half @ rotations.skew(way) @ rotations.right_jacobian(0.5 * turn)
+    J[3:, 3:] = dt * rotations.right_jacobian(turn)
+    turned = rotations.log(moved.R_wc.T @ rotations.exp(turn))
+    return np.concatenate([half @ way - moved.position, turned]), J @ odometry.covariance @ J.T

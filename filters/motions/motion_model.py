@@ -19,11 +19,11 @@ from typing import Any, ClassVar
 import numpy as np
 
 from filters.contract.inputs import BodyVelocity, InertialSamples, Start
+from filters.contract.outputs import POSE, VELOCITY, Variable
 from filters.contract.stereo_filter import StereoFilter
-from filters.contract.variables import POSE, VELOCITY, Variable
 from filters.geometry import derivatives, rotations
 from filters.geometry.arrays import FloatArray
-from filters.geometry.retractions import ADDITIVE
+from filters.geometry.poses import ADDITIVE
 
 POSITION, ROTATION, LINEAR, ANGULAR = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
 """Errors of pose and velocity."""

@@ -11,8 +11,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 from filters.contract.inputs import InertialSamples
+from filters.contract.outputs import Variable
 from filters.contract.validation import finite_array, positive
-from filters.contract.variables import Variable
 from filters.geometry.vectors import cross, plus, product, quaternion, rotate, scaled, turned_by
 from filters.motions.motion_model import MotionModel
 

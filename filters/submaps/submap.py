@@ -15,7 +15,7 @@ from scipy.linalg import blas, lapack
 
 from filters.geometry import symmetric
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
-from filters.state.joint_state import JointState
+from filters.joint_state import JointState
 
 NEGLIGIBLE = 1e-12
 """Share of its variance below which a number counts as known from the others: what is left is rounding."""

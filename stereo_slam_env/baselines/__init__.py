@@ -4,9 +4,8 @@ They implement `filters.StereoFilter` and are found by their entry points, like 
 in `filters` because they need more than numpy and scipy.
 """
 
-from stereo_slam_env.baselines.dead_reckoning import DeadReckoning
+from stereo_slam_env.baselines.camera_alone import DeadReckoning, FrameToFrame
 from stereo_slam_env.baselines.filterpy_ekf import FilterpyEKF
-from stereo_slam_env.baselines.frame_to_frame import FrameToFrame
 from stereo_slam_env.baselines.smoothers import BatchSmoother, FixedLagSmoother
 
 __all__ = ["BatchSmoother", "DeadReckoning", "FilterpyEKF", "FixedLagSmoother", "FrameToFrame"]

@@ -35,7 +35,7 @@ from filters.motions.motion_model import (
     ROTATION,
 )
 from filters.parts import Named
-from stereo_slam_env.baselines.dead_reckoning import CameraBelief, CameraFilter, symmetrised
+from stereo_slam_env.baselines.camera_alone import CameraBelief, CameraFilter, symmetrised
 
 _LANDMARK = 6
 _MODEL = InverseDepth()

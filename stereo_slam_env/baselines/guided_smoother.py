@@ -26,7 +26,7 @@ from filters import (
 from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray, IntArray
 from filters.parts import Named
-from stereo_slam_env.baselines.dead_reckoning import CameraFilter
+from stereo_slam_env.baselines.camera_alone import CameraFilter
 from stereo_slam_env.baselines.smoothing_graph import Sightings, SmoothingGraph, load_gtsam
 
 # A landmark enters the graph once its inverse distance is so many standard deviations from zero, and then with all its

@@ -13,7 +13,7 @@ from filters.contract.validation import positive, whole_number
 from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray
 from filters.motions.motion_model import CAMERA_SIZE, POSE_SIZE
-from stereo_slam_env.baselines.dead_reckoning import CameraBelief, symmetrised
+from stereo_slam_env.baselines.camera_alone import CameraBelief, symmetrised
 from stereo_slam_env.baselines.guided_smoother import GuidedSmoother
 from stereo_slam_env.baselines.smoothing_graph import Sightings, Smoothed, SmoothingGraph
 

@@ -32,4 +32,4 @@ from .statistics.differences import paired_difference as paired_difference
 from .statistics.measures import compare_all as compare_all
 from .statistics.verdict import judge as judge
 from .storage.code_identity import versions as versions
-from .storage.settings import holds_run as holds_run
+from .storage.run_files import holds_run as holds_run

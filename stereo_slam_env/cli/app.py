@@ -15,13 +15,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from stereo_slam_env.cli import bench as cli_bench
-from stereo_slam_env.cli import convert as cli_convert
 from stereo_slam_env.cli import evaluate as cli_evaluate
-from stereo_slam_env.cli import paper as cli_paper
+from stereo_slam_env.cli import recordings as cli_recordings
 from stereo_slam_env.cli import results as cli_results
 from stereo_slam_env.cli import scenes as cli_scenes
 from stereo_slam_env.cli import train as cli_train
-from stereo_slam_env.cli import view as cli_view
 from stereo_slam_env.cli.parts import (
     FILTER_GROUPS,
     GroupedCommands,
@@ -69,10 +67,10 @@ app.command()(cli_evaluate.claim)
 app.command()(cli_results.report)
 app.command()(cli_results.submit)
 app.command()(cli_results.verify)
-app.command()(cli_convert.convert)
-app.command()(cli_paper.paper)
+app.command()(cli_recordings.convert)
+app.command()(cli_results.paper)
 app.command()(cli_train.train)
-app.command()(cli_view.view)
+app.command()(cli_recordings.view)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

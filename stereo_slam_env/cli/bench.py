@@ -360,7 +360,7 @@ def _chosen(
 
 def _outside(text: str) -> FilterChoice:
     """The competitor that `--trajectory` names."""
-    from stereo_slam_env.benchmark.scenarios.outside import OUTSIDE
+    from stereo_slam_env.benchmark.scenarios.bounds import OUTSIDE
     from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice
 
     label, equals, name = text.partition("=")

@@ -138,7 +138,7 @@ def scene_noise(
     scene: dict[str, Any],
 ) -> None:
     """Measure the noise of the front end against the render: bias, spread and outliers by range; how errors last."""
-    from stereo_slam_env.benchmark.scenarios.measurement_errors import measurement_errors
+    from stereo_slam_env.benchmark.scenarios.recording_description import measurement_errors
     from stereo_slam_env.envs.recorder import record
     from stereo_slam_env.report.console import progress_bar, show_noise
 

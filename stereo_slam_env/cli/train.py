@@ -60,10 +60,9 @@ def train(
 ) -> None:
     """Train a network with PPO on any task, by default to look where the estimate becomes true; needs the extra rl."""
     from stereo_slam_env.files.folders import require_writable
-    from stereo_slam_env.policies.gaze_task import evaluate
     from stereo_slam_env.policies.ppo import LearningCurve, merit, settings_for
     from stereo_slam_env.policies.ppo import train as train_network
-    from stereo_slam_env.policies.registered_task import VALIDATION_SEEDS
+    from stereo_slam_env.policies.registered_task import VALIDATION_SEEDS, evaluate
     from stereo_slam_env.report.charts.policies import plot_learning
     from stereo_slam_env.report.console import progress_bar
 
@@ -107,9 +106,8 @@ def _task(environment: str, arguments: dict[str, Any], looks: dict[str, Any]) ->
     import gymnasium as gym
 
     from filters.contract.validation import require_known
-    from stereo_slam_env.policies.gaze_task import GazeTask
+    from stereo_slam_env.envs.active_gaze import GazeTask, gaze_task
     from stereo_slam_env.policies.registered_task import RegisteredTask
-    from stereo_slam_env.tasks.active_gaze import gaze_task
 
     if environment == "StereoSlam/Gaze-v0":
         return GazeTask(environment, arguments, **looks)

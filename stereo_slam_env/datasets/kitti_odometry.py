@@ -18,10 +18,16 @@ import numpy as np
 
 from filters import Pose, StereoCamera
 from filters.geometry.arrays import FloatArray
-from stereo_slam_env.datasets.calibration import of_left_camera, rig_of
 from stereo_slam_env.datasets.image_files import numbered_images
 from stereo_slam_env.datasets.registry import POSITION, reference_for
-from stereo_slam_env.datasets.sequence import Choice, ImageFiles, RecordedSequence, poses_of_rows
+from stereo_slam_env.datasets.sequence import (
+    Choice,
+    ImageFiles,
+    RecordedSequence,
+    of_left_camera,
+    poses_of_rows,
+    rig_of,
+)
 from stereo_slam_env.files.opening import require_inside
 from stereo_slam_env.files.readers import read_table
 from stereo_slam_env.recording.recording import NO_REFERENCE, ImageSequence, StereoPair

@@ -22,10 +22,9 @@ from scipy.spatial.transform import Rotation
 
 from filters import BodyVelocity, InertialSamples, InertialUnit, Pose
 from filters.geometry.arrays import FloatArray
-from stereo_slam_env.datasets.calibration import of_left_camera, rig_of
 from stereo_slam_env.datasets.image_files import numbered_images
 from stereo_slam_env.datasets.kitti_odometry import CAMERAS, chosen_cameras
-from stereo_slam_env.datasets.sequence import Choice, ImageFiles, RecordedSequence, known_poses
+from stereo_slam_env.datasets.sequence import Choice, ImageFiles, RecordedSequence, known_poses, of_left_camera, rig_of
 from stereo_slam_env.datasets.tracks import camera_velocities
 from stereo_slam_env.files.opening import require_inside
 from stereo_slam_env.files.readers import finite_rows, read_text

@@ -37,8 +37,8 @@ from stereo_slam_env.files.readers import parse_toml, read_table, read_text
 from stereo_slam_env.recording.filter_setup import FilterSetup
 from stereo_slam_env.recording.inertial import samples_of_steps
 from stereo_slam_env.recording.recording import NO_REFERENCE, Frame, Recording, Reference
-from stereo_slam_env.recording.times import require_rate
 from stereo_slam_env.recording.trajectory_files import load_trajectory
+from stereo_slam_env.recording.trajectory_layouts import require_rate
 
 NAME = "mono_tracks"
 TRACKS, SAMPLES, ABOUT = "tracks.csv", "imu.csv", "recording.toml"

@@ -31,12 +31,12 @@ from stereo_slam_env.datasets.bag_images import (
 )
 from stereo_slam_env.datasets.bag_motion import BagMotion, motion_of_bag
 from stereo_slam_env.datasets.image_files import BrokenPair
-from stereo_slam_env.datasets.rectified_or_raw import as_they_are, sample_of_pairs
+from stereo_slam_env.datasets.restated import as_they_are, sample_of_pairs
 from stereo_slam_env.datasets.sequence import Choice, Faults
 from stereo_slam_env.recording.inertial import joined
 from stereo_slam_env.recording.recording import NO_REFERENCE, GreyImage, StereoPair
-from stereo_slam_env.recording.times import message_times, require_rate
 from stereo_slam_env.recording.trajectory_bags import opened_bag
+from stereo_slam_env.recording.trajectory_layouts import message_times, require_rate
 from stereo_slam_env.sensing.lenses import Rectification
 from stereo_slam_env.sensing.rig_files import Calibration
 from stereo_slam_env.sensing.rigs import Rig, calibration_of, imu_shift_of

@@ -1,4 +1,4 @@
-"""A recording of images on disk as an `ImageSequence`, and what is done about pairs that cannot be used."""
+"""A recording of images on disk as an `ImageSequence`, its rig, and what is done about pairs that cannot be used."""
 
 from __future__ import annotations
 
@@ -16,11 +16,32 @@ from scipy.spatial.transform import Rotation
 from filters import BodyVelocity, InertialSamples, Pose, Start, StereoCamera
 from filters.geometry import rotations
 from filters.geometry.arrays import BoolArray, FloatArray
-from stereo_slam_env.datasets.image_files import BrokenPair, read_grey, shift_of_files
+from stereo_slam_env.datasets.image_files import BrokenPair, image_size, read_grey, shift_of_files
 from stereo_slam_env.recording.inertial import joined
 from stereo_slam_env.recording.recording import Reference, StereoPair
-from stereo_slam_env.recording.times import require_rate
+from stereo_slam_env.recording.trajectory_layouts import require_rate
 from stereo_slam_env.sensing.lenses import Rectification, Rectify
+from stereo_slam_env.sensing.projections import camera_position, rectified_rig, require_principal_point
+
+
+def rig_of(path: Path, P: tuple[FloatArray, FloatArray]) -> Callable[[Path], StereoCamera]:
+    """Gives the rig of the projection matrices `P`, see `rectified_rig`, for the size of the image in a file."""
+
+    def of_image(image: Path) -> StereoCamera:
+        size = image_size(image)
+        require_principal_point(path, P[0], size)
+        return rectified_rig(path, *P, size)
+
+    return of_image
+
+
+def of_left_camera(poses: Sequence[Pose | None], P_left: FloatArray) -> list[Pose | None]:
+    """Poses of the left camera from those of the reference camera that `P_left` = K [I | t] projects from."""
+    offset = camera_position(P_left)
+    if not offset.any():
+        return list(poses)
+    return [pose and Pose(pose.position + pose.R_wc @ offset, pose.orientation) for pose in poses]
+
 
 OnBroken = Literal["raise", "skip"]
 _ORTHONORMAL = 1e-2

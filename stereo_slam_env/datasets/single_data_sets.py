@@ -22,10 +22,9 @@ from filters.contract.extras import require_module
 from filters.contract.validation import positive
 from filters.geometry.arrays import FloatArray, IntArray
 from stereo_slam_env.datasets import tracks as point_tracks
-from stereo_slam_env.datasets.calibration import rig_of
 from stereo_slam_env.datasets.image_files import numbered_images
 from stereo_slam_env.datasets.registry import POSITION, ImagesRow, known_by, reference_for
-from stereo_slam_env.datasets.sequence import Choice, ImageFiles, RecordedSequence, known_poses, poses_of_rows
+from stereo_slam_env.datasets.sequence import Choice, ImageFiles, RecordedSequence, known_poses, poses_of_rows, rig_of
 from stereo_slam_env.datasets.tracks import ASSUMED, SPEEDS, PointTracks, TrackFiles, TracksRow, camera_velocities
 from stereo_slam_env.files.opening import is_there, require_inside
 from stereo_slam_env.files.readers import finite_rows, read_archive, read_poses, read_table, split_poses

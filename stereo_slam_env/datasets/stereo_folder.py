@@ -30,7 +30,7 @@ from stereo_slam_env.evaluation.body_frames import read_body
 from stereo_slam_env.files.opening import require_inside
 from stereo_slam_env.files.readers import parse_toml, read_table, read_text
 from stereo_slam_env.recording.recording import NO_REFERENCE, ImageSequence
-from stereo_slam_env.recording.times import scale_of
+from stereo_slam_env.recording.trajectory_layouts import scale_of
 from stereo_slam_env.sensing.rigs import Rig, calibration_of
 
 NAME = "stereo_folder"

@@ -16,9 +16,8 @@ import numpy as np
 from filters import Pose
 from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray
-from stereo_slam_env.datasets.rectified_or_raw import as_they_are, sample_of_files
 from stereo_slam_env.datasets.registry import reference_for
-from stereo_slam_env.datasets.restated import pose_at
+from stereo_slam_env.datasets.restated import as_they_are, pose_at, sample_of_files
 from stereo_slam_env.datasets.sequence import Choice, ImageFiles, RecordedSequence
 from stereo_slam_env.files.opening import require_inside
 from stereo_slam_env.files.readers import parse_table, read_text

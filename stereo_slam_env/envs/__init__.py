@@ -1,5 +1,7 @@
-"""The Gymnasium environments."""
+"""The Gymnasium environments, wrappers with a filter in the loop, and tasks with a reward, on one row or many."""
 
-from filters.contract.extras import require_core
+from filters.contract.extras import public_names, require_core
 
 require_core("cv2", "pybullet")
+
+__getattr__, __dir__, __all__ = public_names(__name__, __file__)

@@ -163,7 +163,7 @@ class StereoDriveEnv(StereoEnv, gym.Env[Observation, NDArray[np.float32]]):
 
     Randomness comes from separate streams for scene, motion, landmarks, odometry, start and cameras: the same seed
     gives the same scene and drive whatever the sensor. `copy.deepcopy` and pickle make a fresh environment;
-    `stereo_slam_env.wrappers.snapshot` copies its state.
+    `stereo_slam_env.envs.snapshot` copies its state.
 
     ## Version History
 

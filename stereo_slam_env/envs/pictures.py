@@ -18,17 +18,16 @@ from filters.geometry.arrays import BoolArray, FloatArray
 from filters.geometry.camera import StereoCamera
 from filters.geometry.poses import Pose
 from stereo_slam_env.envs.options import StereoOptions
-from stereo_slam_env.rendering.backends import make_renderer
-from stereo_slam_env.rendering.camera_effects import CameraEffects
-from stereo_slam_env.rendering.images import Image, StereoImages, StereoRenderer
+from stereo_slam_env.rendering.backends import CameraEffects, make_renderer
+from stereo_slam_env.rendering.pinhole import Image, StereoImages, StereoRenderer
+from stereo_slam_env.sensing.padding import TrackingPolicy
 from stereo_slam_env.sensing.rigs import CAMERA_HEIGHT
-from stereo_slam_env.sensing.tracking import TrackingPolicy
 from stereo_slam_env.simulator.state import Kept
 from stereo_slam_env.world.frames import WorldFrame
-from stereo_slam_env.world.looks import in_fog, without_texture
 from stereo_slam_env.world.physics import PhysicsWorld
 from stereo_slam_env.world.routes import FRAME_PERIOD
 from stereo_slam_env.world.scene import Scene
+from stereo_slam_env.world.surroundings import in_fog, without_texture
 from stereo_slam_env.world.traffic import MovingPoints
 from stereo_slam_env.world.vehicle import Car
 

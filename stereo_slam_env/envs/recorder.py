@@ -21,7 +21,7 @@ from stereo_slam_env.files.package_versions import version_of
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.recording.recording import SIMULATION, Frame, LandmarkTruth, Recording, Reference, StereoPair
 from stereo_slam_env.rendering.backends import renderer_identity
-from stereo_slam_env.rendering.images import grey
+from stereo_slam_env.rendering.pinhole import grey
 from stereo_slam_env.world.routes import RANDOM_ROUTES
 
 DRIVE = "StereoSlam/Drive-v0"

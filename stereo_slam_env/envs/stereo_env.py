@@ -126,7 +126,7 @@ class StereoEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle, Kept):
         return self._rows.image_sensor(0).moving_ids
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Go back to a state, see `stereo_slam_env.wrappers.restore`."""
+        """Go back to a state, see `stereo_slam_env.envs.restore`."""
         super().restore(state)
         self._frame = None
         generator = self._rows.generators[0]

@@ -1,10 +1,10 @@
 """Public names of this room; each is imported when it is first used."""
 
-from .consistency import mean_band as mean_band
-from .consistency import share_inside as share_inside
+from .bands import mean_band as mean_band
+from .bands import share_inside as share_inside
+from .bands import studentised_interval as studentised_interval
 from .figures import readable as readable
 from .filter_run import run_filter as run_filter
-from .intervals import studentised_interval as studentised_interval
 from .map_scoring import LandmarkTrace as LandmarkTrace
 from .results import FilterRun as FilterRun
 from .results import FilterSummary as FilterSummary

@@ -13,10 +13,9 @@ from filters.catalogue.registry import MadeFilter, make_with_common_options
 from filters.checks.consistency import DEFINITIONS
 from filters.engine.batch import FilterBatch, goes_in_a_batch
 from filters.geometry.arrays import FloatArray
-from stereo_slam_env.evaluation.contract import ContractBroken
 from stereo_slam_env.evaluation.filter_run import RunLog
 from stereo_slam_env.evaluation.map_scoring import FrameMap
-from stereo_slam_env.evaluation.results import FilterRun
+from stereo_slam_env.evaluation.results import ContractBroken, FilterRun
 from stereo_slam_env.recording.recording import Frame, Recording
 
 _POSE_ERRORS = {type(definition).pose_error for definition in DEFINITIONS}

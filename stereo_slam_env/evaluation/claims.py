@@ -15,9 +15,8 @@ from filters.checks.consistency import are_definite, chi_square_quantile
 from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray
 from filters.motions.motion_model import POSE_SIZE, POSITION, ROTATION
-from stereo_slam_env.evaluation.consistency import mean_band
+from stereo_slam_env.evaluation.bands import MeanInterval, mean_band, mean_interval
 from stereo_slam_env.evaluation.figures import readable
-from stereo_slam_env.evaluation.intervals import MeanInterval, mean_interval
 from stereo_slam_env.recording.trajectory import Trajectory, transformed
 
 PARTS = {"pose": slice(0, POSE_SIZE), "position": POSITION, "rotation": ROTATION}

@@ -30,8 +30,8 @@ from stereo_slam_env.evaluation.gauges import (
     turned_as,
 )
 from stereo_slam_env.evaluation.results import ConsistencyFigure, FilterRun
-from stereo_slam_env.evaluation.run_trajectories import estimate_of, reference_of
 from stereo_slam_env.evaluation.synchronisation import PosePairs, find_time_offset, paired, share_at_risk, shifted
+from stereo_slam_env.evaluation.trial import estimate_of, reference_of
 from stereo_slam_env.recording.trajectory import Tangent, Trajectory, transformed
 
 _ASTRAY = 0.1

@@ -21,7 +21,7 @@ from filters.geometry.arrays import FloatArray, IntArray
 from filters.motions.motion_model import POSE_SIZE
 from stereo_slam_env.files.folders import write_json
 from stereo_slam_env.files.readers import read_json
-from stereo_slam_env.recording.drift import DriftParts, adjoints, distances, drift_of
+from stereo_slam_env.recording.recording import DriftParts, adjoints, distances, drift_of
 from stereo_slam_env.recording.trajectory import Trajectory
 
 FORMAT = "stereo-slam drift model 2"

@@ -16,7 +16,7 @@ from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray, IntArray
 from filters.motions.motion_model import POSITION, ROTATION
 from stereo_slam_env.evaluation import trajectory_metrics as metrics
-from stereo_slam_env.evaluation.consistency import DOF, landmark_anees, nis_per_dof, pooled
+from stereo_slam_env.evaluation.bands import DOF, landmark_anees, nis_per_dof, pooled
 from stereo_slam_env.evaluation.results import FilterSummary
 from stereo_slam_env.evaluation.trajectory_metrics import mean, root_mean_square
 from stereo_slam_env.evaluation.trial import Sample, Trial

@@ -16,10 +16,18 @@ from filters.contract.outputs import UpdateReport
 from filters.contract.validation import error_line, first_line
 from filters.geometry.arrays import FloatArray, IntArray
 from filters.motions.motion_model import POSE_SIZE, POSITION, ROTATION
-from stereo_slam_env.evaluation.contract import Beliefs, ContractBroken, check_beliefs, check_maps
 from stereo_slam_env.evaluation.landmark_statistics import LandmarkScorer
 from stereo_slam_env.evaluation.map_scoring import FrameMap, TraceRecorder, score_maps, view_maps
-from stereo_slam_env.evaluation.results import COUNTS, EVENTS, FilterRun, peak_memory_mb
+from stereo_slam_env.evaluation.results import (
+    COUNTS,
+    EVENTS,
+    Beliefs,
+    ContractBroken,
+    FilterRun,
+    check_beliefs,
+    check_maps,
+    peak_memory_mb,
+)
 from stereo_slam_env.evaluation.windows import WINDOW_SERIES, WindowScores, nees_floor
 from stereo_slam_env.loop import Moment, Observe, run
 from stereo_slam_env.recording.recording import Recording, require_frames

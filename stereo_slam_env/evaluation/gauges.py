@@ -24,8 +24,8 @@ from filters.geometry import rotations
 from filters.geometry.arrays import BoolArray, FloatArray
 from filters.motions.motion_model import POSE_SIZE, POSITION, ROTATION
 from stereo_slam_env.evaluation import trajectory_metrics as metrics
+from stereo_slam_env.evaluation.bands import mean_band
 from stereo_slam_env.evaluation.claims import Fit, claimed_numbers, fit_of, nees_of, verdict_of
-from stereo_slam_env.evaluation.consistency import mean_band
 from stereo_slam_env.recording.trajectory import Trajectory, tangent_jacobian, transformed
 
 AlignmentKind = Literal["none", "start", "gravity-yaw", "rigid", "sim3"]

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from filters.geometry.arrays import FloatArray
+from stereo_slam_env.evaluation.bands import mean_band, mean_bands
 from stereo_slam_env.evaluation.claims import verdict_of
-from stereo_slam_env.evaluation.consistency import mean_band, mean_bands
 from stereo_slam_env.evaluation.trajectory_score import TrajectoryScore
 
 

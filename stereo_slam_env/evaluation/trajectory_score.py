@@ -17,6 +17,7 @@ from filters import Pose
 from filters.contract.validation import finite_number, positive
 from filters.geometry.arrays import BoolArray, FloatArray
 from stereo_slam_env.evaluation import trajectory_metrics as metrics
+from stereo_slam_env.evaluation.bands import MeanInterval, block_length, mean_interval, stationary_rows
 from stereo_slam_env.evaluation.body_frames import find_body_offset
 from stereo_slam_env.evaluation.claims import ClaimScore, score_claims
 from stereo_slam_env.evaluation.comparability import explanation, find_obstacles, gauge_of, without_fillers
@@ -34,7 +35,6 @@ from stereo_slam_env.evaluation.gauges import (
     scored_rows,
     turned_as,
 )
-from stereo_slam_env.evaluation.intervals import MeanInterval, block_length, mean_interval, stationary_rows
 from stereo_slam_env.evaluation.synchronisation import FEWEST, MAX_GAP, find_time_offset, paired, shifted
 from stereo_slam_env.evaluation.windows import LENGTHS, WindowScore, score_windows
 from stereo_slam_env.recording.trajectory import Trajectory

@@ -18,10 +18,9 @@ from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray, IntArray
 from filters.motions.motion_model import POSE_SIZE, ROTATION
 from stereo_slam_env.evaluation import trajectory_metrics as metrics
-from stereo_slam_env.evaluation.contract import check_motion
+from stereo_slam_env.evaluation.results import check_motion
 from stereo_slam_env.loop import Moment
-from stereo_slam_env.recording.drift import adjoints
-from stereo_slam_env.recording.recording import Recording, Reference
+from stereo_slam_env.recording.recording import Recording, Reference, adjoints
 from stereo_slam_env.recording.trajectory import Trajectory, pose_errors, tangent_jacobian, transformed
 
 WINDOWS = (1.0, 10.0)

@@ -3,9 +3,9 @@
 from .camera_motion import needed_motion as needed_motion
 from .camera_motion import set_up_for_tracks as set_up_for_tracks
 from .camera_motion import with_moving_start as with_moving_start
-from .check_front_end import check_front_end as check_front_end
 from .front_ends import FrontEnd as FrontEnd
 from .front_ends import available_front_ends as available_front_ends
+from .front_ends import check_front_end as check_front_end
 from .front_ends import make_front_end as make_front_end
 from .recorder import TYPICAL_NOISE as TYPICAL_NOISE
 from .recorder import ActiveSearch as ActiveSearch

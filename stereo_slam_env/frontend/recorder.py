@@ -18,8 +18,7 @@ from stereo_slam_env.frontend.settings import DRIFT_SHARE, TrackerSettings, sett
 from stereo_slam_env.frontend.track_noise import with_measured_noise
 from stereo_slam_env.frontend.tracks import TrackedPair
 from stereo_slam_env.recording.recording import Frame, ImageSequence, LandmarkTruth, Recording, StereoPair
-from stereo_slam_env.rendering.images import StereoImages, grey
-from stereo_slam_env.rendering.pinhole import points_at
+from stereo_slam_env.rendering.pinhole import StereoImages, grey, points_at
 from stereo_slam_env.simulator.state import Kept
 from stereo_slam_env.world.routes import FRAME_PERIOD
 

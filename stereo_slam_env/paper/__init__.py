@@ -25,7 +25,7 @@ from stereo_slam_env.files import (
     write_json,
     write_text,
 )
-from stereo_slam_env.paper import convergence, drives, features, landmark_uncertainty, long_drive, speed
+from stereo_slam_env.paper import convergence, drives, landmark_uncertainty, long_drive, speed
 from stereo_slam_env.paper.claims import (
     NOISES,
     PLACES,
@@ -230,7 +230,7 @@ def _sections(settings: PaperSettings, real: Mapping[str, drives.RealDrive], *, 
         drive_seeds |= {RENDERED: settings.rendered_drives}
     return {
         "4.1": _Section({}, lambda results: landmark_uncertainty.judge(settings.samples)),
-        "3": _Section(features.experiments() if renders else {}, lambda results: ()),
+        "3": _Section(convergence.feature_experiments() if renders else {}, lambda results: ()),
         "4.3": _Section(convergence.experiments(turn_seeds, real), convergence.judge),
         "4.4": _Section(long_drive.experiments(drive_seeds, settings.drive_frames, real), long_drive.judge),
         "5": _Section(speed.experiments(settings.sizes, settings.repeats), speed.judge, alone=True),

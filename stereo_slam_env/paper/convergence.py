@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from filters import Pose, Start, StereoNoise
-from stereo_slam_env import Recording, run
-from stereo_slam_env.frontend import with_moving_start
+from stereo_slam_env import Recording, RenderedDrive, run
+from stereo_slam_env.frontend import record_tracks, with_moving_start
 from stereo_slam_env.paper import drives
 from stereo_slam_env.paper.claims import (
     ASSUMED_NAMES,
@@ -36,6 +36,8 @@ from stereo_slam_env.paper.claims import (
     mean_interval,
     ratio_interval,
 )
+from stereo_slam_env.paper.drives import ROUTES, TURN
+from stereo_slam_env.rendering import overlay
 
 IntArray = NDArray[np.int64]
 UPDATES = 10
@@ -310,3 +312,31 @@ def judge(results: Mapping[str, Arrays]) -> tuple[Claim, ...]:
         "far-not-closer": ratios(distance_to_raw_mean, labels=("far",)),
     }
     return drives.judged(quantities, settings(results))
+
+
+NEAR, BETWEEN, FAR = (230, 140, 0), (150, 150, 150), (30, 110, 200)  # RGB: orange, grey, blue
+FEATURES = "features"
+
+
+def feature_experiments() -> dict[str, partial[Arrays]]:
+    """The turn of seed 0."""
+    return {FEATURES: partial(tracked_features, 0)}
+
+
+def tracked_features(seed: int) -> Arrays:
+    """Left images of the first and the last frame, and the pixels and depths of what is seen throughout."""
+    drive = RenderedDrive({"route": ROUTES[TURN], "renderer": "gl"}, seed, UPDATES + 1)
+    recording = record_tracks(drive, drive.front_end)
+    images = [pair.left for number, pair in enumerate(drive.pairs()) if number in (0, UPDATES)]
+    uvd = measurements(recording, seen_throughout(recording))
+    depths = recording.camera.disparity_constant / np.median(uvd[:, :, 2], axis=1)
+    return {"images": np.array(images), "pixels": uvd[:, :, :2].transpose(1, 0, 2), "depths": depths}
+
+
+def feature_picture(arrays: Arrays) -> bytes:
+    """Both frames, one above the other, as a PNG file, with a ring at each feature and its way since the first."""
+    (_, near), (far, _) = WIDE_RANGES.values()
+    colours = [NEAR if depth < near else FAR if depth > far else BETWEEN for depth in arrays["depths"]]
+    words = "first frame: features are initialised", f"after {UPDATES} updates"
+    ways = arrays["pixels"][:1], arrays["pixels"]
+    return overlay.tracks_picture(arrays["images"], ways, colours, words)

@@ -12,7 +12,7 @@ import numpy as np
 
 from stereo_slam_env.evaluation import mean_band, readable, share_inside
 from stereo_slam_env.files import own_files, write_atomically, write_text
-from stereo_slam_env.paper import convergence, features, figures, landmark_uncertainty, long_drive, speed
+from stereo_slam_env.paper import convergence, figures, landmark_uncertainty, long_drive, speed
 from stereo_slam_env.paper.claims import (
     ASSUMED_NAMES,
     EUCLIDEAN,
@@ -131,8 +131,8 @@ class Page:
         }
         found = []
         for name, (title, there, draw, numbers) in drawers.items():
-            if name == "4" and features.NAME in results and self._figure in (None, "3"):
-                found.append(self._blocks.get("figure-3") or self._picture(results[features.NAME]))
+            if name == "4" and convergence.FEATURES in results and self._figure in (None, "3"):
+                found.append(self._blocks.get("figure-3") or self._picture(results[convergence.FEATURES]))
             if there and self._figure in (None, name):
                 found.append(self._section(name, title, claims, draw, numbers))
         return found
@@ -160,7 +160,7 @@ class Page:
         folder, name = self._out / "figures", "figure-3.png"
         folder.mkdir(parents=True, exist_ok=True)
         own_files(self._out, [f"figures/{name}"])
-        encoded = features.picture(arrays)
+        encoded = convergence.feature_picture(arrays)
         write_atomically(folder / name, lambda stream: stream.write(encoded))
         data, caption = base64.b64encode(encoded).decode(), escape(TABLE["figures"]["figure-3"])
         image = f'<img alt="{caption}" style="width: 100%" src="data:image/png;base64,{data}">'

@@ -13,12 +13,16 @@ from filters.contract.stereo_filter import StereoFilter
 from filters.contract.validation import one_of, positive, whole_number
 from filters.geometry.arrays import FloatArray
 from filters.geometry.poses import Pose
-from stereo_slam_env.policies.expected_gain import Gain, expected_gain, motion_noise
+from stereo_slam_env.envs import Belief
+from stereo_slam_env.envs.filter_rows import FilterRows
 from stereo_slam_env.policies.foresight import (
     CameraPoses,
+    Gain,
     Knowledge,
     SensorModel,
     discovered,
+    expected_gain,
+    motion_noise,
     places_beside,
     planned_bodies,
     seen_from,
@@ -26,11 +30,9 @@ from stereo_slam_env.policies.foresight import (
     turning_head,
 )
 from stereo_slam_env.policies.registry import Action, look_towards, require_head
-from stereo_slam_env.sensing.tracking import TrackingPolicy
+from stereo_slam_env.sensing.padding import TrackingPolicy
 from stereo_slam_env.world.routes import FRAME_PERIOD, Route
 from stereo_slam_env.world.vehicle import Head
-from stereo_slam_env.wrappers import Belief
-from stereo_slam_env.wrappers.filter_rows import FilterRows
 
 _THERE = 1e-3
 """Distance at which the head has arrived at its target, rad."""
@@ -48,7 +50,7 @@ class Outlook:
         if not env.has_wrapper_attr("beliefs"):
             raise ValueError(
                 "the policy plans on the belief of a filter and there is none: "
-                "wrap the environment in stereo_slam_env.wrappers.BeliefObservation"
+                "wrap the environment in stereo_slam_env.envs.BeliefObservation"
             )
         options = env.get_wrapper_attr("options")
         tracking: TrackingPolicy = options.tracking

@@ -21,6 +21,7 @@ import numpy as np
 from filters.contract.extras import require_module
 from filters.contract.validation import first_line, positive, require_known, whole_number
 from filters.geometry.arrays import FloatArray
+from stereo_slam_env.envs.active_gaze import GazeTask
 from stereo_slam_env.files.folders import (
     claimed_folder,
     is_occupied,
@@ -32,9 +33,16 @@ from stereo_slam_env.files.folders import (
 from stereo_slam_env.files.opening import open_regular, require_links_inside
 from stereo_slam_env.files.package_versions import commit, version_of
 from stereo_slam_env.files.readers import read_json, read_text, require_plain_zip
-from stereo_slam_env.policies.gaze_task import GazeTask, PolicyEvaluation, evaluate
-from stereo_slam_env.policies.network import Network
-from stereo_slam_env.policies.registered_task import VALIDATION_SEEDS, EpisodeOutcome, PPOSettings, RegisteredTask
+from stereo_slam_env.policies.registered_task import (
+    VALIDATION_SEEDS,
+    EpisodeOutcome,
+    PolicyEvaluation,
+    PPOSettings,
+    RegisteredTask,
+    evaluate,
+    words,
+)
+from stereo_slam_env.policies.registry import Network
 
 if TYPE_CHECKING:
     from stable_baselines3 import PPO
@@ -206,9 +214,9 @@ def train(
             if curve.add(model.num_timesteps, time.monotonic() - began, float(np.mean(returns)), results, found):
                 network.save(out / "policy.npz")
             _save_state(out / STATE, model, scaling)
-            words = task.words(results)
-            _log.info("%d decisions: %s", model.num_timesteps, words)
-            return words
+            summary = words(task, results)
+            _log.info("%d decisions: %s", model.num_timesteps, summary)
+            return summary
 
         if not curve.rows:
             said = look()

@@ -1,9 +1,9 @@
-"""A registered environment as a training task with its own reward, and the settings of proximal policy optimisation."""
+"""Training tasks: any registered environment with its own reward, PPO settings, and the evaluation of a network."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -13,10 +13,11 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 
 from filters.contract.validation import positive, probability, whole_number
-from filters.geometry.arrays import FloatArray
+from filters.geometry.arrays import BoolArray, FloatArray
+from stereo_slam_env.envs.active_gaze import GazeTask
 from stereo_slam_env.envs.vector_env import RowsVectorEnv
-from stereo_slam_env.policies.network import Network
-from stereo_slam_env.policies.rows import REFERENCE_RETURNS, normalised_score
+from stereo_slam_env.policies.registry import Network
+from stereo_slam_env.policies.rows import REFERENCE_RETURNS, normalised_score, true_figures
 
 _WITH_IDS = ("StereoSlam/Drive-v0", "StereoSlam/Gaze-v0", "StereoSlam/DriveGaze-v0")
 """Environments that show the numbers of landmarks unless they are told not to: of no use to a learner."""
@@ -208,3 +209,63 @@ class PPOSettings:
     def steps(self) -> int:
         """Decisions of each environment between two updates."""
         return max(self.rollout // self.environments, 1)
+
+
+_ID = "StereoSlam/ActiveGaze-v0"
+_MEANS = (
+    *("final_position_sigma_m", "final_pose_logdet", "position_rmse_m"),
+    *("final_position_error_m", "final_position_nees"),
+)
+
+
+@dataclass(frozen=True)
+class PolicyEvaluation:
+    """Means over episodes."""
+
+    final_position_sigma_m: float
+    """Root of the trace of the position covariance at the end."""
+    final_pose_logdet: float
+    """Natural logarithm of the determinant of the pose covariance at the end (m, rad)."""
+    position_rmse_m: float
+    """Root mean square of the true position error over each episode."""
+    final_position_error_m: float
+    """True position error at the end."""
+    final_position_nees: float
+    """NEES of the position at the end, over its 3 degrees of freedom: more than 1 is claimed than is true."""
+    validation_return: float = float("nan")
+    """Sum of the rewards."""
+
+
+def evaluate(
+    network: Network | None, task: GazeTask | RegisteredTask, seeds: Sequence[int], *, threads: int = 1
+) -> Any:
+    """Means over an episode for each seed, all in lock-step; without a network the action is 0: straight ahead.
+
+    Those of a `GazeTask` are a `PolicyEvaluation`, those of a `RegisteredTask` an `EpisodeOutcome`.
+    """
+    if not isinstance(task, GazeTask):
+        return task.evaluate(network, seeds, threads)
+    vector = replace(task, pans=None).make_vector(len(seeds), threads=threads)
+    actions = np.zeros(vector.action_space.shape or (), dtype=np.float32)
+
+    def act(observation: Any, going: BoolArray) -> Any:
+        if network is not None:
+            actions[:, -2:] = network.actions(observation)
+        return actions
+
+    try:
+        figures = true_figures(vector, lambda _: act, seeds)
+    finally:
+        vector.close()
+    means = {name: float(getattr(figures, name).mean()) for name in _MEANS}
+    return PolicyEvaluation(**means, validation_return=float(figures.returns.mean()))
+
+
+def words(task: GazeTask | RegisteredTask, results: Any) -> str:
+    """Results in the words of a progress bar; the score is that of the id, with its own arguments."""
+    if not isinstance(task, GazeTask):
+        return task.words(results)
+    said = f"true error {results.final_position_error_m:.3f} m, claimed {results.final_position_sigma_m:.3f} m"
+    if task != GazeTask():
+        return said
+    return f"{said}, score {float(normalised_score(_ID, results.validation_return)):.0f}"

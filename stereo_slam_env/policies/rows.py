@@ -1,7 +1,8 @@
-"""Policies in all rows of a vector at once, their figures by the truth, and normalised scores of the tasks."""
+"""Policies for an episode and in all rows of a vector, their figures by the truth, normalised scores of the tasks."""
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from types import MappingProxyType
@@ -11,15 +12,126 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import ArrayLike
 
-from filters.contract.validation import require_known
+from filters.contract.validation import error_line, require_known
 from filters.geometry.arrays import BoolArray, FloatArray
+from filters.geometry.poses import Pose
+from stereo_slam_env.envs.recorder import recording_of
 from stereo_slam_env.envs.rows import Rows
-from stereo_slam_env.envs.stereo_env import row_of
+from stereo_slam_env.envs.stereo_env import StereoEnv, row_of
 from stereo_slam_env.envs.vector_env import RowsVectorEnv
-from stereo_slam_env.policies.episode import rng_of_policy
-from stereo_slam_env.policies.registry import Action, ActsTogether, Policy
-from stereo_slam_env.world.routes import FRAME_PERIOD
-from stereo_slam_env.world.vehicle import Car
+from stereo_slam_env.policies.registry import ActsTogether, Policy
+from stereo_slam_env.recording.recording import Frame, Recording
+
+_STREAM = 6
+"""Keeps the randomness of policies apart from that of the environment, whose seed is the same."""
+
+
+@dataclass(frozen=True, eq=False)
+class Episode:
+    """An episode of a policy."""
+
+    recording: Recording
+    """The measurements, for any filter; with the angles of the head."""
+    drive: tuple[Pose, ...]
+    """Of the car, frame by frame: where the left camera would be if the head looked straight ahead."""
+    failure: str | None = None
+    """One line where the policy, or the filter in the loop, raised something. The drive goes on then, with the head
+    turned straight ahead, so that it can still be told to be the same."""
+
+    @property
+    def drive_digest(self) -> str:
+        """SHA-256 of the scene and of the drive through it: equal for all policies in the same world."""
+        landmarks = self.recording.landmarks
+        digest = hashlib.sha256()
+        for pose in self.drive:
+            digest.update(pose.position.tobytes() + pose.orientation.tobytes())
+        if landmarks is not None and self.recording.source.get("arguments", {}).get("sensor") != "images":
+            digest.update(landmarks.ids.tobytes() + landmarks.positions.tobytes())
+        return digest.hexdigest()
+
+
+def rng_of_policy(seed: int) -> np.random.Generator:
+    """Random generator of the policy in the episode of a seed."""
+    return np.random.default_rng([_STREAM, seed])
+
+
+def run_episode(
+    env: gym.Env[Any, Any],
+    policy: Policy,
+    seed: int,
+    *,
+    frames: int | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    about: Mapping[str, Any] | None = None,
+) -> Episode:
+    """Run a policy for one episode.
+
+    Parameters
+    ----------
+    env : gymnasium.Env
+        One of the environments, with the wrappers that the policy needs: most need `BeliefObservation`.
+    policy : Policy
+        The policy.
+    seed : int
+        Of the episode: same seed, same scene, drive and noise, and the same chance for the policy.
+    frames : int, optional
+        Stop after this many; None: when the episode is over.
+    progress : callable, optional
+        Called after each frame with (frames done, frames wanted).
+    about : mapping, optional
+        Further entries of the `source` of the recording; JSON-able.
+
+    Returns
+    -------
+    Episode
+        Whatever the policy or the filter raises on the way is its `failure`.
+
+    Raises
+    ------
+    ValueError
+        `env` is none of the environments of this package.
+    """
+    core = env.unwrapped
+    if not isinstance(core, StereoEnv):
+        raise ValueError(f"env must be one of the environments of this package, got {core}")
+    wanted = 0 if frames is None else frames
+    collected: list[Frame] = []
+    drive: list[Pose] = []
+
+    def keep() -> None:
+        collected.append(core.frame)
+        drive.append(core.body)
+        if progress is not None:
+            progress(len(collected), max(wanted, len(collected)))
+
+    asked = "environment"
+    failure = None
+    over = False
+    try:
+        observation, _ = env.reset(seed=seed)
+        wanted = core.route.frames if frames is None else frames  # a random route is known from here on
+        keep()
+        asked = "policy"
+        policy.reset(env, rng_of_policy(seed))
+        while not over and len(collected) < wanted:
+            asked = "policy"
+            action = policy.act(observation)
+            asked = "environment"
+            observation, _, terminated, truncated, _ = env.step(action)
+            keep()
+            over = terminated or truncated
+    except (KeyboardInterrupt, SystemExit):  # of the user, unless in a process of its own
+        raise
+    except BaseException as error:  # a stranger's policy may raise anything; the comparison goes on without it
+        failure = f"frame {len(collected) - 1}: {asked}: {error_line(error)}"
+        if not collected or core.frame is not collected[-1]:
+            keep()  # what the filter in the loop did not survive
+    straight_ahead = np.zeros(core.action_space.shape or (), dtype=np.float32)
+    while failure is not None and not over and len(collected) < wanted:
+        over = core.step(straight_ahead)[2]
+        keep()
+    return Episode(recording_of(core, collected, seed, about), tuple(drive), failure)
+
 
 Actions = Callable[[Any, BoolArray], Any]
 """Actions of all rows (B, ...), by the observation and which rows go on."""
@@ -178,9 +290,6 @@ class Oracle:
         return sums.argmax(axis=0)
 
 
-_STEER_BY, _BRAKE_BY = 1, 3
-"""Points of the observation `route`: the one to steer to, and the farthest one to be slow enough for."""
-
 _AT_RANDOM = {
     "StereoSlam/Drive-v0": -9.63,
     "StereoSlam/ActiveGaze-v0": -5.26,
@@ -216,42 +325,3 @@ def normalised_score(environment: str, returns: ArrayLike) -> FloatArray:
     require_known("there is no score for", [environment], REFERENCE_RETURNS)
     random, best = REFERENCE_RETURNS[environment]
     return 100.0 * (np.asarray(returns, dtype=np.float64) - random) / (best - random)
-
-
-def follow_route(
-    observation: Mapping[str, Any],
-    actions: int = 2,
-    *,
-    speed: float | FloatArray = Car.max_speed,
-    lateral: float = 3.0,
-    beside: float = 0.0,
-) -> Action:
-    """Action that drives along the route that the observation shows (pure pursuit); the head looks straight ahead.
-
-    Steers along the circle through the rear axle and the point 5 m ahead, and keeps slow enough for the circles to all
-    points up to 20 m ahead.
-
-    Parameters
-    ----------
-    observation : mapping
-        With `car` (..., 2) and `route` (..., 5, 2), from environments in which the agent drives.
-    actions : int
-        Entries of the action; those after the first two are 0.
-    speed : float or (...)
-        Largest one, m/s.
-    lateral : float
-        Largest acceleration across the direction of travel, m/s^2.
-    beside : float
-        How far to the right of the route to drive, m.
-    """
-    car = Car()
-    now = np.asarray(observation["car"], dtype=np.float64)[..., 0]
-    right, forward = np.moveaxis(np.asarray(observation["route"], dtype=np.float64), -1, 0)
-    right, forward = right + beside, forward + car.camera_forward
-    curvatures = 2.0 * right / np.maximum(right**2 + forward**2, 1.0)
-    bend = np.abs(curvatures[..., _STEER_BY : _BRAKE_BY + 1]).max(axis=-1)
-    wanted = np.minimum(speed, np.sqrt(lateral / np.maximum(bend, 1e-6)))
-    action = np.zeros((*now.shape, actions), dtype=np.float32)
-    action[..., 0] = np.clip((wanted - now) / (car.max_acceleration * FRAME_PERIOD), -1.0, 1.0)
-    action[..., 1] = np.clip(np.arctan(car.wheelbase * curvatures[..., _STEER_BY]) / car.max_steering, -1.0, 1.0)
-    return action

@@ -16,7 +16,7 @@ from filters.contract.validation import finite_array
 from filters.geometry import rotations
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.motions.motion_model import POSE_SIZE, POSITION, ROTATION
-from stereo_slam_env.recording.drift import Drift
+from stereo_slam_env.recording.recording import Drift
 
 Tangent = Literal["position-rotation", "position-quaternion", "right", "left"]
 """Definition of a pose error, position part first; hats are estimates.

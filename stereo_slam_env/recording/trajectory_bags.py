@@ -18,8 +18,8 @@ from filters.geometry.arrays import IntArray
 from filters.motions.motion_model import POSE_SIZE
 from stereo_slam_env.files.bags import open_bag
 from stereo_slam_env.files.opening import require_regular
-from stereo_slam_env.recording.times import message_times, require_rate
 from stereo_slam_env.recording.trajectory import Trajectory
+from stereo_slam_env.recording.trajectory_layouts import message_times, require_rate
 from stereo_slam_env.recording.trajectory_transforms import Link, assembled, links_of, listed, poses_between
 
 _ENDINGS = (".bag", ".db3", ".mcap")

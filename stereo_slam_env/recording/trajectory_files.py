@@ -24,7 +24,7 @@ from filters.geometry import rotations
 from filters.motions.motion_model import POSE_SIZE
 from stereo_slam_env.files.folders import write_atomically
 from stereo_slam_env.files.readers import read_text
-from stereo_slam_env.recording.drift import DriftParts, drift_of
+from stereo_slam_env.recording.recording import DriftParts, drift_of
 from stereo_slam_env.recording.trajectory import Gauge, Tangent, Trajectory, tangent_jacobian, transformed
 from stereo_slam_env.recording.trajectory_bags import bag_and_topic, read_bag
 from stereo_slam_env.recording.trajectory_layouts import KNOWN, SQUARE_COLUMNS, UNNAMED, split_columns, trajectory_of

@@ -3,4 +3,4 @@
 from .backends import RENDERERS as RENDERERS
 from .backends import make_renderer as make_renderer
 from .backends import renderer_identity as renderer_identity
-from .tracks_picture import tracks_picture as tracks_picture
+from .overlay import tracks_picture as tracks_picture

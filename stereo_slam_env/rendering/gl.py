@@ -26,8 +26,7 @@ from stereo_slam_env.rendering.gl_resources import (
     draw_list,
     new_context,
 )
-from stereo_slam_env.rendering.images import ImageQuality, StereoImages
-from stereo_slam_env.rendering.pinhole import FAR, NEAR, sky_slope
+from stereo_slam_env.rendering.pinhole import FAR, NEAR, ImageQuality, StereoImages, sky_slope
 from stereo_slam_env.world.frames import WorldFrame
 from stereo_slam_env.world.meshes import body_meshes, scene_meshes
 from stereo_slam_env.world.scene import MovingBody, Scene

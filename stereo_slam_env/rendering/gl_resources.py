@@ -18,10 +18,10 @@ from filters.contract.extras import install_command
 from filters.geometry.arrays import BoolArray, FloatArray
 from filters.geometry.camera import StereoCamera
 from stereo_slam_env.rendering import pinhole
-from stereo_slam_env.rendering.images import StereoImages
+from stereo_slam_env.rendering.pinhole import StereoImages
 from stereo_slam_env.world.meshes import Mesh
 from stereo_slam_env.world.scene import Material
-from stereo_slam_env.world.textures import Image, texture
+from stereo_slam_env.world.street_textures import Image, texture
 
 VERTEX = np.dtype([("position", "f4", 3), ("normal", "f4", 3), ("texel", "f4", 3), ("color", "u1", 4)])
 VERTEX_FORMAT = "3f 3f 3f 3f1 1x1"

@@ -11,8 +11,7 @@ from filters.geometry.arrays import FloatArray
 from filters.geometry.camera import StereoCamera
 from filters.geometry.poses import Pose
 from stereo_slam_env.rendering import pinhole
-from stereo_slam_env.rendering.images import ImageQuality, StereoImages
-from stereo_slam_env.rendering.pinhole import FAR, NEAR
+from stereo_slam_env.rendering.pinhole import FAR, NEAR, ImageQuality, StereoImages
 from stereo_slam_env.world.frames import WorldFrame
 from stereo_slam_env.world.physics import PhysicsWorld
 from stereo_slam_env.world.scene import Look, Scene

@@ -1,7 +1,11 @@
 """Public names of this room; each is imported when it is first used."""
 
+from .charts.axes import BAND as BAND
+from .charts.axes import INK as INK
+from .charts.axes import MUTED as MUTED
 from .charts.axes import WIDTH as WIDTH
 from .charts.axes import Axis as Axis
+from .charts.axes import filter_colours as filter_colours
 from .charts.axes import label_room as label_room
 from .charts.axes import log_axis as log_axis
 from .charts.axes import panel_width as panel_width
@@ -13,15 +17,11 @@ from .charts.drawing import Chart as Chart
 from .charts.drawing import Curve as Curve
 from .charts.drawing import Panel as Panel
 from .charts.drawing import figure as figure
-from .charts.style import BAND as BAND
-from .charts.style import INK as INK
-from .charts.style import MUTED as MUTED
-from .charts.style import filter_colours as filter_colours
 from .page import figure_block as figure_block
 from .page import html_page as html_page
-from .page_tables import Column as Column
-from .page_tables import TableCell as TableCell
-from .page_tables import Tone as Tone
-from .page_tables import number as number
-from .page_tables import table as table
+from .page_sections import Column as Column
+from .page_sections import TableCell as TableCell
+from .page_sections import Tone as Tone
+from .page_sections import number as number
+from .page_sections import table as table
 from .trajectory_report import write_trajectory_report as write_trajectory_report

@@ -16,21 +16,19 @@ from stereo_slam_env.benchmark.statistics.differences import CONFIDENCE, MIN_PAI
 from stereo_slam_env.benchmark.statistics.measures import EFFICIENCY, POSE_NEES, POSITION
 from stereo_slam_env.benchmark.statistics.policy_verdict import Looks, baseline_of
 from stereo_slam_env.benchmark.statistics.verdict import Verdict, consistency, judge
-from stereo_slam_env.benchmark.storage.run_trajectory_files import seed_name
+from stereo_slam_env.benchmark.storage.run_files import seed_name
 from stereo_slam_env.benchmark.storage.store import StudyDirectory
 from stereo_slam_env.benchmark.storage.tables import CellResult
-from stereo_slam_env.evaluation.consistency import DOF, mean_band
+from stereo_slam_env.evaluation.bands import DOF, mean_band, studentised_interval
 from stereo_slam_env.evaluation.figures import Figure
-from stereo_slam_env.evaluation.intervals import studentised_interval
 from stereo_slam_env.evaluation.results import FilterSummary
 from stereo_slam_env.recording.archive import load_recording
+from stereo_slam_env.report.charts.axes import filter_colours
 from stereo_slam_env.report.charts.factors import FactorResponse, plot_factor
-from stereo_slam_env.report.charts.style import filter_colours
 from stereo_slam_env.report.comparison_report import attribution_section, conclusions
-from stereo_slam_env.report.data_section import data_section
 from stereo_slam_env.report.overview import RUN_BY_RUN, TONES, colour_key, lost
 from stereo_slam_env.report.page import TABLES, clean_figures, figure_block, part, write_page
-from stereo_slam_env.report.page_tables import Column, TableCell, Tone, filter_cell, number, table
+from stereo_slam_env.report.page_sections import Column, TableCell, Tone, data_section, filter_cell, number, table
 from stereo_slam_env.report.run_report import reference_banner, write_report
 from stereo_slam_env.report.tables import (
     FINDING_TONES,

@@ -13,11 +13,11 @@ from stereo_slam_env.benchmark.statistics.changes import Change, RunComparison, 
 from stereo_slam_env.benchmark.statistics.differences import Finding
 from stereo_slam_env.benchmark.statistics.effects import Contrast, ResponseAttribution
 from stereo_slam_env.evaluation.figures import UNKNOWN
+from stereo_slam_env.report.charts.axes import filter_colours
 from stereo_slam_env.report.charts.factors import plot_changes, plot_effects
-from stereo_slam_env.report.charts.style import filter_colours
 from stereo_slam_env.report.overview import RUN_BY_RUN
 from stereo_slam_env.report.page import FIGURES, TABLES, figure_block, part, write_page
-from stereo_slam_env.report.page_tables import Column, TableCell, Tone, filter_cell, known, number, table
+from stereo_slam_env.report.page_sections import Column, TableCell, Tone, filter_cell, known, number, table
 from stereo_slam_env.report.tables import FINDING_TONES, capital, percent_cell
 
 

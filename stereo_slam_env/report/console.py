@@ -15,14 +15,14 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-from stereo_slam_env.benchmark.scenarios.measurement_errors import (
+from stereo_slam_env.benchmark.scenarios.recording_description import (
     LAGS,
     OUTLIER,
     MeasurementErrors,
     error_correlation,
     noise_by_range,
+    recording_words,
 )
-from stereo_slam_env.benchmark.scenarios.recording_words import recording_words
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, PolicyChoice, Scenario
 from stereo_slam_env.benchmark.scenarios.study import Study
 from stereo_slam_env.benchmark.statistics.changes import RunComparison

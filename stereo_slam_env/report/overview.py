@@ -26,12 +26,12 @@ from stereo_slam_env.benchmark.statistics.verdict import (
     loss,
     timed_words,
 )
-from stereo_slam_env.evaluation.consistency import DOF
+from stereo_slam_env.evaluation.bands import DOF
 from stereo_slam_env.evaluation.figures import UNKNOWN, Figure, readable
 from stereo_slam_env.evaluation.results import FilterSummary
-from stereo_slam_env.report.charts.style import filter_colours
+from stereo_slam_env.report.charts.axes import filter_colours
 from stereo_slam_env.report.page import part
-from stereo_slam_env.report.page_tables import Column, TableCell, Tone, filter_cell, number, table
+from stereo_slam_env.report.page_sections import Column, TableCell, Tone, filter_cell, number, table
 from stereo_slam_env.report.tables import FINDING_TONES
 
 TONES: dict[Consistency, Tone] = {

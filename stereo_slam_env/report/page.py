@@ -1,11 +1,20 @@
-"""The page that reports are written on: self-contained, light and dark, printable, with live tables and charts."""
+"""The page that reports are written on: self-contained, light and dark, printable, with live tables and charts.
+
+Many charts are drawn in processes: the drawing of Vega has one thread in each.
+
+The processes start from nothing; this one, which may have threads, is not forked.
+"""
 
 from __future__ import annotations
 
 import json
+import os
 import re
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from functools import cache
 from importlib.metadata import version
 from importlib.resources import files
@@ -17,11 +26,80 @@ from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup, escape
 
 from filters.contract.validation import without_controls
-from stereo_slam_env.benchmark.storage.settings import holds_run
+from stereo_slam_env.benchmark.storage.run_files import holds_run
 from stereo_slam_env.files.folders import own_files, remove_own_files, write_text
+from stereo_slam_env.report.charts.axes import in_page_colours
 from stereo_slam_env.report.charts.drawing import Chart
-from stereo_slam_env.report.charts.saving import save_all
-from stereo_slam_env.report.charts.style import in_page_colours
+
+Picture = tuple[Chart, tuple[Path, ...]]
+"""A chart, and the files that it is drawn into."""
+FEWEST = 4
+"""Charts for which another process is worth its start."""
+MOST_PROCESSES = 4
+SECONDS = 300.0
+"""After so long a process that draws is given up."""
+
+
+def save_all(pictures: Sequence[Picture]) -> list[str]:
+    """Draw every chart into its files; returns the drawings, as `Chart.save` does.
+
+    Those of a process that fails are drawn here, so that what is wrong with a chart is told as ever.
+    """
+    count = max(1, min(_cores(), MOST_PROCESSES, len(pictures) // FEWEST))
+    shares = [range(first, len(pictures), count) for first in range(count)]
+    drawings: dict[int, str] = {}
+    with ExitStack() as stack:
+        others = [stack.enter_context(_elsewhere([pictures[i] for i in share])) for share in shares[1:]]
+        drawings |= {i: _saved(pictures[i]) for i in shares[0]}
+        for share, drawn in zip(shares[1:], others, strict=True):
+            found = drawn() or [_saved(pictures[i]) for i in share]
+            drawings |= dict(zip(share, found, strict=True))
+    return [drawings[i] for i in range(len(pictures))]
+
+
+def _saved(picture: Picture) -> str:
+    chart, paths = picture
+    return chart.save(*paths)
+
+
+def _cores() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@contextmanager
+def _elsewhere(share: Sequence[Picture]) -> Iterator[Callable[[], list[str] | None]]:
+    """A function that waits for the drawings of a process, None where it fails; it ends with the block."""
+    specs = [[chart.spec, [str(path.resolve()) for path in paths]] for chart, paths in share]
+    code = f"import sys; sys.path[:] = {sys.path!r}; from {__name__} import draw_share; draw_share()"
+    with tempfile.TemporaryFile() as told, tempfile.TemporaryFile() as drawn:
+        told.write(json.dumps(specs).encode())
+        told.seek(0)
+        process = subprocess.Popen(
+            [sys.executable, "-c", code], stdin=told, stdout=drawn, stderr=subprocess.DEVNULL, start_new_session=True
+        )
+
+        def wait() -> list[str] | None:
+            try:
+                if process.wait(SECONDS) != 0:
+                    return None
+            except subprocess.TimeoutExpired:
+                return None
+            drawn.seek(0)
+            drawings: list[str] = json.loads(drawn.read())
+            return drawings
+
+        try:
+            yield wait
+        finally:
+            process.kill()
+            process.wait()
+
+
+def draw_share() -> None:
+    """Draw what the standard input says, and write the drawings as JSON."""
+    given = json.loads(sys.stdin.read())
+    json.dump([Chart(spec).save(*map(Path, paths)) for spec, paths in given], sys.stdout)
+
 
 FIGURES, TABLES = "figures", "tables"
 """Folders of the figures, and of the tables as LaTeX, beside the page."""

@@ -16,9 +16,8 @@ from stereo_slam_env.evaluation.results import FilterRun
 from stereo_slam_env.evaluation.trajectory_score import TrajectoryScore
 from stereo_slam_env.report.charts import consistency, series, trajectories
 from stereo_slam_env.report.charts.accuracy import TRUTH, map_panel
-from stereo_slam_env.report.charts.axes import WIDTH, label_room
+from stereo_slam_env.report.charts.axes import INK, MUTED, WIDTH, filter_colours, label_room
 from stereo_slam_env.report.charts.drawing import Chart, Curve, figure
-from stereo_slam_env.report.charts.style import INK, MUTED, filter_colours
 
 if TYPE_CHECKING:
     from stereo_slam_env.api import Comparison, Evaluation

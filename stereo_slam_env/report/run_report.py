@@ -22,16 +22,16 @@ from stereo_slam_env.benchmark.statistics.measures import (
 from stereo_slam_env.benchmark.statistics.policy_verdict import Looks, judge_policies
 from stereo_slam_env.benchmark.statistics.remarks import innovation_remarks, motion_remarks, reference_remarks
 from stereo_slam_env.benchmark.statistics.verdict import Verdict, judge
-from stereo_slam_env.evaluation.reference_audit import ReferenceAudit
+from stereo_slam_env.evaluation.audits import ReferenceAudit
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
 from stereo_slam_env.evaluation.run_figures import Bounds, Figures, RunKey, key_of
 from stereo_slam_env.report import tables
-from stereo_slam_env.report.charts import accuracy, consistency, cost, policies, reference, series
+from stereo_slam_env.report.charts import accuracy, consistency, factors, policies, series
 from stereo_slam_env.report.charts.drawing import Chart
 from stereo_slam_env.report.comparison_report import attribution_section, conclusions
-from stereo_slam_env.report.data_section import Recordings, data_section
 from stereo_slam_env.report.overview import colour_key, overview, policy_overview
 from stereo_slam_env.report.page import TABLES, clean_figures, figure_blocks, part, write_page
+from stereo_slam_env.report.page_sections import Recordings, data_section
 
 MOST_SHOWN = 6
 """Of more filters than that, each is compared with the best one only, and the first ones have figures of their own."""
@@ -250,7 +250,7 @@ def _sections(
 def _audits(audits: Mapping[str, ReferenceAudit], draw: Callable[..., Markup]) -> Iterator[Markup]:
     for number, (name, audit) in enumerate(audits.items()):
         if len(audit.frames):
-            yield draw(f"audit_{number}", f"{name}: {audit}.", reference.plot_audit, audit)
+            yield draw(f"audit_{number}", f"{name}: {audit}.", accuracy.plot_audit, audit)
 
 
 def _gaze(runs: Sequence[FilterRun], looks: Looks, shown: str, draw: Callable[..., Markup]) -> Iterator[Markup]:
@@ -328,9 +328,9 @@ def _cost(
 ) -> Iterator[Markup]:
     if any(s.ms_per_frame is not None for s in summaries):
         caption = "Medians over frames and runs; of the memory, the largest growth in a run."
-        yield draw("cost", caption, cost.plot_cost, summaries)
+        yield draw("cost", caption, factors.plot_cost, summaries)
     caption = "Predict and update, median over runs, along the drive and by the size of the map."
-    yield draw("time_per_frame", caption, cost.plot_time_per_frame, runs)
+    yield draw("time_per_frame", caption, factors.plot_time_per_frame, runs)
 
 
 def _pairs(summaries: Sequence[FilterSummary], figures: Figures, verdict: Verdict, out: Path) -> Markup:

@@ -13,8 +13,8 @@ from stereo_slam_env.benchmark.statistics.measures import EFFICIENCY, PairwiseTa
 from stereo_slam_env.benchmark.statistics.remarks import limit_reached
 from stereo_slam_env.evaluation.figures import FIGURES, Figure, Group
 from stereo_slam_env.evaluation.results import FilterSummary
-from stereo_slam_env.report.charts.style import filter_colours
-from stereo_slam_env.report.page_tables import Column, TableCell, Tone, filter_cell, known, number, table
+from stereo_slam_env.report.charts.axes import filter_colours
+from stereo_slam_env.report.page_sections import Column, TableCell, Tone, filter_cell, known, number, table
 
 
 def figures_table(

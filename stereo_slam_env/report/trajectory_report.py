@@ -10,9 +10,8 @@ from markupsafe import Markup
 from stereo_slam_env.evaluation.trajectory_runs import RunsScore
 from stereo_slam_env.evaluation.trajectory_score import PairedVerdict, TrajectoryScore
 from stereo_slam_env.report.charts import trajectories
-from stereo_slam_env.report.data_section import data_section
 from stereo_slam_env.report.page import clean_figures, figure_block, part, write_page
-from stereo_slam_env.report.page_tables import Column, TableCell, table
+from stereo_slam_env.report.page_sections import Column, TableCell, data_section, table
 from stereo_slam_env.report.trajectory_table import (
     alignment_text,
     gauge_rows,

@@ -11,8 +11,8 @@ from rich.markup import escape
 from rich.table import Table
 
 from filters.checks.consistency import chi_square_quantile
+from stereo_slam_env.evaluation.bands import mean_band
 from stereo_slam_env.evaluation.claims import COVERED, ClaimScore
-from stereo_slam_env.evaluation.consistency import mean_band
 from stereo_slam_env.evaluation.figures import FIGURES, UNKNOWN, readable
 from stereo_slam_env.evaluation.trajectory_runs import RunsScore
 from stereo_slam_env.evaluation.trajectory_score import TrajectoryScore

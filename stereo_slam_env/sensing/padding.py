@@ -1,14 +1,38 @@
-"""Conversion between a `StereoObservation` and the fixed-shape arrays of a Gymnasium observation."""
+"""Limits of tracking, and fixed-shape arrays of a Gymnasium observation to and from a `StereoObservation`."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from filters import StereoObservation
+
+
+@dataclass(frozen=True)
+class TrackingPolicy:
+    """Number and visibility limits of the tracked landmarks.
+
+    A landmark is kept as long as both cameras see it. New ones are drawn with a probability proportional to their
+    disparity, so near ones are preferred.
+    """
+
+    max_landmarks: int = 90
+    """Most landmarks in one frame."""
+    refill_below: int = 65
+    """New ones are only taken up, to `max_landmarks`, when fewer than this are left."""
+    nearest: float = 4.0
+    """Least depth z, m."""
+    farthest: float = 150.0
+    """Largest depth z, m."""
+    margin: float = 2.0
+    """Distance to the edge of both images, px."""
+    revisit: bool = False
+    """Whether a lost landmark may be tracked again, under its old id."""
+
 
 NO_LANDMARK = -1
 """Id of a padding row."""

@@ -12,18 +12,19 @@ from stereo_slam_env.simulator.contacts import collides
 from stereo_slam_env.simulator.motion import (
     MOTION,
     ODOMETRY,
+    begin_ride,
     measure_odometry,
     move,
     nearest_frame,
+    ride_step,
     rotation_of,
     route_of,
     route_velocity,
     times,
 )
-from stereo_slam_env.simulator.ride import begin_ride, ride_step
+from stereo_slam_env.simulator.scenes import bodies_of, move_bodies, touches_body
 from stereo_slam_env.simulator.sensing import mark_in_view, observe
 from stereo_slam_env.simulator.state import ARENA, Fleet, Rules, Sensed
-from stereo_slam_env.simulator.traffic import bodies_of, move_bodies, touches_body
 
 WAIT, FIRST, STEP = 0, 1, 2
 """What a row does in a frame: nothing, the first frame of an episode, or a step."""

@@ -1,19 +1,156 @@
-"""Scenes as arrays, and room for them in the state."""
+"""Scenes as arrays, room for them in the state, and observations and truth of the rows as arrays of their own."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from filters.geometry.arrays import FloatArray
+from filters.geometry.arrays import FloatArray, IntArray
+from filters.geometry.rotations import Nine, Three
+from filters.kernels.compilation import entry, kernel
 from stereo_slam_env.sensing.rigs import CAMERA_HEIGHT
-from stereo_slam_env.simulator.rays import Obstacles, obstacles
-from stereo_slam_env.simulator.state import Fleet
-from stereo_slam_env.simulator.traffic import Traffic, traffic_arrays
+from stereo_slam_env.simulator.contacts import touches
+from stereo_slam_env.simulator.motion import LOOK_AHEAD, route_ahead, route_of
+from stereo_slam_env.simulator.rays import COLUMNS, KIND, TRIANGLE, Obstacles, hits, obstacles, solid_rows, way_to
+from stereo_slam_env.simulator.state import ARENA, Fleet, Rules, Sensed
 from stereo_slam_env.world.frames import WorldFrame
-from stereo_slam_env.world.routes import Route
-from stereo_slam_env.world.scene import Scene
+from stereo_slam_env.world.routes import FRAME_PERIOD, Route
+from stereo_slam_env.world.scene import BOX, CYLINDER, MovingBody, Scene
+
+
+class Traffic(NamedTuple):
+    """Moving bodies as arrays, see `Fleet`."""
+
+    tracks: FloatArray
+    shares: IntArray
+    balls: FloatArray
+    parts: FloatArray
+
+
+def traffic_arrays(bodies: Sequence[MovingBody]) -> Traffic:
+    """Bodies frame by frame, until all of them are at rest."""
+    frames = [int(np.ceil(body.times[-1] / FRAME_PERIOD)) + 1 for body in bodies]
+    tracks, shares = np.zeros((len(bodies), max(frames, default=0), 5)), np.zeros((len(bodies), 3), dtype=np.int64)
+    balls = np.zeros((len(bodies), 7))
+    parts: list[FloatArray] = []
+    for m, body in enumerate(bodies):
+        times = np.arange(frames[m]) * FRAME_PERIOD
+        for axis in range(3):
+            tracks[m, : frames[m], axis] = np.interp(times, body.times, body.positions[:, axis])
+        yaws = np.interp(times, body.times, body.yaws)
+        tracks[m, : frames[m], 3], tracks[m, : frames[m], 4] = np.cos(yaws), np.sin(yaws)
+        rows = solid_rows(part for part in body.parts if part.solid)
+        first = sum(len(part) for part in parts)
+        parts.append(rows)
+        shares[m] = first, first + len(rows), frames[m]
+        balls[m, :4] = _ball_around(rows)
+    return Traffic(tracks, shares, balls, np.concatenate(parts) if parts else np.zeros((0, COLUMNS)))
+
+
+def _ball_around(rows: FloatArray) -> FloatArray:
+    """Centre and radius of a ball that holds solids."""
+    if not len(rows):
+        return np.zeros(4)
+    reaches = np.empty(len(rows))
+    for i, row in enumerate(rows):
+        if row[KIND] == BOX:
+            reaches[i] = np.linalg.norm(row[3:6])
+        elif row[KIND] == CYLINDER:
+            reaches[i] = np.hypot(row[6], row[7])
+        elif row[KIND] == TRIANGLE:
+            reaches[i] = max(np.linalg.norm(row[3:6]), np.linalg.norm(row[6:9]))
+        else:
+            reaches[i] = row[6]
+    middle = 0.5 * ((rows[:, :3] - reaches[:, None]).min(axis=0) + (rows[:, :3] + reaches[:, None]).max(axis=0))
+    radius = (np.linalg.norm(rows[:, :3] - middle, axis=1) + reaches).max()
+    return np.append(middle, radius + 1e-3)
+
+
+@kernel
+def move_bodies(fleet: Fleet, b: int) -> None:
+    """Put the moving bodies of a row where they are in this frame."""
+    for m in range(fleet.sizes[b, 2]):
+        first, last, frames = fleet.shares[b, m]
+        at = fleet.tracks[b, m, min(fleet.step[b], frames - 1)]
+        cos, sin, ball = at[3], at[4], fleet.balls[b, m]
+        ball[4] = at[0] + cos * ball[0] - sin * ball[1]
+        ball[5] = at[1] + sin * ball[0] + cos * ball[1]
+        ball[6] = at[2] + ball[2]
+        for p in range(first, last):
+            part, now = fleet.parts[b, p], fleet.parts_now[b, p]
+            now[:] = part
+            _turn(part, now, 0, cos, sin)
+            now[0], now[1], now[2] = at[0] + now[0], at[1] + now[1], at[2] + now[2]
+            if part[KIND] == BOX:
+                now[6], now[7] = cos * part[6] - sin * part[7], sin * part[6] + cos * part[7]
+            elif part[KIND] == CYLINDER:
+                _turn(part, now, 3, cos, sin)
+            elif part[KIND] == TRIANGLE:
+                _turn(part, now, 3, cos, sin)
+                _turn(part, now, 6, cos, sin)
+
+
+@kernel
+def _turn(part: FloatArray, now: FloatArray, first: int, cos: float, sin: float) -> None:
+    """Turn the vector that begins in a column about z."""
+    x, y = part[first], part[first + 1]
+    now[first], now[first + 1] = cos * x - sin * y, sin * x + cos * y
+
+
+@kernel
+def _passes(ball: FloatArray, at: Three, way: Three) -> bool:
+    """Whether a ray comes into the ball around a body."""
+    x, y, z = ball[4] - at[0], ball[5] - at[1], ball[6] - at[2]
+    square = way[0] * way[0] + way[1] * way[1] + way[2] * way[2]
+    share = min(max((x * way[0] + y * way[1] + z * way[2]) / square, 0.0), 1.0) if square > 0.0 else 0.0
+    x, y, z = x - share * way[0], y - share * way[1], z - share * way[2]
+    return x * x + y * y + z * z <= ball[3] * ball[3]
+
+
+class Bodies(NamedTuple):
+    """The moving bodies of a row as they are in this frame, see `Fleet`."""
+
+    number: int
+    balls: FloatArray
+    shares: IntArray
+    parts: FloatArray
+
+
+@kernel
+def bodies_of(fleet: Fleet, b: int) -> Bodies:
+    """The moving bodies of a row."""
+    return Bodies(fleet.sizes[b, 2], fleet.balls[b], fleet.shares[b], fleet.parts_now[b])
+
+
+@kernel
+def is_behind_body(bodies: Bodies, left: Three, right: Three, to: Three) -> bool:
+    """Whether a moving body is between one of two cameras and a point on a surface."""
+    for camera in (left, right):
+        way = way_to(camera, to)
+        for m in range(bodies.number):
+            if _passes(bodies.balls[m], camera, way):
+                for p in range(bodies.shares[m, 0], bodies.shares[m, 1]):
+                    if hits(bodies.parts[p], camera, way):
+                        return True
+    return False
+
+
+@kernel
+def touches_body(bodies: Bodies, R: Nine, at: Three, half: Three) -> bool:
+    """Whether a box at a pose touches a moving body."""
+    reach = math.sqrt(half[0] * half[0] + half[1] * half[1] + half[2] * half[2])
+    for m in range(bodies.number):
+        ball = bodies.balls[m]
+        x, y, z = ball[4] - at[0], ball[5] - at[1], ball[6] - at[2]
+        if x * x + y * y + z * z <= (ball[3] + reach) ** 2:
+            for p in range(bodies.shares[m, 0], bodies.shares[m, 1]):
+                if touches(bodies.parts[p], R, at, half):
+                    return True
+    return False
 
 
 class SceneArrays(NamedTuple):
@@ -91,3 +228,81 @@ def with_room(fleet: Fleet, scene: SceneArrays) -> Fleet:
         return new
 
     return fleet._replace(**{name: grown(name) for name in shapes})
+
+
+MAX_VELOCITY: FloatArray = np.repeat([50.0, 10.0], 3)
+"""Bounds of the odometry in the observation, m/s and rad/s."""
+MAX_VELOCITY.flags.writeable = False
+Singles = NDArray[np.float32]
+
+
+class Shown(NamedTuple):
+    """A frame of B rows, with new arrays."""
+
+    uvd: Singles
+    """(B, N, 3), 0 in padding."""
+    mask: NDArray[np.int8]
+    ids: IntArray
+    odometry: Singles
+    progress: Singles
+    car: Singles
+    route: Singles
+    head: Singles
+    position: FloatArray
+    orientation: FloatArray
+    linear_velocity: FloatArray
+    angular_velocity: FloatArray
+    v_right: FloatArray
+    time: FloatArray
+
+
+def show(rules: Rules, fleet: Fleet, sensed: Sensed) -> Shown:
+    """What all rows show now."""
+    count, most, single = len(fleet.step), rules.most, np.float32
+    shown = Shown(
+        uvd=np.empty((count, most, 3), dtype=single),
+        mask=np.empty((count, most), dtype=np.int8),
+        ids=np.empty((count, most), dtype=np.int64),
+        odometry=np.empty((count, 6), dtype=single),
+        progress=np.empty((count, 1), dtype=single),
+        car=np.empty((count, 2), dtype=single),
+        route=np.empty((count, len(LOOK_AHEAD), 2), dtype=single),
+        head=np.empty((count, 2), dtype=single),
+        position=np.empty((count, 3)),
+        orientation=np.empty((count, 4)),
+        linear_velocity=np.empty((count, 3)),
+        angular_velocity=np.empty((count, 3)),
+        v_right=np.empty((count, most)),
+        time=np.empty(count),
+    )
+    _show(rules, fleet, sensed, shown)
+    return shown
+
+
+@entry
+def _show(rules: Rules, fleet: Fleet, sensed: Sensed, shown: Shown) -> None:
+    most = rules.most
+    for b in range(len(fleet.step)):
+        count, pose, velocity = sensed.number[b], fleet.pose[b], fleet.velocity[b]
+        for k in range(most):
+            there = k < count
+            shown.mask[b, k] = 1 if there else 0
+            shown.ids[b, k] = sensed.ids[b, k] if there else -1
+            shown.v_right[b, k] = sensed.v_right[b, k] if there else 0.0
+            for a in range(3):
+                shown.uvd[b, k, a] = sensed.uvd[b, k, a] if there else 0.0
+        for i in range(6):
+            limit = MAX_VELOCITY[i]
+            shown.odometry[b, i] = min(max(sensed.odometry[b, i], -limit), limit)
+        positions, arc_length = route_of(fleet, b)
+        shown.progress[b, 0] = fleet.farthest[b] / arc_length[-1]
+        for i in range(2):
+            shown.car[b, i], shown.head[b, i] = fleet.car[b, i], fleet.angles[b, i]
+        if rules.steered:
+            route_ahead(positions, arc_length, fleet.nearest[b], fleet.body[b], ARENA, shown.route[b])
+        for i in range(3):
+            shown.position[b, i], shown.linear_velocity[b, i] = pose[i], velocity[i]
+            shown.angular_velocity[b, i] = velocity[3 + i]
+        for i in range(4):
+            shown.orientation[b, i] = pose[3 + i]
+        shown.time[b] = fleet.step[b] * rules.dt

@@ -14,8 +14,8 @@ from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.geometry.camera import StereoCamera
 from filters.geometry.rotations import matrix
 from stereo_slam_env.sensing.imu import Imu
+from stereo_slam_env.sensing.padding import TrackingPolicy
 from stereo_slam_env.sensing.rigs import CAMERA_HEIGHT
-from stereo_slam_env.sensing.tracking import TrackingPolicy
 from stereo_slam_env.simulator.rays import COLUMNS
 from stereo_slam_env.world.routes import FRAME_PERIOD
 from stereo_slam_env.world.vehicle import Car, Head, Sway

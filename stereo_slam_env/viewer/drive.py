@@ -20,7 +20,7 @@ from filters.contract.validation import positive
 from filters.geometry.camera import StereoCamera
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice
 from stereo_slam_env.benchmark.scenarios.streams import make_sequence, without_measurements
-from stereo_slam_env.benchmark.storage.run_archive import load_run
+from stereo_slam_env.benchmark.storage.run_files import load_run
 from stereo_slam_env.benchmark.storage.store import RunDirectory, read_study
 from stereo_slam_env.files.folders import unfinished_name
 from stereo_slam_env.files.opening import checked_file
@@ -28,8 +28,8 @@ from stereo_slam_env.frontend.recorder import ActiveSearch
 from stereo_slam_env.loop import Moment, Observe, run
 from stereo_slam_env.recording.archive import load_recording
 from stereo_slam_env.recording.recording import LandmarkTruth, Recording
-from stereo_slam_env.rendering.images import Image
 from stereo_slam_env.rendering.overlay import even_sides
+from stereo_slam_env.rendering.pinhole import Image
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,14 +15,14 @@ import numpy as np
 from filters.contract.extras import require_module
 from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray
-from stereo_slam_env.evaluation.consistency import mean_band
+from stereo_slam_env.evaluation.bands import mean_band
 from stereo_slam_env.files.opening import checked_file
 from stereo_slam_env.loop import Moment
 from stereo_slam_env.rendering.overlay import disparity_colors
+from stereo_slam_env.report.charts.axes import BAND, GRID, INK, MUTED, filter_colours
 from stereo_slam_env.report.charts.series import heading, map_axes
-from stereo_slam_env.report.charts.style import BAND, GRID, INK, MUTED, filter_colours
 from stereo_slam_env.viewer.drive import Drive, Recorder
-from stereo_slam_env.viewer.ellipsoids import SIGMAS, ellipsoids
+from stereo_slam_env.viewer.rerun_view import SIGMAS, ellipsoids
 
 require_module("matplotlib", "pictures")
 

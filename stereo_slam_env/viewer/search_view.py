@@ -13,7 +13,6 @@ import numpy as np
 from filters.geometry.arrays import FloatArray
 from stereo_slam_env.frontend.tracks import Outcome, Search, TrackedPair
 from stereo_slam_env.recording.recording import GreyImage, StereoPair
-from stereo_slam_env.rendering.images import Image
 from stereo_slam_env.rendering.overlay import (
     FONT,
     INK,
@@ -27,6 +26,7 @@ from stereo_slam_env.rendering.overlay import (
     label,
     line_scale,
 )
+from stereo_slam_env.rendering.pinhole import Image
 from stereo_slam_env.viewer.drive import Recorder
 
 SIGMAS = 3.0

@@ -1,9 +1,9 @@
 """Public names of this room; each is imported when it is first used."""
 
-from .layout import Layout as Layout
-from .layout import facing_points as facing_points
-from .own_bodies import obj_mesh as obj_mesh
-from .own_bodies import urdf_solids as urdf_solids
+from .meshes import obj_mesh as obj_mesh
+from .meshes import urdf_solids as urdf_solids
+from .props import Layout as Layout
+from .props import facing_points as facing_points
 from .road import ASPHALT_HEIGHT as ASPHALT_HEIGHT
 from .road import RoadNetwork as RoadNetwork
 from .road import Strip as Strip

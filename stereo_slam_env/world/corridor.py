@@ -9,8 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from filters.geometry.arrays import BoolArray, FloatArray
-from stereo_slam_env.world.layout import facing_points
-from stereo_slam_env.world.props import LAMP, STEEL, Placed
+from stereo_slam_env.world.props import LAMP, STEEL, Placed, facing_points
 from stereo_slam_env.world.road import ASPHALT_HEIGHT, Road, RoadNetwork, Strip, network_along, paved, road_along
 from stereo_slam_env.world.routes import Route, once_per_route
 from stereo_slam_env.world.scene import Box, Look, Material, Primitive, Ribbon, Scene

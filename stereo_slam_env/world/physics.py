@@ -32,7 +32,7 @@ from stereo_slam_env.world.scene import (
     Sphere,
     TriangleMesh,
 )
-from stereo_slam_env.world.textures import texture
+from stereo_slam_env.world.street_textures import texture
 
 
 @contextmanager

@@ -8,7 +8,7 @@ import numpy as np
 
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from stereo_slam_env.world import props
-from stereo_slam_env.world.layout import facing_points
+from stereo_slam_env.world.props import facing_points
 from stereo_slam_env.world.road import ASPHALT_HEIGHT, Road, RoadNetwork, Strip, paved, road_along
 from stereo_slam_env.world.routes import Route, once_per_route
 from stereo_slam_env.world.scene import Material, Ribbon, Ribbons, Scene, ShapeTable

@@ -1,12 +1,17 @@
-"""Painters of the textures of a street and of what moves in it."""
+"""Procedural textures by name, the same bits every time, and the painters of a street and of what moves in it."""
 
 from __future__ import annotations
 
+from functools import cache
+from zlib import crc32
+
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from filters.geometry.arrays import FloatArray
-from stereo_slam_env.world.painting import grain, grey, noise, tinted, written
+from stereo_slam_env.world import painting, street_textures
+from stereo_slam_env.world.painting import SPECKLES, Painter, grain, grey, noise, tinted, written
 
 
 def _paint_asphalt(rng: np.random.Generator) -> FloatArray:
@@ -249,4 +254,41 @@ def _paint_cloth(rng: np.random.Generator) -> FloatArray:
     else:
         image *= np.where(np.add.outer(np.arange(128) // 16, np.arange(128) // 16) % 2, 1.0, 0.65)[..., None]
     image[:, 62:65] = 0.3
+    return image
+
+
+Image = NDArray[np.uint8]
+_PAINTERS: dict[str, Painter] = SPECKLES | {
+    name.removeprefix("_paint_").replace("_", "-"): painter
+    for module in (street_textures, painting)
+    for name, painter in vars(module).items()
+    if name.startswith("_paint_")
+}
+"""The textures of one tint, and the functions `_paint_<name>`."""
+TEXTURES: tuple[str, ...] = tuple(_PAINTERS)
+"""Names a `Material` may use."""
+
+
+VARIANTS = 4
+"""How many versions of each texture there are."""
+
+
+@cache
+def texture(name: str, variant: int = 0) -> Image:
+    """The texture as RGB uint8 (H, W, 3), top row first; read-only.
+
+    Variant 0 is the standard; others differ from it in details, contrast and brightness. A `ValueError` where there is
+    no such texture or variant.
+    """
+    if name not in _PAINTERS:
+        raise ValueError(f"texture must be one of {', '.join(TEXTURES)}, got {name!r}")
+    if not 0 <= variant < VARIANTS:
+        raise ValueError(f"variant must be from 0 to {VARIANTS - 1}, got {variant!r}")
+    rng = np.random.default_rng([crc32(name.encode()), variant] if variant else crc32(name.encode()))
+    painted = _PAINTERS[name](rng)
+    if variant:
+        mean = painted.mean(axis=(0, 1))
+        painted = mean * rng.uniform(0.85, 1.1) + (painted - mean) * rng.uniform(0.7, 1.3)
+    image: Image = np.rint(np.clip(painted, 0.0, 1.0) * 255).astype(np.uint8)
+    image.flags.writeable = False
     return image

@@ -27,11 +27,10 @@ from filters import (
 )
 from filters.geometry import rotations
 from filters.geometry.derivatives import jacobian_of
-from filters.geometry.retractions import AdditiveQuaternion, RotationVector, additive_transport_of
+from filters.geometry.poses import AdditiveQuaternion, RotationVector, additive_transport_of
 from filters.geometry.vectors import turned_by
+from filters.joint_state import JointState, StateLayout
 from filters.landmarks.inverse_depth import angles_of, ray_of
-from filters.state.joint_state import JointState
-from filters.state.layout import StateLayout
 
 from ..filters.dense import gamma_of_variables, linearised, moved_by
 from ..filters.first_sight import first_sight

@@ -7,7 +7,7 @@ import gymnasium as gym
 import pytest
 
 from filters.kernels.process_noise import TURN_WEIGHT
-from stereo_slam_env import wrappers
+from stereo_slam_env import envs
 from stereo_slam_env.files.folders import claimed_folder
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -22,10 +22,10 @@ def test_the_wrappers_take_what_their_page_says():
     """The block of signatures, argument by argument with its default."""
     block = re.search(r"^```text\n(.*?)^```", (ROOT / "docs" / "wrappers.md").read_text(encoding="utf-8"), re.S | re.M)
     shown = {name: " ".join(arguments.split()) for name, arguments in CALL.findall(block[1])}
-    assert set(shown) == {name for name in wrappers.__all__ if isinstance(getattr(wrappers, name), type)} & set(shown)
+    assert set(shown) == {name for name in envs.__all__ if isinstance(getattr(envs, name), type)} & set(shown)
     assert len(shown) == 6
     for name, arguments in shown.items():
-        assert arguments == taken(getattr(wrappers, name)), name
+        assert arguments == taken(getattr(envs, name)), name
 
 
 def taken(wrapper):
@@ -39,7 +39,7 @@ def taken(wrapper):
 
 def test_wrappers_go_into_vectors_of_processes_and_not_into_native_ones():
     """wrappers.md."""
-    given = {"num_envs": 2, "wrappers": [wrappers.BeliefObservation]}
+    given = {"num_envs": 2, "wrappers": [envs.BeliefObservation]}
     gym.make_vec("StereoSlam/Gaze-v0", vectorization_mode="sync", **given).close()
     with pytest.raises(gym.error.Error, match="wrappers"):
         gym.make_vec("StereoSlam/Gaze-v0", **given)

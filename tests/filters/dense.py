@@ -13,13 +13,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from filters import StereoEKF, StereoObservation
-from filters.contract.variables import VELOCITY
+from filters.contract.outputs import VELOCITY
 from filters.geometry import rotations, symmetric
 from filters.geometry.derivatives import columns_of, jacobian_of
 from filters.geometry.vectors import turned_by
+from filters.joint_state import Clone, JointState, StateLayout
 from filters.motions.motion_model import POSITION, ROTATION, CameraState
-from filters.state.joint_state import Clone, JointState
-from filters.state.layout import StateLayout
 
 
 def turned(q: np.ndarray, theta: np.ndarray) -> np.ndarray:

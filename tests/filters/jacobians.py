@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from filters.contract.variables import VELOCITY, Variable
+from filters.contract.outputs import VELOCITY, Variable
 from filters.landmarks.landmark_model import LandmarkModel
 from filters.measurements.measurement_model import MeasurementModel
 from filters.motions.motion_model import ANGULAR, LINEAR, POSITION, ROTATION, CameraState

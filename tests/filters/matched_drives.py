@@ -20,7 +20,7 @@ from filters import (
     StereoNoise,
     StereoObservation,
 )
-from stereo_slam_env.evaluation.consistency import mean_band
+from stereo_slam_env.evaluation.bands import mean_band
 
 from .drives import CAMERA, DT
 

@@ -6,12 +6,11 @@ from collections.abc import Mapping
 from typing import Any
 
 from filters.contract.inputs import BodyVelocity
-from filters.errors import ErrorDefinition
+from filters.errors import ErrorDefinition, Linearisation
 from filters.landmarks.landmark_model import LandmarkModel
 from filters.measurements.measurement_model import MeasurementModel
 from filters.motions.motion_model import MotionModel
 from filters.parts import SLOTS
-from filters.updates import Linearisation
 
 
 def parts_of(slot: str) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from filters import BodyVelocity, MotionModel
 from filters.geometry import rotations
 from filters.geometry.derivatives import columns_of
-from filters.geometry.retractions import AdditiveQuaternion, RotationVector, additive_transport_of
+from filters.geometry.poses import AdditiveQuaternion, RotationVector, additive_transport_of
 from filters.landmarks.landmark_model import LandmarkModel
 from filters.measurements.measurement_model import MeasurementModel
 from filters.motions.motion_model import CameraState

@@ -8,7 +8,7 @@ import numpy as np
 
 from filters import MeasurementModel, MotionModel, Variable
 from filters.geometry import rotations
-from filters.geometry.retractions import RotationVector
+from filters.geometry.poses import RotationVector
 from filters.geometry.vectors import plus, product, quaternion, rotate, scaled
 
 DISPARITY_ERRORS = Variable("disparity-errors", [1.02, 0.003], np.diag([0.01, 0.002]) ** 2)

@@ -37,7 +37,7 @@ NOT_ON_IT = {
     "cli/parts.py settings_from": "the command line",
     "paper/__init__.py _kept": "its own results: what is wrong with one is that it is computed again",
     "policies/ppo.py _load_state": "needs a network, see tests/stereo_slam_env/policies/test_ppo.py",
-    "benchmark/storage/plugin_code.py _digest_of_files": "trajectories that are read before, as `layouts`",
+    "benchmark/storage/code_identity.py _digest_of_files": "trajectories that are read before, as `layouts`",
     "benchmark/storage/store.py root_of": "a study that is read before, or no study of ours",
     "sensing/rig_files.py _png_size": "the size in the header of a picture, as `datasets.image_files` has it",
     "datasets/image_files.py _content": "of every layout of images",

@@ -37,8 +37,8 @@ from filters.geometry.arrays import FloatArray
 from filters.geometry.poses import Pose
 from stereo_slam_env.recording.recording import SIMULATION, Frame, LandmarkTruth, Recording, Velocity
 from stereo_slam_env.sensing.corruptions import NOISE_MODELS
+from stereo_slam_env.sensing.padding import TrackingPolicy
 from stereo_slam_env.sensing.rigs import CAMERA_HEIGHT, RIGS, Rig, camera_of
-from stereo_slam_env.sensing.tracking import TrackingPolicy
 from stereo_slam_env.simulator.scenes import SceneArrays, scene_arrays
 from stereo_slam_env.simulator.simulator import Simulator
 from stereo_slam_env.simulator.state import make_rules

@@ -39,8 +39,8 @@ Send = Callable[[str, object], None]
 PRELOADED = (
     "filters.engine.row",
     "stereo_slam_env.benchmark.running.tasks",
-    "stereo_slam_env.policies.episode",
-    "stereo_slam_env.wrappers.belief_panorama",
+    "stereo_slam_env.policies.rows",
+    "stereo_slam_env.envs.belief_panorama",
     "stereo_slam_env.envs.recorder",
 )
 """Modules that most trials need; importing them once in the server is why a process costs milliseconds. One may have

@@ -47,7 +47,7 @@ from stereo_slam_env.benchmark.scenarios.streams import (
     make_sequence,
     without_measurements,
 )
-from stereo_slam_env.benchmark.storage.run_archive import packed_bound, packed_run
+from stereo_slam_env.benchmark.storage.run_files import packed_bound, packed_run
 from stereo_slam_env.evaluation.batch_run import run_batch
 from stereo_slam_env.evaluation.body_frames import read_body
 from stereo_slam_env.evaluation.cramer_rao import Bound, cramer_rao_bound, cramer_rao_bounds
@@ -62,7 +62,7 @@ from stereo_slam_env.recording.recording import Recording
 from stereo_slam_env.recording.trajectory_files import load_trajectory
 
 if TYPE_CHECKING:
-    from stereo_slam_env.policies.episode import Episode
+    from stereo_slam_env.policies.rows import Episode
 
 Result = TypeVar("Result")
 

@@ -21,9 +21,12 @@ from stereo_slam_env.benchmark.scenarios.bounds import (
     MOST_FRAMES,
     MOST_SECONDS,
     MOST_SEED,
+    OUTSIDE,
+    SEED,
     require_bounded,
+    require_file,
+    require_place,
 )
-from stereo_slam_env.benchmark.scenarios.outside import OUTSIDE, SEED, require_file, require_place
 from stereo_slam_env.recording.filter_setup import FilterSetup
 
 if TYPE_CHECKING:

@@ -15,13 +15,13 @@ from filters.catalogue.registry import make_with_common_options
 from filters.contract.inputs import StereoObservation
 from filters.contract.noise import ColouredNoise, StereoNoise
 from stereo_slam_env.benchmark.recordings.source import OpenedImages, Progress
-from stereo_slam_env.benchmark.scenarios.measurement_errors import measurement_errors, noise_by_range
+from stereo_slam_env.benchmark.scenarios.recording_description import measurement_errors, noise_by_range
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, Scenario
 from stereo_slam_env.recording.recording import Recording, require_frames
 from stereo_slam_env.sensing.corruptions import corrupted, make_corruption
 
 if TYPE_CHECKING:
-    from stereo_slam_env.policies.episode import Episode
+    from stereo_slam_env.policies.rows import Episode
 
 
 def make_recording(scenario: Scenario, seed: int | None, progress: Progress | None = None) -> Recording:
@@ -102,9 +102,9 @@ def drive_episode(
     The filter is made and told exactly what `run_filter` makes and tells it, so that a run over the recording says what
     the policy heard.
     """
+    from stereo_slam_env.envs import BeliefObservation, BeliefPanorama
     from stereo_slam_env.policies import make_policy
-    from stereo_slam_env.policies.episode import run_episode
-    from stereo_slam_env.wrappers import BeliefObservation, BeliefPanorama
+    from stereo_slam_env.policies.rows import run_episode
 
     assert choice.policy is not None
     core = scenario.source.make_environment()
@@ -132,8 +132,8 @@ def drive_episode(
 
 def drive_straight_ahead(scenario: Scenario, seed: int | None, progress: Progress | None = None) -> Episode:
     """Episode with a fixed head and without a filter."""
-    from stereo_slam_env.policies.episode import run_episode
-    from stereo_slam_env.policies.open_loop import FixedGaze
+    from stereo_slam_env.policies.registry import FixedGaze
+    from stereo_slam_env.policies.rows import run_episode
 
     env = scenario.source.make_environment()
     try:
@@ -198,12 +198,12 @@ def description_of(recording: Recording) -> dict[str, Any]:
         "source": dict(recording.source),
     }
     if recording.reference.counts_as_truth and recording.reference.kind != "simulation":
-        from stereo_slam_env.frontend.doubtful_steps import audit_of  # needs OpenCV, only where it is needed
+        from stereo_slam_env.frontend.camera_motion import audit_of  # needs OpenCV, only where it is needed
 
         audit = audit_of(recording)
         description["audit"] = None if audit is None else audit.as_dict()
     if recording.truth_from.kind != "simulation":
-        from stereo_slam_env.benchmark.scenarios.recording_words import recording_words
+        from stereo_slam_env.benchmark.scenarios.recording_description import recording_words
 
         description["words"] = recording_words(recording)
     from_images = any(frame.observation.R is not None for frame in recording.frames)

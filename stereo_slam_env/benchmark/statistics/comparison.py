@@ -30,7 +30,7 @@ from stereo_slam_env.benchmark.statistics.changes import (
     headline,
 )
 from stereo_slam_env.benchmark.statistics.measures import DIVERGED, MEASURES, TIME, difference_by
-from stereo_slam_env.benchmark.storage.settings import SETTINGS
+from stereo_slam_env.benchmark.storage.run_files import SETTINGS
 from stereo_slam_env.benchmark.storage.store import RunDirectory, read_study
 from stereo_slam_env.benchmark.storage.tables import results_of
 from stereo_slam_env.evaluation.figures import Figure

@@ -22,8 +22,8 @@ import scipy  # its `stats`, slow to import, is loaded where it is used
 from numpy.typing import ArrayLike
 
 from filters.geometry.arrays import BoolArray, FloatArray
+from stereo_slam_env.evaluation.bands import studentised_interval, welch_interval
 from stereo_slam_env.evaluation.figures import readable
-from stereo_slam_env.evaluation.intervals import studentised_interval, welch_interval
 
 CONFIDENCE = 0.95
 MIN_PAIRS = 6

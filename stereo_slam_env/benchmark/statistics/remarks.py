@@ -11,8 +11,8 @@ import numpy as np
 
 from filters.catalogue.registry import USUAL
 from stereo_slam_env.benchmark.statistics.differences import CONFIDENCE, MIN_PAIRS, listed
+from stereo_slam_env.evaluation.bands import rms_ratio_interval
 from stereo_slam_env.evaluation.figures import readable
-from stereo_slam_env.evaluation.intervals import rms_ratio_interval
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
 from stereo_slam_env.recording.recording import Reference, ReferenceKind
 

@@ -22,7 +22,7 @@ from stereo_slam_env.benchmark.statistics.differences import (
 )
 from stereo_slam_env.benchmark.statistics.measures import POSE_NEES, POSITION, difference_between
 from stereo_slam_env.benchmark.statistics.remarks import Reach, limit_reached
-from stereo_slam_env.evaluation.consistency import DOF
+from stereo_slam_env.evaluation.bands import DOF
 from stereo_slam_env.evaluation.figures import readable
 from stereo_slam_env.evaluation.results import FilterSummary
 from stereo_slam_env.evaluation.run_figures import Figures, RunFigures, common_keys

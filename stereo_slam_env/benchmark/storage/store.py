@@ -16,28 +16,26 @@ from typing import Any
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, Scenario
 from stereo_slam_env.benchmark.scenarios.streams import as_given, pairing_digest, stream_key
 from stereo_slam_env.benchmark.scenarios.study import Cell, Study
-from stereo_slam_env.benchmark.storage.code_identity import code_digest, versions
-from stereo_slam_env.benchmark.storage.plugin_code import digest_of_choice, digest_of_source
-from stereo_slam_env.benchmark.storage.run_archive import (
-    StoredRun,
-    damage_named,
-    load_bound,
-    load_provenance,
-    load_run,
-)
-from stereo_slam_env.benchmark.storage.run_trajectory_files import seed_name, write_trajectories
-from stereo_slam_env.benchmark.storage.settings import (
+from stereo_slam_env.benchmark.storage.code_identity import code_digest, digest_of_choice, digest_of_source, versions
+from stereo_slam_env.benchmark.storage.run_files import (
     SETTINGS,
     STUDY,
     Given,
+    StoredRun,
+    damage_named,
     descriptions,
     holds_run,
+    load_bound,
+    load_provenance,
+    load_run,
     refuse_foreign,
     refuse_other_settings,
+    seed_name,
     why_no_run,
+    write_trajectories,
 )
+from stereo_slam_env.evaluation.audits import ReferenceAudit
 from stereo_slam_env.evaluation.cramer_rao import Bound
-from stereo_slam_env.evaluation.reference_audit import ReferenceAudit
 from stereo_slam_env.evaluation.results import FilterRun
 from stereo_slam_env.evaluation.run_figures import (
     RunKey,

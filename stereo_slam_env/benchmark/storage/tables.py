@@ -19,8 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from stereo_slam_env.benchmark.scenarios.study import Cell
-from stereo_slam_env.benchmark.storage.run_trajectory_files import WRITTEN, write_trajectories
-from stereo_slam_env.benchmark.storage.settings import Given, descriptions
+from stereo_slam_env.benchmark.storage.run_files import WRITTEN, Given, descriptions, write_trajectories
 from stereo_slam_env.benchmark.storage.store import VERSION, RunDirectory, StudyDirectory
 from stereo_slam_env.evaluation.figures import FIGURES, trial_columns
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary

@@ -1,4 +1,4 @@
-"""Charts of what a filter achieves and what it costs: path and errors, distance from the limit, time."""
+"""Charts of what a filter achieves: path and errors, distance from the limit; audit of a reference by the images."""
 
 from __future__ import annotations
 
@@ -9,20 +9,25 @@ from typing import Any
 import numpy as np
 
 from filters.geometry.arrays import FloatArray
+from stereo_slam_env.evaluation.audits import ReferenceAudit
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
 from stereo_slam_env.evaluation.run_figures import Bounds, key_of
 from stereo_slam_env.evaluation.trial import position_rmse
 from stereo_slam_env.report.charts import series
-from stereo_slam_env.report.charts.axes import WIDTH, Axis, label_room, panel_width
-from stereo_slam_env.report.charts.drawing import DASHED, ROW, Chart, Curve, Panel, figure, limit_of
-from stereo_slam_env.report.charts.style import (
+from stereo_slam_env.report.charts.axes import (
     INK,
     MUTED,
+    PALETTE,
+    WIDTH,
+    Axis,
     Limit,
     filter_colours,
+    label_room,
     nested_widths,
+    panel_width,
     shared_limit,
 )
+from stereo_slam_env.report.charts.drawing import DASHED, ROW, Chart, Curve, Panel, figure, limit_of
 
 MAX_THIN_LINES = 12
 """Single runs drawn behind a median: more would only darken the picture."""
@@ -326,3 +331,27 @@ def _rows(
 
 def _said(name: str, recording: str, seed: int | None) -> str:
     return f"{name}, {recording}" + (f", seed {seed}" if seed is not None else "")
+
+
+DOUBTFUL = "reference doubtful here"
+_LEAST = 0.02
+"""Lower end of the axis, px: below it nothing is to be told."""
+
+
+def plot_audit(audit: ReferenceAudit) -> Chart:
+    """Median residual of tracks by each step of the reference, and by the images; doubtful steps have a dot."""
+    floor = np.maximum([audit.by_reference, audit.by_images], _LEAST)
+    lines = [
+        Curve("by the images", audit.frames, floor[1], MUTED, width=1.2),
+        Curve("by the reference", audit.frames, floor[0], INK, width=1.2),
+    ]
+    dots = Curve(DOUBTFUL, audit.frames[audit.doubtful], floor[0][audit.doubtful], PALETTE[1])
+    colours = {curve.key: curve.colour for curve in (*lines, dots)}
+    limit = limit_of(lines, spread=1e3)
+    y = Axis(0.8 * float(floor.min()), 1.5 * limit.upper, log=True)
+    x = Axis(float(audit.frames[0]) - 1.0, float(audit.frames[-1]) + 1.0, "frame")
+    panel = Panel(x, y, panel_width(1, label_room(colours)), 220.0, "Median distance of tracks, left image (px)")
+    panel.lines(lines)
+    panel.dots([dots])
+    panel.colour_key(colours)
+    return figure([panel], colours)

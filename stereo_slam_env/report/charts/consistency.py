@@ -7,22 +7,26 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from filters.geometry.arrays import FloatArray
-from stereo_slam_env.evaluation.consistency import DOF, mean_bands
+from stereo_slam_env.evaluation.bands import DOF, mean_bands
 from stereo_slam_env.evaluation.landmark_statistics import DepthConvergence, RangeError
 from stereo_slam_env.evaluation.map_scoring import LandmarkTrace
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
 from stereo_slam_env.report.charts import series
-from stereo_slam_env.report.charts.axes import WIDTH, Axis, label_room, log_axis, panel_width
-from stereo_slam_env.report.charts.drawing import DASHED, BoxMark, Chart, Curve, Panel, ends_of, figure, limit_of
-from stereo_slam_env.report.charts.style import (
+from stereo_slam_env.report.charts.axes import (
     BAND,
     INK,
     MUTED,
+    WIDTH,
+    Axis,
     filter_colours,
+    label_room,
+    log_axis,
     nested_widths,
+    panel_width,
     shared_limit,
     short_number,
 )
+from stereo_slam_env.report.charts.drawing import DASHED, BoxMark, Chart, Curve, Panel, ends_of, figure, limit_of
 
 # The order of the panels; columns of the pose error. The camera frame is x right, y down, z forward: roll is about z.
 _PANELS = (

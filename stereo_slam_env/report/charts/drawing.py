@@ -10,9 +10,8 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
-from typing import IO, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import vl_convert
@@ -20,21 +19,29 @@ from numpy.typing import ArrayLike
 
 from filters.geometry.arrays import FloatArray, IntArray
 from stereo_slam_env.files.folders import write_atomically, write_text
-from stereo_slam_env.report.charts.axes import Axis, short, spread_out
-from stereo_slam_env.report.charts.series import last_known, peak, thinned
-from stereo_slam_env.report.charts.style import INK, MUTED, PAPER, Limit, dash_of, shape_of, shared_limit
-from stereo_slam_env.report.charts.vega import (
+from stereo_slam_env.report.charts.axes import (
     AS_GIVEN,
     COLOURED,
     ID,
+    INK,
+    MUTED,
+    PAPER,
     SAID,
     THEME,
     UPRIGHT,
+    Axis,
+    Limit,
     Spec,
+    dash_of,
     drawn,
+    shape_of,
+    shared_limit,
+    short,
+    spread_out,
     with_shared_data,
     written,
 )
+from stereo_slam_env.report.charts.series import last_known, peak, thinned
 
 _Kind = TypeVar("_Kind")
 PNG_SCALE = 1.6
@@ -307,18 +314,13 @@ class Chart:
         white = on_white(svg)
         for path in map(Path, paths):
             if path.suffix == ".png":
-                picture = vl_convert.svg_to_png(white, scale=PNG_SCALE)
-                write_atomically(path, partial(_write, picture))
+                write_atomically(path, lambda stream: stream.write(vl_convert.svg_to_png(white, scale=PNG_SCALE)))
             else:
                 write_text(path, white)
         return svg
 
     def _repr_mimebundle_(self, **_: Any) -> dict[str, Any]:
         return {"application/vnd.vegalite.v6+json": self.spec, "image/svg+xml": on_white(self.svg())}
-
-
-def _write(content: bytes, stream: IO[bytes]) -> None:
-    stream.write(content)
 
 
 def limit_of(curves: Iterable[Curve], spread: float = 10.0) -> Limit:

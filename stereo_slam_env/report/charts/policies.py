@@ -14,9 +14,18 @@ from stereo_slam_env.evaluation.results import FilterRun
 from stereo_slam_env.recording.recording import Recording
 from stereo_slam_env.report.charts import series
 from stereo_slam_env.report.charts.accuracy import map_panel
-from stereo_slam_env.report.charts.axes import WIDTH, Axis, label_room, panel_width
+from stereo_slam_env.report.charts.axes import (
+    GRID,
+    INK,
+    MUTED,
+    PALETTE,
+    WIDTH,
+    Axis,
+    filter_colours,
+    label_room,
+    panel_width,
+)
 from stereo_slam_env.report.charts.drawing import DASHED, Chart, Curve, Panel, figure, limit_of
-from stereo_slam_env.report.charts.style import GRID, INK, MUTED, PALETTE, filter_colours
 
 _LOOK_EVERY = 0.5
 """s between two lines of sight in the map."""

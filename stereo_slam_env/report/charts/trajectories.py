@@ -8,15 +8,24 @@ import numpy as np
 from scipy.special import chdtr
 
 from filters.geometry.arrays import FloatArray
-from stereo_slam_env.evaluation.consistency import mean_band
+from stereo_slam_env.evaluation.bands import mean_band
 from stereo_slam_env.evaluation.trajectory_runs import RunsScore
 from stereo_slam_env.evaluation.trajectory_score import TrajectoryScore
 from stereo_slam_env.recording.trajectory import pose_errors
 from stereo_slam_env.report.charts.accuracy import TRUTH, map_panel
-from stereo_slam_env.report.charts.axes import WIDTH, Axis, label_room, log_axis, panel_width
+from stereo_slam_env.report.charts.axes import (
+    INK,
+    MUTED,
+    WIDTH,
+    Axis,
+    filter_colours,
+    label_room,
+    log_axis,
+    nested_widths,
+    panel_width,
+)
 from stereo_slam_env.report.charts.consistency import band_chart, pose_error_chart, shared_error_limits
 from stereo_slam_env.report.charts.drawing import DASHED, Chart, Curve, Panel, figure
-from stereo_slam_env.report.charts.style import INK, MUTED, filter_colours, nested_widths
 
 SIGMAS = 3.0
 """Half width of a tube."""

@@ -18,7 +18,7 @@ from filters import (
     check_filter,
 )
 from filters.checks.conformance import CHECKS, REFERENCE_CAMERA, REFERENCE_NOISE, START
-from stereo_slam_env.baselines.dead_reckoning import DeadReckoning
+from stereo_slam_env.baselines.camera_alone import DeadReckoning
 
 from ..false_claims import LIES, liar
 

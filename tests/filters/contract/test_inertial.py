@@ -21,7 +21,7 @@ from filters import (
 )
 from filters.geometry import rotations
 from filters.geometry.derivatives import jacobian
-from filters.motions.driven import moved_by
+from filters.motions.constant_velocity import moved_by
 
 from ..drives import CAMERA, INDEPENDENT_PIXELS
 from ..inertial_drives import DT, GRAVITY, TURN, UNIT, Journey, driven

@@ -13,7 +13,7 @@ import pytest
 
 from filters import StereoNoise
 from stereo_slam_env.benchmark.recordings.reference_problem import short_turn
-from stereo_slam_env.evaluation.consistency import mean_band
+from stereo_slam_env.evaluation.bands import mean_band
 from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.evaluation.results import FilterRun
 from stereo_slam_env.recording.recording import Recording

@@ -11,8 +11,8 @@ import pytest
 
 from filters import BodyVelocity, Start, StereoEKF, StereoObservation, VelocityDriven
 from filters.geometry import rotations, symmetric
+from filters.joint_state import JointState
 from filters.motions.motion_model import ANGULAR, CAMERA_SIZE, LINEAR, POSITION, ROTATION
-from filters.state.joint_state import JointState
 
 from ..dense import at_first_estimates, gamma, linearised, translations
 from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, SPEED, drive

@@ -19,8 +19,8 @@ from filters import (
     VelocityDriven,
 )
 from filters.geometry import rotations, symmetric
+from filters.joint_state import JointState
 from filters.motions.motion_model import ANGULAR, CAMERA_SIZE, LINEAR, POSITION, ROTATION
-from filters.state.joint_state import JointState
 
 from ..dense import gamma, minus, moved_by
 from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, drive

@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from filters import BodyVelocity, ErrorDefinition, StereoEKF
 from filters.geometry.derivatives import columns_of
+from filters.joint_state import JointState
 from filters.motions.motion_model import CameraState
-from filters.state.joint_state import JointState
 
 from ..dense import own_blocks
 from ..drives import DT, Frame, drive

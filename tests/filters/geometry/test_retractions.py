@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from filters.geometry.retractions import AdditiveQuaternion, RotationVector, additive_transport_of
+from filters.geometry.poses import AdditiveQuaternion, RotationVector, additive_transport_of
 
 from ..textbook import complex_step_jacobian, rotation_tangent
 

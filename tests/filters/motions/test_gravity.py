@@ -22,7 +22,7 @@ from filters import (
 )
 from filters.geometry import symmetric
 from filters.geometry.vectors import plus, product, quaternion, scaled
-from filters.state.layout import StateLayout
+from filters.joint_state import StateLayout
 
 from ..dense import at_first_estimates, gamma, gamma_of_variables
 from ..drives import CAMERA, INDEPENDENT_PIXELS

@@ -9,10 +9,9 @@ import numpy as np
 from filters import Start
 from filters.geometry import symmetric
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
+from filters.joint_state import Clone, JointState, StateLayout
 from filters.landmarks.landmark_model import LandmarkModel
 from filters.motions.motion_model import POSE_SIZE, CameraState
-from filters.state.joint_state import Clone, JointState
-from filters.state.layout import StateLayout
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from filters.geometry import symmetric
-from filters.state.joint_state import JointState
+from filters.joint_state import JointState
 
 from ..slots import LANDMARKS
 from .states import augment, camera_at, new_landmarks, remove, transform_variables, without_map

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from filters.geometry import symmetric
-from filters.landmarks.hybrid import Hybrid
+from filters.joint_state import JointState
+from filters.landmarks.inverse_depth import Hybrid
 from filters.landmarks.landmark_model import LandmarkModel
-from filters.state.joint_state import JointState
 
 from ..slots import LANDMARKS
 from .states import NewLandmarks, augment, camera_at, new_landmarks, remove, transform_variables, without_map

@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 from filters import BodyVelocity, Start, StereoEKF, StereoObservation, Variable
 from filters.contract.stereo_filter import StereoFilter
 from filters.geometry import symmetric
-from filters.geometry.retractions import RotationVector
-from filters.state.layout import StateLayout
+from filters.geometry.poses import RotationVector
+from filters.joint_state import StateLayout
 
 from ..dense import constrained, gamma_of_variables
 from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, SPEED, drive, start

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from filters.geometry import symmetric
+from filters.joint_state import JointState
 from filters.motions.motion_model import CAMERA_SIZE, CameraState
-from filters.state.joint_state import JointState
-from filters.submaps.chain import SubmapChain
+from filters.submaps.submap_ekf import SubmapChain
 
 from ..dense import plus
 from ..engine.linear_problems import LinearisedMeasurements, update

@@ -19,7 +19,7 @@ from filters import (
     make_filter,
 )
 from filters.checks.conformance import CHECKS
-from filters.state.joint_state import JointState
+from filters.joint_state import JointState
 from filters.submaps.submap_ekf import SubmapEKF
 
 from ..drives import CAMERA, DT, INDEPENDENT_PIXELS

@@ -36,7 +36,7 @@ THIRD_PARTY = '''
 
 import os
 
-from stereo_slam_env.policies.open_loop import FixedGaze
+from stereo_slam_env.policies.registry import FixedGaze
 
 
 class Raises(FixedGaze):

@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from filters import Pose, StereoNoise, make_filter
 from stereo_slam_env.cli import app as cli
 from stereo_slam_env.datasets import load, open_image_sequence
-from stereo_slam_env.datasets.bag_writer import LEFT, write_mcap
+from stereo_slam_env.datasets.bag_images import LEFT, write_mcap
 from stereo_slam_env.sensing.imu import DATA_SHEETS
 
 from .small_image_folders import CAMERA, DT, FRAMES, drive, true_poses

@@ -13,7 +13,7 @@ from filters import ConstantVelocity
 from stereo_slam_env import evaluate
 from stereo_slam_env.cli import app as cli
 from stereo_slam_env.datasets import available_recordings, load, open_image_sequence
-from stereo_slam_env.datasets.bag_writer import write_mcap
+from stereo_slam_env.datasets.bag_images import write_mcap
 from stereo_slam_env.datasets.ros_bag import grey_of
 from stereo_slam_env.datasets.tartanair import R_BODY_CAMERA
 from stereo_slam_env.frontend.camera_motion import needed_motion

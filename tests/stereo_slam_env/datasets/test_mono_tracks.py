@@ -12,7 +12,7 @@ import stereo_slam_env as sse
 from filters import FilterBatch, StereoEKF, StereoObservation, make_filter
 from fuzz.seeds_of_others import mono_tracks
 from stereo_slam_env.benchmark.recordings.inertial_problem import inertial_flight
-from stereo_slam_env.benchmark.scenarios.recording_words import recording_words
+from stereo_slam_env.benchmark.scenarios.recording_description import recording_words
 from stereo_slam_env.recording.trajectory import Trajectory
 from stereo_slam_env.recording.trajectory_files import save_trajectory
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import stereo_slam_env  # noqa: F401 (registers the ids)
-from stereo_slam_env.wrappers import BeliefObservation
+from stereo_slam_env.envs import BeliefObservation
 
 QUICK = {"route": "right-turn", "rig": "qvga", "max_landmarks": 8}
 

@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import stereo_slam_env  # noqa: F401 (registers the environments)
-from stereo_slam_env.wrappers import BeliefObservation, InformationGain
+from stereo_slam_env.envs import BeliefObservation, InformationGain
 
 QUICK = {"route": "right-turn", "rig": "qvga", "surroundings": "groves", "max_landmarks": 12}
 MAKERS = {

@@ -13,7 +13,7 @@ from stereo_slam_env.envs.recorder import RenderedDrive
 from stereo_slam_env.frontend.recorder import ActiveSearch, record_tracks
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.rendering.backends import image_quality, renderer_identity
-from stereo_slam_env.rendering.images import grey
+from stereo_slam_env.rendering.pinhole import grey
 
 DRIVE = {"route": "right-turn", "rig": "qvga"}
 FRAMES = 6

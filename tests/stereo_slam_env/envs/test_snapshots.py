@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import stereo_slam_env  # noqa: F401 (registers the ids)
-from stereo_slam_env.wrappers import (
+from stereo_slam_env.envs import (
     BeliefObservation,
     InformationGain,
     restore,

@@ -7,8 +7,8 @@ import pytest
 
 from filters import ColouredNoise, LandmarkDrift, StereoEKF, StereoNoise
 from stereo_slam_env.evaluation.batch_run import run_batch
-from stereo_slam_env.evaluation.contract import ContractBroken
 from stereo_slam_env.evaluation.filter_run import AT_ONCE, run_filter
+from stereo_slam_env.evaluation.results import ContractBroken
 from stereo_slam_env.evaluation.run_figures import score_of
 from stereo_slam_env.recording.recording import Reference
 

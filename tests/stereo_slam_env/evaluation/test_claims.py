@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import stereo_slam_env as sse
+from stereo_slam_env.evaluation.bands import mean_band
 from stereo_slam_env.evaluation.claims import crps, energy_scores
-from stereo_slam_env.evaluation.consistency import mean_band
 from stereo_slam_env.evaluation.trajectory_runs import score_runs
 
 from .test_trajectory_score import drives

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from filters.checks.consistency import nees
-from stereo_slam_env.evaluation.consistency import mean_band, share_inside
+from stereo_slam_env.evaluation.bands import mean_band, share_inside
 
 
 def test_the_band_of_50_poses_is_the_published_one():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, t
 
-from stereo_slam_env.evaluation.consistency import consistency_figures, mean_band
+from stereo_slam_env.evaluation.bands import consistency_figures, mean_band
 from stereo_slam_env.evaluation.landmark_statistics import LandmarkStatistics
 
 from ...synthetic_runs import THREE, make_runs

@@ -212,7 +212,7 @@ def test_standing_still_is_legal(recording, name, exact):
 SAID = f"frame {FRAME}: its covariance is not positive definite"
 PLUGIN = """
 import dataclasses
-from stereo_slam_env.baselines.dead_reckoning import DeadReckoning
+from stereo_slam_env.baselines.camera_alone import DeadReckoning
 
 
 class Zero(DeadReckoning):

@@ -12,7 +12,7 @@ from filters import Pose, nees
 from filters.geometry import rotations
 from stereo_slam_env.evaluation.drift_model import LengthCheck, drivers
 from stereo_slam_env.evaluation.windows import motion_covariances, motions
-from stereo_slam_env.recording.drift import adjoints
+from stereo_slam_env.recording.recording import adjoints
 from stereo_slam_env.recording.trajectory import pose_errors
 
 VARIANCES = 1e-6 * np.array(

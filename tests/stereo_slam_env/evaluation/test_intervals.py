@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from stereo_slam_env.benchmark.statistics.differences import level
-from stereo_slam_env.evaluation.intervals import rms_ratio_interval, studentised_interval
+from stereo_slam_env.evaluation.bands import rms_ratio_interval, studentised_interval
 
 DRAWS = {
     "normal": lambda rng, shape: rng.standard_normal(shape),

@@ -9,8 +9,7 @@ import stereo_slam_env as sse
 from filters import Pose
 from filters.geometry import rotations
 from stereo_slam_env.evaluation.outside_run import outside_run
-from stereo_slam_env.evaluation.run_trajectories import estimate_of
-from stereo_slam_env.evaluation.trial import Trial
+from stereo_slam_env.evaluation.trial import Trial, estimate_of
 
 ELSEWHERE = Pose([5.0, -3.0, 2.0], rotations.exp_quaternion([0.3, 1.0, -0.4]))
 

@@ -8,7 +8,7 @@ import numpy as np
 
 import stereo_slam_env as sse
 from filters import ColouredNoise
-from stereo_slam_env.evaluation.rig_errors import rig_errors
+from stereo_slam_env.evaluation.audits import rig_errors
 from stereo_slam_env.recording.recording import Recording
 
 

@@ -14,9 +14,9 @@ import stereo_slam_env as sse
 from filters import Pose
 from filters.geometry import rotations
 from stereo_slam_env.evaluation import trajectory_metrics as metrics
+from stereo_slam_env.evaluation.bands import block_length, mean_interval, stationary_rows
 from stereo_slam_env.evaluation.filter_run import run_filter
-from stereo_slam_env.evaluation.intervals import block_length, mean_interval, stationary_rows
-from stereo_slam_env.evaluation.run_trajectories import estimate_of, reference_of
+from stereo_slam_env.evaluation.trial import estimate_of, reference_of
 from stereo_slam_env.recording.recording import Reference
 from stereo_slam_env.recording.trajectory import Trajectory
 from stereo_slam_env.recording.trajectory_files import load_trajectory, save_trajectory

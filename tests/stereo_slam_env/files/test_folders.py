@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stereo_slam_env.benchmark.storage.run_archive import load_run
+from stereo_slam_env.benchmark.storage.run_files import load_run
 from stereo_slam_env.cli import app as cli
 from stereo_slam_env.files.folders import CLAIM, claimed_folder, is_occupied, unfinished_name
 

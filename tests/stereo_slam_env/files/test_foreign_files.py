@@ -159,13 +159,10 @@ OWN = {
     "stereo_slam_env/benchmark/scenarios/schema.py": {"files(__package__).joinpath(NAME).read_bytes": "of the package"},
     "stereo_slam_env/benchmark/scenarios/study.py": {"_PRESETS.read_text": "a file of the package"},
     "stereo_slam_env/benchmark/storage/code_identity.py": {
-        "path.read_bytes": "the package's own source",
+        "one.read_text": "a list of files of an installed package",
+        "path.read_bytes": "the package's own source, or code that runs here anyway",
         "kept.read_bytes": "a file that the package wrote beside itself",
         "Path(__file__).read_bytes": "the package's own source",
-    },
-    "stereo_slam_env/benchmark/storage/plugin_code.py": {
-        "one.read_text": "a list of files of an installed package",
-        "path.read_bytes": "code that runs here anyway",
     },
     "stereo_slam_env/benchmark/storage/tables.py": {"sqlite3.connect": "a new file, to write it"},
     "stereo_slam_env/paper/claims.py": {"Path(__file__).with_name('claims.json').read_text": "a file of the package"},

@@ -292,7 +292,7 @@ WHY = {
     "stereo_slam_env/viewer/drive.py": "an unfinished file of ours, and the file that was asked for",
     "stereo_slam_env/world/physics.py": "a folder of our own for temporary files, which must not exist before",
     "stereo_slam_env/datasets/kitti_odometry.py": "a new folder, and an empty one; what is there is refused",
-    "stereo_slam_env/datasets/bag_writer.py": "out of a temporary folder, to a name that nothing has",
+    "stereo_slam_env/datasets/bag_images.py": "out of a temporary folder, to a name that nothing has",
 }
 """Files of the packages that change files themselves, and why they can change none of a stranger."""
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from filters.geometry import rotations
-from stereo_slam_env.frontend.calibration import PRIOR_SIGMA, DisparityOffset, calibrated
 from stereo_slam_env.frontend.ego_motion import Pairs, Step
 from stereo_slam_env.frontend.recorder import record_tracks
+from stereo_slam_env.frontend.rectification_errors import PRIOR_SIGMA, DisparityOffset, calibrated
 from stereo_slam_env.frontend.settings import TrackerSettings
 
 from .drawn_street import DrawnStreet

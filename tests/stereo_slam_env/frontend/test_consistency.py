@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from stereo_slam_env.frontend.finding import Found
-from stereo_slam_env.frontend.moving_objects import STRIKES, judged
+from stereo_slam_env.frontend.tracker import STRIKES, judged
 from stereo_slam_env.frontend.tracks import Outcome, new_tracks
 
 from .synthetic_steps import CAMERA, STEP, Cloud

@@ -6,7 +6,7 @@ import pytest
 
 from filters import StereoCamera
 from stereo_slam_env.frontend import TrackerSettings
-from stereo_slam_env.frontend.features import FeatureFrontEnd
+from stereo_slam_env.frontend.other_front_ends import FeatureFrontEnd
 
 CAMERA = StereoCamera(400.0, 400.0, 319.5, 239.5, 0.5, 640, 480)
 IMAGE = np.zeros((480, 640), dtype=np.uint8)

@@ -18,8 +18,8 @@ from stereo_slam_env.frontend import (
     check_front_end,
     make_front_end,
 )
-from stereo_slam_env.frontend.check_front_end import CAMERA, DT, _pairs
-from stereo_slam_env.frontend.klt import SIGMA, KLTFrontEnd
+from stereo_slam_env.frontend.front_ends import CAMERA, DT, _pairs
+from stereo_slam_env.frontend.other_front_ends import SIGMA, KLTFrontEnd
 
 from ..datasets.small_image_folders import kitti_odometry
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stereo_slam_env.frontend.moving_objects import beside_moving, moving_together
+from stereo_slam_env.frontend.tracker import beside_moving, moving_together
 
 from .synthetic_steps import CAMERA, STEP, Cloud
 

@@ -10,10 +10,9 @@ import pytest
 
 from filters import Pose
 from filters.geometry import rotations
-from stereo_slam_env.evaluation.reference_audit import ReferenceAudit
+from stereo_slam_env.evaluation.audits import ReferenceAudit
 from stereo_slam_env.frontend import camera_motion
-from stereo_slam_env.frontend.camera_motion import needed_motion
-from stereo_slam_env.frontend.doubtful_steps import audit_of
+from stereo_slam_env.frontend.camera_motion import audit_of, needed_motion
 from stereo_slam_env.frontend.ego_motion import robust_step
 from stereo_slam_env.frontend.track_noise import with_measured_noise
 from stereo_slam_env.recording.recording import SIMULATION, Recording

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stereo_slam_env.frontend.correlation import refine
+from stereo_slam_env.frontend.matching import refine
 from stereo_slam_env.frontend.patches import PATCH, cut_patches
 
 from .textures import Waves, spread_points

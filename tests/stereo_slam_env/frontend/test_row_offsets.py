@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from stereo_slam_env.frontend.calibration import calibrated
-from stereo_slam_env.frontend.row_offsets import require_rectified, row_offsets
+from stereo_slam_env.frontend.rectification_errors import calibrated, require_rectified, row_offsets
 from stereo_slam_env.recording.recording import StereoPair
 
 from .drawn_street import CAMERA, DrawnStreet

@@ -7,8 +7,8 @@ import numpy as np
 
 import stereo_slam_env  # noqa: F401
 from filters import Pose
+from stereo_slam_env.envs import BeliefObservation
 from stereo_slam_env.policies.foresight import Knowledge, SensorModel
-from stereo_slam_env.wrappers import BeliefObservation
 
 KEEPS = {"drop_unseen": False, "motion": "velocity-driven", "gate": None}
 

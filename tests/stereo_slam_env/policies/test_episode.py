@@ -4,11 +4,11 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
+from stereo_slam_env.envs import BeliefObservation, BeliefPanorama
 from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.policies import make_policy
-from stereo_slam_env.policies.episode import run_episode
+from stereo_slam_env.policies.rows import run_episode
 from stereo_slam_env.recording.archive import packed_recording, unpacked_recording
-from stereo_slam_env.wrappers import BeliefObservation, BeliefPanorama
 
 OPTIONS = {"drop_unseen": False, "motion": "velocity-driven", "gate": None}
 FRAMES = 12

@@ -8,8 +8,7 @@ import pytest
 
 from filters import BodyVelocity, StereoObservation
 from filters.geometry import rotations
-from stereo_slam_env.policies.expected_gain import expected_gain, motion_noise
-from stereo_slam_env.policies.foresight import CameraPoses
+from stereo_slam_env.policies.foresight import CameraPoses, expected_gain, motion_noise
 
 from .looking import in_cameras, knowledge_of, looked_around, part_of, sensor_of, whole_jacobians
 

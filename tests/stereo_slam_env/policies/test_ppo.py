@@ -16,10 +16,15 @@ from filters.contract import extras
 from stereo_slam_env.cli import app as cli
 from stereo_slam_env.files.folders import claimed_folder
 from stereo_slam_env.policies import make_policy, ppo
-from stereo_slam_env.policies.gaze_task import GazeTask, PolicyEvaluation
-from stereo_slam_env.policies.network import Network
 from stereo_slam_env.policies.ppo import LearningCurve, train
-from stereo_slam_env.policies.registered_task import EpisodeOutcome, PPOSettings, RegisteredTask
+from stereo_slam_env.policies.registered_task import (
+    EpisodeOutcome,
+    GazeTask,
+    PolicyEvaluation,
+    PPOSettings,
+    RegisteredTask,
+)
+from stereo_slam_env.policies.registry import Network
 from stereo_slam_env.policies.rows import normalised_score
 
 TASK = GazeTask(arguments={"route": "right-turn"}, hold=8)
@@ -57,7 +62,7 @@ def test_the_command_says_how_far_the_training_came_and_which_network_is_kept(
 
     monkeypatch.setattr(ppo, "train", trained)
     monkeypatch.setattr(
-        "stereo_slam_env.policies.gaze_task.evaluate", lambda *_: PolicyEvaluation(0.6, -39.0, 0.3, 0.4, 1.0)
+        "stereo_slam_env.policies.registered_task.evaluate", lambda *_: PolicyEvaluation(0.6, -39.0, 0.3, 0.4, 1.0)
     )
     assert cli.main(["train", "--decisions", "4000", "--minutes", "1", "--out", str(tmp_path)]) == 0
     said = capsys.readouterr().out
@@ -289,7 +294,7 @@ def test_importing_the_package_does_not_import_torch():
     import subprocess
 
     code = (
-        "import sys, stereo_slam_env, stereo_slam_env.policies.ppo, stereo_slam_env.wrappers, stereo_slam_env.policies;"
+        "import sys, stereo_slam_env, stereo_slam_env.policies.ppo, stereo_slam_env.envs, stereo_slam_env.policies;"
         "sys.exit('torch' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0

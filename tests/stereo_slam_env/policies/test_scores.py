@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 import stereo_slam_env  # noqa: F401 (registers the ids)
-from stereo_slam_env.policies import follow_route, normalised_score
+from stereo_slam_env.envs import follow_route
+from stereo_slam_env.policies import normalised_score
 from stereo_slam_env.policies.rows import REFERENCE_RETURNS
 
 DRIVE = "StereoSlam/Drive-v0"

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from stereo_slam_env.rendering.camera_effects import CameraEffects
-from stereo_slam_env.rendering.images import StereoImages, grey
+from stereo_slam_env.rendering.backends import CameraEffects
+from stereo_slam_env.rendering.pinhole import StereoImages, grey
 
 SHAPE = (391, 640)
 

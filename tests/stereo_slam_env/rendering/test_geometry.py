@@ -8,8 +8,8 @@ from filters import Pose
 from filters.geometry import rotations
 from filters.geometry.camera import StereoCamera
 from stereo_slam_env.rendering.pinhole import depth_at
-from stereo_slam_env.world.looks import in_fog
 from stereo_slam_env.world.scene import Box, Look, Material, MovingBody
+from stereo_slam_env.world.surroundings import in_fog
 
 from .planes import AHEAD, CAMERA, FRAME, Wall, both_back_ends, drawing, scene_of
 from .subpixel import disparity_bias

@@ -6,8 +6,8 @@ import pytest
 from filters import Pose
 from filters.contract.inputs import StereoObservation
 from filters.geometry import rotations
-from stereo_slam_env.rendering.images import StereoImages
 from stereo_slam_env.rendering.overlay import annotated_pair, caption_bar
+from stereo_slam_env.rendering.pinhole import StereoImages
 from stereo_slam_env.sensing.rigs import RIGS
 
 PATH = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 50.0], [30.0, 0.0, 60.0]])

@@ -9,7 +9,7 @@ import pytest
 
 import stereo_slam_env as sse
 from stereo_slam_env.evaluation.outside_run import outside_run
-from stereo_slam_env.evaluation.run_trajectories import estimate_of
+from stereo_slam_env.evaluation.trial import estimate_of
 from stereo_slam_env.report.run_report import write_report
 
 from ...synthetic_runs import Behaviour, make_runs, scored

@@ -10,11 +10,10 @@ from PIL import Image
 
 from stereo_slam_env.files.folders import LIST
 from stereo_slam_env.report import page as page_module
-from stereo_slam_env.report.charts.axes import Axis
+from stereo_slam_env.report.charts.axes import PALETTE, Axis
 from stereo_slam_env.report.charts.drawing import Curve, Panel, figure
-from stereo_slam_env.report.charts.style import PALETTE
 from stereo_slam_env.report.page import figure_block, html_page, part, write_page
-from stereo_slam_env.report.page_tables import Column, TableCell, filter_cell, number, table
+from stereo_slam_env.report.page_sections import Column, TableCell, filter_cell, number, table
 
 
 def line(name="a", width=500):

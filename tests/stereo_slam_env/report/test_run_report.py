@@ -11,8 +11,8 @@ from markupsafe import Markup
 from PIL import Image
 
 from stereo_slam_env.benchmark.statistics.verdict import judge
+from stereo_slam_env.evaluation.audits import ReferenceAudit
 from stereo_slam_env.evaluation.landmark_statistics import LandmarkStatistics
-from stereo_slam_env.evaluation.reference_audit import ReferenceAudit
 from stereo_slam_env.files import own_files
 from stereo_slam_env.recording.recording import Reference
 from stereo_slam_env.report import run_report as report_module

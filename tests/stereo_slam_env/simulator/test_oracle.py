@@ -7,7 +7,7 @@ import pytest
 from numba import njit
 
 from filters.geometry import rotations
-from stereo_slam_env.sensing.tracking import TrackingPolicy
+from stereo_slam_env.sensing.padding import TrackingPolicy
 from stereo_slam_env.simulator import Simulator, obstacles, touching, visible
 from stereo_slam_env.simulator.bullet import BulletAnswers
 from stereo_slam_env.simulator.frame import _touches

@@ -13,8 +13,8 @@ from filters import Strapdown
 from filters.geometry import rotations
 from filters.motions.motion_model import CameraState
 from stereo_slam_env import evaluate, record, run
+from stereo_slam_env.envs import restore, snapshot
 from stereo_slam_env.recording.archive import load_recording, save_recording
-from stereo_slam_env.wrappers import restore, snapshot
 
 DRIVE = "StereoSlam/Drive-v0"
 SMOOTH = {"route": "right-turn", "policy": "route", "rig": "qvga", "vehicle": "smooth", "max_landmarks": 30}

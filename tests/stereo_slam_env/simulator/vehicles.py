@@ -4,8 +4,8 @@ import numpy as np
 
 from stereo_slam_env.recording.recording import LandmarkTruth
 from stereo_slam_env.sensing.corruptions import NOISE_MODELS
+from stereo_slam_env.sensing.padding import TrackingPolicy
 from stereo_slam_env.sensing.rigs import CAMERA_HEIGHT, RIGS
-from stereo_slam_env.sensing.tracking import TrackingPolicy
 from stereo_slam_env.simulator import Simulator
 from stereo_slam_env.simulator.scenes import scene_arrays
 from stereo_slam_env.simulator.state import make_rules

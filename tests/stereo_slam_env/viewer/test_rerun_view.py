@@ -5,8 +5,7 @@ import pytest
 
 from filters import EuclideanEKF, InverseDepthStereoEKF
 from stereo_slam_env.viewer.drive import Drive
-from stereo_slam_env.viewer.ellipsoids import ellipsoids
-from stereo_slam_env.viewer.rerun_view import FARTHEST, RerunView
+from stereo_slam_env.viewer.rerun_view import FARTHEST, RerunView, ellipsoids
 
 from ..benchmark.small_recordings import CAMERA, small_recording
 

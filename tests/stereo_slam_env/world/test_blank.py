@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from stereo_slam_env.world.looks import BLANK, without_texture
 from stereo_slam_env.world.routes import ROUTES
 from stereo_slam_env.world.scene import Material
-from stereo_slam_env.world.surroundings import SURROUNDINGS, build_scene
+from stereo_slam_env.world.surroundings import BLANK, SURROUNDINGS, build_scene, without_texture
 
 
 @pytest.fixture(scope="module", params=sorted(SURROUNDINGS))

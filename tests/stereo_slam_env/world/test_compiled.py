@@ -6,7 +6,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from stereo_slam_env.world import compiled
-from stereo_slam_env.world.layout import Layout
+from stereo_slam_env.world.props import Layout
 from stereo_slam_env.world.road import RoadNetwork, network_along, road_along
 from stereo_slam_env.world.routes import ROUTES
 from stereo_slam_env.world.scene import BOX

@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stereo_slam_env.world.looks import in_fog, with_other_look
 from stereo_slam_env.world.routes import ROUTES
-from stereo_slam_env.world.surroundings import build_scene
+from stereo_slam_env.world.surroundings import build_scene, in_fog, with_other_look
 
 
 @pytest.fixture(scope="module")

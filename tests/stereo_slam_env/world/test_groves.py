@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from stereo_slam_env.world import groves
-from stereo_slam_env.world.groves import build_groves
+from stereo_slam_env.world import open_country
+from stereo_slam_env.world.open_country import build_groves
 from stereo_slam_env.world.physics import PhysicsWorld
 from stereo_slam_env.world.road import road_along
 from stereo_slam_env.world.routes import ROUTES
@@ -54,23 +54,23 @@ def test_landmarks_are_off_the_lane_and_low(route, scenes):
     middle = cKDTree(road_along(route).points)
     for scene in scenes:
         away, height = middle.query(scene.landmark_points[:, :2])[0], scene.landmark_points[:, 2]
-        assert away.min() > groves.CLEARANCE
+        assert away.min() > open_country.CLEARANCE
         assert away.max() < 24.0
         assert height.min() > 0.15
-        assert height.max() < groves.HIGHEST
+        assert height.max() < open_country.HIGHEST
         assert 0.8 < np.median(height) < 1.8
 
 
 def test_nothing_stands_on_or_near_the_lane(route, scenes):
     middle = cKDTree(road_along(route).points)
     for scene in scenes:
-        assert middle.query(surface(scene)[:, :2])[0].min() > groves.CLEARANCE - 0.5  # a crown may reach over
+        assert middle.query(surface(scene)[:, :2])[0].min() > open_country.CLEARANCE - 0.5  # a crown may reach over
 
 
 def test_groups_are_ten_to_eighteen_metres_aside_and_six_metres_wide(straight_scenes):
     aside = np.concatenate([np.abs(scene.landmark_points[:, 1]) for scene in straight_scenes])
-    assert aside.min() > 10.0 - groves.SPREAD - 0.5
-    assert aside.max() < 18.0 + groves.SPREAD + 0.5
+    assert aside.min() > 10.0 - open_country.SPREAD - 0.5
+    assert aside.max() < 18.0 + open_country.SPREAD + 0.5
     assert np.mean(aside) == pytest.approx(14.0, abs=1.5)
 
 

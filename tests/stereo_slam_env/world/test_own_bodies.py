@@ -8,7 +8,7 @@ import stereo_slam_env as sse
 from filters.geometry import rotations
 from stereo_slam_env.simulator import obstacles, touching, visible
 from stereo_slam_env.world import surroundings
-from stereo_slam_env.world.own_bodies import obj_mesh, urdf_solids
+from stereo_slam_env.world.meshes import obj_mesh, urdf_solids
 from stereo_slam_env.world.physics import PhysicsWorld
 from stereo_slam_env.world.scene import Box, Cylinder, Ground, Material, Scene, Sphere, TriangleMesh
 from stereo_slam_env.world.vehicle import Car

@@ -246,7 +246,7 @@ def test_memory_is_flat_over_dressed_worlds():
 ENDS_AT_ONCE = """
 import os, sys, tempfile
 import numpy as np
-from stereo_slam_env.world.groves import build_groves
+from stereo_slam_env.world.open_country import build_groves
 from stereo_slam_env.world.physics import PhysicsWorld
 from stereo_slam_env.world.routes import named_route
 

@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from stereo_slam_env.world.looks import with_other_look
 from stereo_slam_env.world.routes import ROUTES
-from stereo_slam_env.world.surroundings import build_scene
-from stereo_slam_env.world.textures import TEXTURES, VARIANTS, texture
+from stereo_slam_env.world.street_textures import TEXTURES, VARIANTS, texture
+from stereo_slam_env.world.surroundings import build_scene, with_other_look
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ import pytest
 import stereo_slam_env  # noqa: F401 (registers the ids)
 from stereo_slam_env.envs.recorder import record
 from stereo_slam_env.world import routes, surroundings
-from stereo_slam_env.world.groves import build_groves
+from stereo_slam_env.world.open_country import build_groves
 from stereo_slam_env.world.routes import ROUTES, Route, available_routes, named_route, register_route
 from stereo_slam_env.world.surroundings import SURROUNDINGS, available_scenes, build_scene, register_scene
 
@@ -93,7 +93,7 @@ def test_unknown_names_are_refused_with_the_nearest_registered_one():
 
 PACKAGE = """
 import numpy as np
-from stereo_slam_env.world.groves import build_groves
+from stereo_slam_env.world.open_country import build_groves
 from stereo_slam_env.world.routes import Route, register_route
 from stereo_slam_env.world.surroundings import register_scene
 

@@ -7,7 +7,7 @@ from stereo_slam_env.world.meshes import mesh, scene_meshes
 from stereo_slam_env.world.routes import ROUTES
 from stereo_slam_env.world.scene import Box, Cylinder, Material, Sphere
 from stereo_slam_env.world.street import build_street
-from stereo_slam_env.world.textures import TEXTURES, texture
+from stereo_slam_env.world.street_textures import TEXTURES, texture
 
 from .surfaces import sample_surface
 

@@ -15,7 +15,7 @@ from stereo_slam_env.benchmark.recordings.sources import ReferenceSource, Street
 from stereo_slam_env.benchmark.running import tasks
 from stereo_slam_env.benchmark.scenarios.scenario import filter_choice
 from stereo_slam_env.benchmark.scenarios.streams import make_recording, make_recordings
-from stereo_slam_env.benchmark.storage.run_archive import load_run
+from stereo_slam_env.benchmark.storage.run_files import load_run
 from stereo_slam_env.recording.archive import packed_recording
 
 from ...evaluation.test_batch_run import plain

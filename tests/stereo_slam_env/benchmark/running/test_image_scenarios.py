@@ -29,7 +29,7 @@ from stereo_slam_env.envs import recorder
 from stereo_slam_env.envs.recorder import RenderedDrive
 from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.frontend import recorder as recorder_of_tracks
-from stereo_slam_env.frontend.calibration import PRIOR_SIGMA
+from stereo_slam_env.frontend.rectification_errors import PRIOR_SIGMA
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.rendering.backends import renderer_identity
 from stereo_slam_env.report.benchmark_report import write_report_of

@@ -7,7 +7,7 @@ import pytest
 from rich.console import Console
 
 from filters import StereoObservation
-from stereo_slam_env.benchmark.scenarios.measurement_errors import (
+from stereo_slam_env.benchmark.scenarios.recording_description import (
     OUTLIER,
     error_correlation,
     measurement_errors,

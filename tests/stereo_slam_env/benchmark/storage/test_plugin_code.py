@@ -18,8 +18,12 @@ from stereo_slam_env.benchmark import compare
 from stereo_slam_env.benchmark.recordings.sources import FactorySource, ReferenceSource
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, PolicyChoice, Scenario
 from stereo_slam_env.benchmark.scenarios.study import Study
-from stereo_slam_env.benchmark.storage.code_identity import code_digest
-from stereo_slam_env.benchmark.storage.plugin_code import digest_of_choice, digest_of_source, plugin_digest
+from stereo_slam_env.benchmark.storage.code_identity import (
+    code_digest,
+    digest_of_choice,
+    digest_of_source,
+    plugin_digest,
+)
 from stereo_slam_env.benchmark.storage.store import RunDirectory
 
 ROOT = Path(__file__).resolve().parents[4]
@@ -332,7 +336,7 @@ def test_a_base_class_of_another_project_counts(project, tmp_path, monkeypatch):
 
 def test_an_installed_distribution_counts_with_its_data(project, monkeypatch):
     """Its record has the digests of all its files, weights included."""
-    monkeypatch.setattr("stereo_slam_env.benchmark.storage.plugin_code._INSTALLED", (project.resolve(),))
+    monkeypatch.setattr("stereo_slam_env.benchmark.storage.code_identity._INSTALLED", (project.resolve(),))
     record = project / "lab_filter-1.0.dist-info" / "RECORD"
     record.write_text("lab_filter/weights.bin,sha256=aaa,3\n")
     digests = [digest_of_choice(LAB)]
@@ -384,7 +388,7 @@ def test_a_class_of_a_notebook_counts_with_what_it_refers_to(old, new):
 
 def test_a_class_of_a_notebook_has_the_same_digest_in_every_process():
     code = (
-        "import types; from stereo_slam_env.benchmark.storage.plugin_code import plugin_digest; "
+        "import types; from stereo_slam_env.benchmark.storage.code_identity import plugin_digest; "
         f"exec(compile({NOTEBOOK!r}, '<cell 1>', 'exec')); print(plugin_digest(Mine))"
     )
     said = set()

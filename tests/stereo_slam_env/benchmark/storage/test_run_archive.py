@@ -6,8 +6,8 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from stereo_slam_env.benchmark.storage import run_archive
-from stereo_slam_env.benchmark.storage.run_archive import load_run, packed_run
+from stereo_slam_env.benchmark.storage import run_files
+from stereo_slam_env.benchmark.storage.run_files import load_run, packed_run
 from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.recording.recording import GIVEN_TRUTH, Reference
 
@@ -86,7 +86,7 @@ def test_a_number_of_measurements_that_cannot_be_is_damage(tmp_path, run, count)
 
 
 def test_a_run_of_an_older_format_is_named_with_the_remedy(tmp_path, run, monkeypatch):
-    monkeypatch.setattr(run_archive, "FORMAT", 1)
+    monkeypatch.setattr(run_files, "FORMAT", 1)
     (tmp_path / "run.npz").write_bytes(packed_run(run, {}))
     monkeypatch.undo()
     with pytest.raises(ValueError, match=r"damaged \(format 1, this version reads 4\): delete it and run the same"):

@@ -6,10 +6,18 @@ from importlib.resources import files
 import numpy as np
 import pytest
 
-from stereo_slam_env.report.charts.axes import Axis, log_ticks, spread_out
+from stereo_slam_env.report.charts.axes import (
+    CSS_VARIABLES,
+    PALETTE,
+    Axis,
+    filter_colours,
+    log_ticks,
+    shared_limit,
+    short_number,
+    spread_out,
+)
 from stereo_slam_env.report.charts.consistency import pose_error_chart
 from stereo_slam_env.report.charts.drawing import Chart, Curve, Panel, figure
-from stereo_slam_env.report.charts.style import CSS_VARIABLES, PALETTE, filter_colours, shared_limit, short_number
 from stereo_slam_env.report.page import inline_svg
 
 from .reading import panels, values

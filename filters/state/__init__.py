@@ -1,1 +1,0 @@
-"""State of the filters: named variables, map and covariance."""

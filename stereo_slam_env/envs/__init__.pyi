@@ -1,0 +1,30 @@
+"""Public names of this room; each is imported when it is first used."""
+
+from .active_gaze import GazeTask as GazeTask
+from .belief_observation import BeliefObservation as BeliefObservation
+from .belief_panorama import BeliefPanorama as BeliefPanorama
+from .branches import BranchChoice as BranchChoice
+from .branches import explore_and_close as explore_and_close
+from .branches import to_new_roads as to_new_roads
+from .closed_loop import DriveChoices as DriveChoices
+from .closed_loop import RouteByEstimate as RouteByEstimate
+from .closed_loop import drive_slowly as drive_slowly
+from .closed_loop import follow_route as follow_route
+from .drive import StereoDriveEnv as StereoDriveEnv
+from .explore import Coverage as Coverage
+from .explore import explore_by_sweeping as explore_by_sweeping
+from .filter_rows import Belief as Belief
+from .gaze import StereoDriveGazeEnv as StereoDriveGazeEnv
+from .gaze import StereoGazeEnv as StereoGazeEnv
+from .information import InformationCriterion as InformationCriterion
+from .information import log_det as log_det
+from .revisit import LoopClosure as LoopClosure
+from .revisit import close_if_it_pays as close_if_it_pays
+from .rewards import InformationGain as InformationGain
+from .rewards import TrueError as TrueError
+from .row_wrapper import DirectionOfGaze as DirectionOfGaze
+from .row_wrapper import SelectedKeys as SelectedKeys
+from .vectors import LEVELS as LEVELS
+from .vectors import Snapshot as Snapshot
+from .vectors import restore as restore
+from .vectors import snapshot as snapshot

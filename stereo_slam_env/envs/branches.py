@@ -1,0 +1,291 @@
+"""`StereoSlam/Branches-v0`: decide at each junction where to drive, to a new road or to one that is known."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+
+from filters.contract.validation import positive, whole_number
+from filters.geometry.arrays import BoolArray, FloatArray
+from stereo_slam_env.envs.active_gaze import GAZE_FILTER
+from stereo_slam_env.envs.belief_observation import BeliefObservation
+from stereo_slam_env.envs.belief_panorama import BeliefPanorama
+from stereo_slam_env.envs.filter_rows import FilterRows
+from stereo_slam_env.envs.options import FEW_DECISIONS
+from stereo_slam_env.envs.row_wrapper import RowWrapper, SelectedKeys
+from stereo_slam_env.envs.rows import Arrays, Rows, RowsWrapper, Seeds, Step
+from stereo_slam_env.envs.vectors import inner_environment, of_world, vector_of
+from stereo_slam_env.world.routes import through_streets
+from stereo_slam_env.world.street_grid import LEFT, RIGHT, STRAIGHT, Place, StreetGrid
+
+KEYS = ("belief_sigmas", "branches", "roads_left", "mapped")
+EXISTS, DRIVEN, TO_NEW, TO_START, SIGMA = range(5)
+"""Columns of the key `branches`."""
+_MOST = np.array([1.0, 1.0, 24.0, 24.0, 100.0], dtype=np.float32)
+"""Of each column."""
+_MOST_ROADS = 1000.0
+_WORLD: Mapping[str, Any] = {
+    **{"route": "random-grid", "policy": "route", "surroundings": "groves", "visibility": 30.0, "rig": "vga"},
+    **{"max_landmarks": 16, "revisit": True},
+}
+_UNPAID = {f"{term}_weight": 0.0 for term in ("progress", "tracking", "collision", "goal", "time")}
+
+
+class BranchChoiceRows(RowsWrapper):
+    """What `BranchChoice` does, on rows; see there."""
+
+    changes = ("_places", "_driven", "_sigmas", "_choices", "_credit", "_claimed", "_gained")
+    training: ClassVar[Mapping[str, Any]] = {**FEW_DECISIONS, "decisions": 8_192, "evaluate_every": 4_096}
+
+    def __init__(self, rows: Rows, roads: int, accuracy: float, weight: float, goal: float) -> None:
+        super().__init__(rows)
+        self._beliefs: FilterRows = self.needed("beliefs")
+        streets_of(rows)  # refused before the first episode
+        self._roads, self._accuracy = whole_number("roads", roads, 1, int(_MOST_ROADS)), positive("accuracy", accuracy)
+        self._weight, self._goal = positive("weight", weight), positive("goal", goal)
+        self._still = np.zeros((rows.count, *rows.action_space.shape), dtype=np.float32)
+        added = {
+            "branches": spaces.Box(0.0, np.tile(_MOST, (3, 1))),
+            "roads_left": spaces.Box(0.0, _MOST_ROADS, (1,), np.float32),
+            "mapped": spaces.Box(0.0, 1.0, (1,), np.float32),
+        }
+        self.observation_space = spaces.Dict({**self.dict_space(), **added})
+        self.action_space = spaces.Discrete(3)
+        self._places: list[Place | None] = [None] * rows.count
+        self._choices: list[list[int]] = [[] for _ in range(rows.count)]
+        self._driven: list[BoolArray] = [np.zeros(0, dtype=np.bool_)] * rows.count
+        self._sigmas: list[FloatArray] = [np.zeros(0)] * rows.count
+        """Of each road the claimed position sigma when it was first driven, m."""
+        self._credit, self._claimed, self._gained = np.zeros((3, rows.count))
+        """Share of the map, the same as the filter claims it, and what the first has brought in the last decision."""
+
+    def begin(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
+        """See `Rows`; the car stands in the middle of its first road."""
+        self.rows.begin(chosen, seeds, options)
+        for b in np.flatnonzero(chosen).tolist():
+            streets = self._streets(b)
+            self._choices[b] = []
+            self._driven[b], self._sigmas[b] = np.zeros(streets.count, dtype=np.bool_), np.zeros(streets.count)
+            self._arrive(b, streets.start)
+        self._map(chosen)
+        self._gained[chosen] = 0.0
+
+    def advance(self, actions: Any, going: BoolArray) -> Step:
+        """See `Rows`; drive on to the middle of the road that is chosen."""
+        goals, failed = np.zeros(self.count, dtype=np.int64), np.zeros(self.count, dtype=np.bool_)
+        there: dict[int, Place] = {}
+        for b in np.flatnonzero(going).tolist():
+            place, streets = self._places[b], self._streets(b)
+            assert place is not None
+            choice, there[b] = streets.taken(place, int(actions[b]))
+            self._choices[b].append(choice)
+            route = through_streets(streets, self._choices[b])
+            self.world.reroute(b, route)
+            goals[b] = route.frames - 2  # of the step beyond it, which no row drives
+        while (driving := going & ~failed & (self._steps < goals)).any():
+            _, terminated, truncated = self.rows.advance(self._still, driving)
+            failed |= terminated | truncated
+        for b in np.flatnonzero(going).tolist():
+            self._arrive(b, there[b])
+        before = self._credit.copy()
+        self._map(going)
+        self._gained[going] = self._weight * (self._credit - before)[going]
+        over = going & (failed | (self._left == 0))
+        return np.where(going, self._gained, 0.0), over, np.zeros(self.count, dtype=np.bool_)
+
+    def look(self) -> tuple[Arrays, Arrays]:
+        """See `Rows`."""
+        observation, info = self.rows.look()
+        credit, roads = self._credit.copy(), np.array([int(driven.sum()) for driven in self._driven])
+        added = {"branches": np.stack([self._ahead(b) for b in range(self.count)])}
+        shown = {"roads_left": self._left, "mapped": self._claimed}
+        added |= {key: values[:, None].astype(np.float32) for key, values in shown.items()}
+        said = {"mapped": credit, "roads": roads, "reward_map": self._gained.copy()}
+        success = (credit >= self._goal) & ~np.asarray(info["failed"])
+        return {**observation, **added}, {**info, **said, "is_success": success}
+
+    @property
+    def _steps(self) -> Any:
+        """Numbers of the frames, (B,)."""
+        return self._beliefs.frames
+
+    @property
+    def _left(self) -> Any:
+        """Roads that may still be driven, (B,)."""
+        return self._roads - np.array([len(choices) for choices in self._choices])
+
+    def _streets(self, b: int) -> StreetGrid:
+        streets = self.world.route_of(b).streets
+        assert streets is not None
+        return streets
+
+    def _arrive(self, b: int, place: Place) -> None:
+        """The car is in the middle of a road."""
+        road = self._streets(b).road(place)
+        self._places[b] = place
+        if not self._driven[b][road]:
+            self._driven[b][road], self._sigmas[b][road] = True, self._sigma(b)
+
+    def _sigma(self, b: int) -> float:
+        """Claimed position sigma, m."""
+        return float(np.sqrt(np.trace(self._beliefs.pose_covariances[b, :3, :3])))
+
+    def _ahead(self, b: int) -> FloatArray:
+        """What is known of the roads to the left, straight on and to the right, (3, 5)."""
+        place, streets, driven = self._places[b], self._streets(b), self._driven[b]
+        assert place is not None
+        known, start = np.zeros((3, len(_MOST)), dtype=np.float32), np.zeros(streets.count, dtype=np.bool_)
+        start[streets.road(streets.start)] = True
+        for choice in (LEFT, STRAIGHT, RIGHT):
+            there = streets.beyond(place, choice)
+            if there is not None:
+                road = streets.road(there)
+                sigma = self._sigmas[b][road] if driven[road] else self._sigma(b)
+                ways = streets.roads_to(there, ~driven), streets.roads_to(there, start)
+                known[choice] = 1.0, driven[road], *ways, sigma
+        clipped: FloatArray = np.minimum(known, _MOST)
+        return clipped
+
+    def _map(self, which: BoolArray) -> None:
+        """Look at the maps of some rows: the share of all landmarks that is where it is, by the truth and claimed."""
+        maps = self._beliefs.world_maps()
+        sigmas = np.sqrt(np.einsum("nii->n", maps.covariances))
+        for b in np.flatnonzero(which).tolist():
+            mine, truth = slice(*maps.offsets[b : b + 2]), self.world.landmark_truth(b).positions
+            errors = np.linalg.norm(maps.positions[mine] - truth[maps.ids[mine]], axis=1)
+            for share, each in ((self._credit, errors), (self._claimed, sigmas[mine])):
+                share[b] = np.maximum(1.0 - (each / self._accuracy) ** 2, 0.0).sum() / len(truth)
+
+
+class BranchChoice(RowWrapper):
+    """The agent chooses at each junction which road is driven, and is paid for a map that is true.
+
+    The action is `Discrete(3)`: left, straight on, right; where there is no such road, the first that exists of
+    straight on, right, left is taken. A script drives it to its middle, where the next choice is made; the episode ends
+    after `roads` choices. A landmark of the filter's map counts 1 - (true error / `accuracy`)^2, not less than 0; the
+    share of the map is the sum of that over the number of all landmarks along all roads. The reward of a choice is
+    `weight` times what that share has gained: by new landmarks, by a loop that is closed, which puts right where all
+    others are, or less than 0 by an estimate that goes astray.
+
+    The observation gains `branches` (3, 5), for left, straight on and right: whether there is such a road, whether it
+    has been driven, how many roads further on the nearest is that has not been driven, and that of the start, and the
+    claimed standard deviation of the position there when it was first driven, m, or now where it has not been;
+    `roads_left` (1,); and `mapped` (1,), the share of the map that the filter claims, by its variances instead of
+    squared errors. `info` gains `mapped`, the true share, `roads`, how many different ones have been driven, and
+    `reward_map`; `is_success` is whether the true share has reached `goal` without a collision.
+
+    Parameters
+    ----------
+    env : gymnasium.Env
+        A scripted drive on the route "random-grid", with `BeliefObservation` around it.
+    roads : int
+        Choices in an episode.
+    accuracy : float
+        m.
+    weight : float
+        Paid for the whole map.
+    goal : float
+        Share of the map, above 0.
+
+    Raises
+    ------
+    ValueError
+        An argument is impossible, or the route does not lead through streets.
+    """
+
+    OnRows = BranchChoiceRows
+
+    def __init__(
+        self,
+        env: gym.Env[Any, Any],
+        roads: int = 12,
+        accuracy: float = 1.0,
+        weight: float = 100.0,
+        goal: float = 0.2,
+    ) -> None:
+        super().__init__(env)
+
+
+def streets_of(rows: Rows) -> StreetGrid:
+    """The streets of the typical route of rows; a `ValueError` where it leads through none."""
+    route = rows.inner("route")
+    if route.streets is None:
+        raise ValueError(f"the route must lead through streets, as 'random-grid' does, and {route.name!r} does not")
+    streets: StreetGrid = route.streets
+    return streets
+
+
+def branches(
+    render_mode: str | None = None,
+    *,
+    level: str = "normal",
+    arguments: Mapping[str, Any] | None = None,
+    filter: str = "shared-anchor",
+    filter_options: Mapping[str, Any] = GAZE_FILTER,
+    roads: int = 12,
+    accuracy: float = 1.0,
+    weight: float = 100.0,
+    goal: float = 0.2,
+    many: Mapping[str, Any] | None = None,
+    **world: Any,
+) -> Any:
+    """`StereoSlam/Branches-v0`: drive through a grid of streets so that much of it is on the map, and true.
+
+    The action is `Discrete(3)`: left, straight on or right at the next junction. The observation has `belief_sigmas`
+    (6,), `branches` (3, 5), `roads_left` (1,) and `mapped` (1,), see `BranchChoice`. The reward is 100 times what the
+    share of the landmarks has gained that are on the map and where they are, by the truth. The episode ends after 12
+    choices. New roads bring new landmarks, but the farther from known ones the car is, the less true is their place,
+    until a loop is closed.
+
+    Parameters
+    ----------
+    render_mode : str, optional
+        That of `StereoSlam/Drive-v0`.
+    level : {"easy", "normal", "hard"}
+        Difficulty, see `LEVELS`.
+    arguments : mapping, optional
+        Of `StereoSlam/Drive-v0`; JSON-able. Unless given here, the route is "random-grid", driven by a script, through
+        groves in fog, as in `StereoSlam/Gaze-v0`, with 16 landmarks at most.
+    filter : str
+        Name of the filter in the loop.
+    filter_options : mapping
+        Its options; one that drops what is out of view has no map.
+    roads, accuracy, weight, goal
+        Of `BranchChoice`.
+    many : mapping, optional
+        `num_envs`, `scenes` and `threads`: that many in rows, instead of one environment.
+    **world
+        Arguments of `StereoSlam/Drive-v0`, as in `arguments`.
+    """
+    own = {"render_mode": render_mode, **_WORLD, **_UNPAID}
+    inside = inner_environment("StereoSlam/Drive-v0", level, of_world(arguments, world), many, **own)
+    inside = BeliefPanorama.around(BeliefObservation.around(inside, filter=filter, options=filter_options))
+    paid = {"roads": roads, "accuracy": accuracy, "weight": weight, "goal": goal}
+    return SelectedKeys.around(BranchChoice.around(inside, **paid), keys=KEYS)
+
+
+branches_vector = vector_of(branches)
+
+
+def explore_and_close(observation: Mapping[str, Any]) -> int:
+    """A rule: to the nearest new road; of those that are as near, to that from which the start is nearer.
+
+    So new roads lead round blocks, and loops are closed.
+    """
+    return _nearest(observation, [TO_NEW, TO_START])
+
+
+def to_new_roads(observation: Mapping[str, Any]) -> int:
+    """A rule that closes no loop on purpose: to the nearest new road, straight on where that is as near."""
+    return _nearest(observation, [TO_NEW])
+
+
+def _nearest(observation: Mapping[str, Any], by: list[int]) -> int:
+    """The road that is the nearest by columns of `branches`; of equal ones straight on, then right."""
+    known = np.asarray(observation["branches"])
+    there = [choice for choice in (STRAIGHT, RIGHT, LEFT) if known[choice, EXISTS]]
+    return min(there, key=lambda choice: tuple(known[choice, by]))

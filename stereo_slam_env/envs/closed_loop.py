@@ -1,0 +1,278 @@
+"""`StereoSlam/ClosedLoop-v0`: the driver follows its route by a late estimate; `DriveChoices`: a script steers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import partial
+from types import MappingProxyType
+from typing import Any, ClassVar
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from filters.contract.validation import positive, whole_number
+from filters.geometry.arrays import BoolArray, FloatArray
+from filters.geometry.poses import Pose
+from stereo_slam_env.envs.belief_observation import BeliefObservation
+from stereo_slam_env.envs.belief_panorama import BeliefPanorama
+from stereo_slam_env.envs.filter_rows import FilterRows
+from stereo_slam_env.envs.options import STEERING
+from stereo_slam_env.envs.row_wrapper import RowWrapper, SelectedKeys
+from stereo_slam_env.envs.rows import Arrays, Rows, RowsWrapper, Seeds, Step
+from stereo_slam_env.envs.vectors import inner_environment, of_world, vector_of
+from stereo_slam_env.simulator.motion import nearest_frames, routes_ahead
+from stereo_slam_env.simulator.state import ARENA
+from stereo_slam_env.world.routes import FRAME_PERIOD
+from stereo_slam_env.world.vehicle import Car, Head
+
+_STEER_BY, _BRAKE_BY = 1, 3
+"""Points of the observation `route`: the one to steer to, and the farthest one to be slow enough for."""
+
+
+def follow_route(
+    observation: Mapping[str, Any],
+    actions: int = 2,
+    *,
+    speed: float | FloatArray = Car.max_speed,
+    lateral: float = 3.0,
+    beside: float = 0.0,
+) -> NDArray[np.float32]:
+    """Action that drives along the route that the observation shows (pure pursuit); the head looks straight ahead.
+
+    Steers along the circle through the rear axle and the point 5 m ahead, and keeps slow enough for the circles to all
+    points up to 20 m ahead.
+
+    Parameters
+    ----------
+    observation : mapping
+        With `car` (..., 2) and `route` (..., 5, 2), from environments in which the agent drives.
+    actions : int
+        Entries of the action; those after the first two are 0.
+    speed : float or (...)
+        Largest one, m/s.
+    lateral : float
+        Largest acceleration across the direction of travel, m/s^2.
+    beside : float
+        How far to the right of the route to drive, m.
+    """
+    car = Car()
+    now = np.asarray(observation["car"], dtype=np.float64)[..., 0]
+    right, forward = np.moveaxis(np.asarray(observation["route"], dtype=np.float64), -1, 0)
+    right, forward = right + beside, forward + car.camera_forward
+    curvatures = 2.0 * right / np.maximum(right**2 + forward**2, 1.0)
+    bend = np.abs(curvatures[..., _STEER_BY : _BRAKE_BY + 1]).max(axis=-1)
+    wanted = np.minimum(speed, np.sqrt(lateral / np.maximum(bend, 1e-6)))
+    action = np.zeros((*now.shape, actions), dtype=np.float32)
+    action[..., 0] = np.clip((wanted - now) / (car.max_acceleration * FRAME_PERIOD), -1.0, 1.0)
+    action[..., 1] = np.clip(np.arctan(car.wheelbase * curvatures[..., _STEER_BY]) / car.max_steering, -1.0, 1.0)
+    return action
+
+
+class DriveChoicesRows(RowsWrapper):
+    """What `DriveChoices` does, on rows; see there."""
+
+    def __init__(self, rows: Rows, speeds: Sequence[float], pans: Sequence[float], hold: int, stop: int) -> None:
+        super().__init__(rows)
+        self._hold, self._stop = whole_number("hold", hold, 1), whole_number("stop", stop, 2)
+        pairs = [(positive("speeds", speed), pan) for speed in speeds for pan in pans]
+        self._speeds, pan = np.array([(0.0, 0.0), *pairs]).T
+        try:
+            self._route = rows.inner("route_shown")  # by an estimate
+        except AttributeError:
+            self._route = partial(self.world.shown, "route")
+        self._entries: int = rows.action_space.shape[0]
+        self._pans = np.zeros((len(pan), self._entries), dtype=np.float32)
+        self._pans[:, -2], self._pans[0, stop] = pan, 1.0
+        self.action_space = spaces.Discrete(len(pan))
+
+    def advance(self, actions: Any, going: BoolArray) -> Step:
+        """See `Rows`; drive as was chosen until the choice ends, or the episode."""
+        chosen = np.asarray(actions)
+        total, over, late, still = np.zeros(self.count), ~going, np.zeros_like(going), going
+        for _ in range(self._hold):
+            seen = {"car": self.world.shown("car"), "route": self._route()}
+            driven = follow_route(seen, self._entries, speed=self._speeds[chosen])
+            rewards, ended, cut = self.rows.advance(driven + self._pans[chosen], still)
+            total, over, late = total + rewards, over | ended | cut, late | cut
+            still = going & ~over
+            if not still.any():
+                break
+        return total, going & over & ~late, late
+
+
+class DriveChoices(RowWrapper):
+    """An agent that chooses a speed and a direction of gaze every second, or stops; `follow_route` steers.
+
+    The action is `Discrete(1 + S P)`: 0 stops, 1 + P s + p is the speed number s and the gaze number p. So what is to
+    be learnt is where to look, how fast to drive, and when to stop, and not how to keep a lane; a return is that of the
+    environment inside.
+
+    Parameters
+    ----------
+    env : gymnasium.Env
+        In which the agent drives and turns its head, and an entry of the action stops.
+    speeds : (S,) sequence of float
+        Largest speed, m/s.
+    pans : (P,) sequence of float
+        Shares of the largest pan, positive to the right.
+    hold : int
+        Steps for which a choice holds.
+    stop : int
+        Entry of the action that stops if it is 1.
+    """
+
+    OnRows = DriveChoicesRows
+
+    def __init__(
+        self,
+        env: gym.Env[Any, Any],
+        speeds: Sequence[float] = (5.0, 8.0),
+        pans: Sequence[float] = (-0.7, 0.0, 0.7),
+        hold: int = 10,
+        stop: int = 2,
+    ) -> None:
+        super().__init__(env)
+
+
+KEYS = ("belief_sigmas", "car", "odometry", "progress", "route")
+LATENCIES: Mapping[str, int] = MappingProxyType({"easy": 1, "normal": 3, "hard": 4})
+"""Age of the estimate at each level, frames: the later it is, the slower one has to drive."""
+_SLOW = 5.0
+"""Speed of `drive_slowly`, m/s."""
+
+
+class RouteByEstimateRows(RowsWrapper):
+    """What `RouteByEstimate` does, on rows; see there."""
+
+    changes = ("_poses", "_nearest", "_progress")
+    training: ClassVar[Mapping[str, Any]] = {**STEERING, "decisions": 393_216}
+
+    def __init__(self, rows: Rows, latency: int) -> None:
+        super().__init__(rows)
+        self._latency = whole_number("latency", latency, 0)
+        self._beliefs: FilterRows = self.needed("beliefs")
+        self._head: Head | None = self.needed("head")
+        self._poses = np.zeros((self._latency + 1, rows.count, 7))
+        """The latest estimates of the camera if the head looked straight ahead, the newest first."""
+        self._nearest, self._progress = np.zeros(rows.count, dtype=np.int64), np.zeros(rows.count)
+
+    def begin(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
+        """See `Rows`; the start is known, so the estimate is not late yet."""
+        self.rows.begin(chosen, seeds, options)
+        self._poses[:, chosen] = self._bodies()[chosen]
+        self._nearest[chosen], self._progress[chosen] = 0, 0.0
+
+    def advance(self, actions: Any, going: BoolArray) -> Step:
+        """See `Rows`; drive, and find the place on the route by the estimate."""
+        step = self.rows.advance(actions, going)
+        self._poses[1:, going] = self._poses[:-1, going]
+        self._poses[0, going] = self._bodies()[going]
+        for b in np.flatnonzero(going).tolist():
+            route, place = self.world.route_of(b), self._poses[-1, b : b + 1, :3]
+            at = nearest_frames(route.positions, route.arc_length, place, self._nearest[b : b + 1])
+            self._nearest[b] = at[0]
+            self._progress[b] = max(self._progress[b], route.arc_length[at[0]] / route.length)
+        return step
+
+    def _bodies(self) -> FloatArray:
+        """Estimated poses without the turn of the head, (B, 7)."""
+        poses = self._beliefs.poses
+        if self._head is None:
+            return poses
+        bodies = np.empty_like(poses)
+        for b, (pose, angles) in enumerate(zip(poses, self.world.angles(), strict=True)):
+            body = self._head.body_pose(Pose(pose[:3], pose[3:]), angles)
+            bodies[b] = *body.position, *body.orientation
+        return bodies
+
+    def look(self) -> tuple[Arrays, Arrays]:
+        """See `Rows`."""
+        observation, info = self.rows.look()
+        progress = self._progress[:, None].astype(np.float32)
+        return {**observation, "route": self.route_shown(), "progress": progress}, info
+
+    def route_shown(self) -> Any:
+        """The key `route` of all rows."""
+        ahead = []
+        for b in range(self.count):
+            route, pose = self.world.route_of(b), self._poses[-1, b : b + 1]
+            ahead.append(routes_ahead(route.positions, route.arc_length, self._nearest[b : b + 1], pose, ARENA)[0])
+        return np.array(ahead)
+
+
+class RouteByEstimate(RowWrapper):
+    """Shows the route as the filter believes to see it.
+
+    The keys `route` and `progress` of the observation are computed from the pose that the filter estimated `latency`
+    frames ago, and no longer from the truth. So an error of the filter moves the car, and the car moves what the filter
+    sees next.
+
+    Parameters
+    ----------
+    env : gymnasium.Env
+        In which the agent drives, with `BeliefObservation` around it.
+    latency : int
+        Frames.
+    """
+
+    OnRows = RouteByEstimateRows
+
+    def __init__(self, env: gym.Env[Any, Any], latency: int = 0) -> None:
+        super().__init__(env)
+
+
+def closed_loop(
+    render_mode: str | None = None,
+    *,
+    level: str = "normal",
+    arguments: Mapping[str, Any] | None = None,
+    filter: str = "right-invariant",
+    filter_options: Mapping[str, Any] | None = None,
+    latency: int | None = None,
+    many: Mapping[str, Any] | None = None,
+    **world: Any,
+) -> Any:
+    """`StereoSlam/ClosedLoop-v0`: come to the end of a route that is only known relative to an estimate.
+
+    The action is that of `StereoSlam/Drive-v0`, `Box(-1, 1, (2,))`: acceleration and steering. The observation has
+    `route` (5, 2) and `progress` (1,) by the estimate of 0.3 s ago (`RouteByEstimate`), `car` (2,), `odometry` (6,) and
+    `belief_sigmas` (6,). The reward is that of `StereoSlam/Drive-v0` without the one for tracked landmarks: 0.1 for
+    each metre, less beside the route, 10 for its end, minus 10 for a collision or for more than 2 m beside it, minus
+    0.4 for each second. At most 1200 steps.
+
+    Parameters
+    ----------
+    render_mode : str, optional
+        That of `StereoSlam/Drive-v0`.
+    level : {"easy", "normal", "hard"}
+        Difficulty, see `LEVELS`.
+    arguments : mapping, optional
+        Of `StereoSlam/Drive-v0`; JSON-able. Unless given here, there are 40 landmarks at most, and the odometry is that
+        of a car: 0.2 m/s and 0.02 rad/s.
+    filter : str
+        Name of the filter that is driven by.
+    filter_options : mapping, optional
+        Its options.
+    latency : int, optional
+        Of `RouteByEstimate`; None: that of the level in `LATENCIES`.
+    many : mapping, optional
+        `num_envs`, `scenes` and `threads`: that many in rows, instead of one environment.
+    **world
+        Arguments of `StereoSlam/Drive-v0`, as in `arguments`.
+    """
+    odometry = {"odometry_sigma_linear": 0.2, "odometry_sigma_angular": 0.02}
+    own = {"render_mode": render_mode, "max_landmarks": 40, "tracking_weight": 0.0, **odometry}
+    inside = inner_environment("StereoSlam/Drive-v0", level, of_world(arguments, world), many, **own)
+    inside = BeliefPanorama.around(BeliefObservation.around(inside, filter=filter, options=filter_options))
+    latency = LATENCIES[level] if latency is None else latency
+    return SelectedKeys.around(RouteByEstimate.around(inside, latency=latency), keys=KEYS)
+
+
+closed_loop_vector = vector_of(closed_loop)
+
+
+def drive_slowly(observation: Mapping[str, Any], actions: int = 2) -> NDArray[np.float32]:
+    """`follow_route` at no more than 5 m/s: a late estimate then is less far behind, and more is seen."""
+    return follow_route(observation, actions, speed=_SLOW)

@@ -1,0 +1,228 @@
+"""`StereoSlam/Explore-v0`: drive and look until the map is complete enough."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from filters.contract.validation import positive
+from filters.geometry.arrays import BoolArray, FloatArray
+from stereo_slam_env.envs.active_gaze import GAZE_FILTER
+from stereo_slam_env.envs.belief_observation import BeliefObservation
+from stereo_slam_env.envs.belief_panorama import BeliefPanorama
+from stereo_slam_env.envs.closed_loop import DriveChoices, RouteByEstimate, drive_slowly
+from stereo_slam_env.envs.filter_rows import FilterRows
+from stereo_slam_env.envs.options import FEW_DECISIONS
+from stereo_slam_env.envs.row_wrapper import RowWrapper, SelectedKeys
+from stereo_slam_env.envs.rows import Arrays, Rows, RowsWrapper, Seeds, Step
+from stereo_slam_env.envs.vectors import inner_environment, of_world, vector_of
+from stereo_slam_env.world.routes import FRAME_PERIOD
+
+KEYS = ("belief_sigmas", "panorama", "head", "car", "route", "progress", "coverage")
+STOP = 2
+"""Entry of the action: above `_STOP_ABOVE` the agent ends the episode."""
+_STOP_ABOVE = 0.5
+_SINCERE = 3.0
+"""Standard deviations: an estimate that is farther off than that is not on the map, whatever the filter claims."""
+_PERIOD, _PAN = 4.0, 0.7
+"""Of the head in `explore_by_sweeping`: time to look to both sides, s, and how far, as a share of the farthest."""
+
+
+class CoverageRows(RowsWrapper):
+    """What `Coverage` does, on rows; see there."""
+
+    changes = ("_in_reach", "_mapped", "_claimed", "_shown", "_now", "_terms")
+    training: ClassVar[Mapping[str, Any]] = {
+        **FEW_DECISIONS,
+        "arguments": {"choices": {}},
+        "decisions": 12_288,
+        "evaluate_every": 12_288,
+        "initial_bias": [-2.0, *[0.0] * 6],
+    }
+    """A car that does not keep its lane yet would learn to stop at once, and so does one that often stops by chance."""
+
+    def __init__(self, rows: Rows, accuracy: float, goal: float, coverage_weight: float, path_weight: float) -> None:
+        super().__init__(rows)
+        self._beliefs: FilterRows = self.needed("beliefs")
+        options = self.needed("options")
+        if options.sensor != "landmarks":
+            raise ValueError("sensor must be 'landmarks': image sensors have no list of true landmarks")
+        self._farthest = options.tracking.farthest
+        self._accuracy, self._goal = positive("accuracy", accuracy), positive("goal", goal)
+        weights = positive("coverage_weight", coverage_weight), positive("path_weight", path_weight, allow_zero=True)
+        self._prices = np.array([weights[0], -weights[1]])
+        coverage = spaces.Box(0.0, 1.0, (1,), np.float32)
+        self.observation_space = spaces.Dict({**self.dict_space(), "coverage": coverage})
+        self.action_space = spaces.Box(-1.0, 1.0, (rows.action_space.shape[0] + 1,), np.float32)
+        self._in_reach = [np.zeros(0, dtype=np.bool_)] * rows.count
+        self._mapped, self._claimed = list(self._in_reach), list(self._in_reach)
+        self._shown = np.zeros((rows.count, 1), dtype=np.float32)
+        """Claimed coverage."""
+        self._now, self._terms = np.zeros((rows.count, 2)), np.zeros((rows.count, 2))
+        """Coverage and metres driven, and what they have brought in the last step."""
+
+    def begin(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
+        """See `Rows`; nothing is mapped yet."""
+        self.rows.begin(chosen, seeds, options)
+        for b in np.flatnonzero(chosen).tolist():
+            places = self.world.landmark_truth(b).positions
+            self._in_reach[b] = self._by_the_road(b, places)
+            self._mapped[b], self._claimed[b] = np.zeros((2, len(places)), dtype=np.bool_)
+        self._now[chosen] = self._looked(chosen)[chosen]
+        self._terms[chosen] = 0.0
+
+    def advance(self, actions: Any, going: BoolArray) -> Step:
+        """See `Rows`; drive, look, and be paid for what is new on the map."""
+        stops = going & (actions[:, STOP] > _STOP_ABOVE)
+        rewards, terminated, truncated = self.rows.advance(np.delete(actions, STOP, axis=1), going)
+        now = self._looked(going)
+        self._terms[going] = ((now - self._now) * self._prices)[going]
+        self._now[going] = now[going]
+        paid = np.where(going, self._terms[:, 0] + self._terms[:, 1], 0.0)
+        return rewards + paid, terminated | stops, truncated
+
+    def look(self) -> tuple[Arrays, Arrays]:
+        """See `Rows`."""
+        observation, info = self.rows.look()
+        coverage, driven = self._now.T
+        success = (coverage >= self._goal) & ~np.asarray(info["failed"])
+        added = {"reward_coverage": self._terms[:, 0].copy(), "reward_path": self._terms[:, 1].copy()}
+        added |= {"coverage": coverage.copy(), "path_length": driven.copy(), "is_success": success}
+        return {**observation, "coverage": self._shown.copy()}, {**info, **added}
+
+    def _looked(self, which: BoolArray) -> FloatArray:
+        """The share of the landmarks that is mapped, after a look at the maps of some rows, and metres; (B, 2).
+
+        What is shown of it is what the filter claims: with its own positions, by its own covariances.
+        """
+        now = self._now.copy()
+        now[:, 1] = self.world.told("distance")
+        maps = self._beliefs.world_maps()
+        known = np.sqrt(np.einsum("nii->n", maps.covariances)) < self._accuracy
+        for b in np.flatnonzero(which).tolist():
+            mine, truth = slice(*maps.offsets[b : b + 2]), self.world.landmark_truth(b).positions
+            ids, positions = maps.ids[mine][known[mine]], maps.positions[mine][known[mine]]
+            errors = np.linalg.norm(positions - truth[ids], axis=1)
+            mapped, in_reach = self._mapped[b], self._in_reach[b]
+            mapped[ids[errors < _SINCERE * self._accuracy]] = True
+            now[b, 0] = mapped[in_reach].mean() if in_reach.any() else 0.0
+            claimed, new = self._claimed[b], ~self._claimed[b][ids]
+            claimed[ids[new][self._by_the_road(b, positions[new])]] = True
+            self._shown[b] = min(claimed.sum() / max(in_reach.sum(), 1), 1.0)
+        return now
+
+    def _by_the_road(self, b: int, positions: FloatArray) -> BoolArray:
+        """Which positions (N, 3) are no farther from the route than the sensor sees; (N,)."""
+        road = self.world.route_of(b).positions[:, [0, 2]]
+        away: FloatArray = np.linalg.norm(positions[:, None, [0, 2]] - road, axis=-1)
+        return np.asarray(away.min(axis=1, initial=np.inf) <= self._farthest)
+
+
+class Coverage(RowWrapper):
+    """Pays for landmarks that enter the map, and lets the agent stop.
+
+    The landmarks to be mapped are those of the scene no farther from the route than the sensor sees. One is *mapped*
+    once the filter knows its position in W with a standard deviation (root of the trace of the covariance) below
+    `accuracy`, and the estimate is within three times that of the true position; it then stays mapped. So neither a map
+    that is claimed nor a map that is forgotten pays.
+
+    The action has one more entry, number 2: above 0.5 it ends the episode. The observation gains `coverage` (1,), the
+    share that the filter claims to have mapped, 0 to 1: landmarks that it knows that well, where it believes them to be
+    so near the route. `info` gains `coverage`, the true share, `path_length` (m), `reward_coverage` and `reward_path`;
+    `is_success` is whether that has reached `goal` without a collision, and without leaving the lane.
+
+    Parameters
+    ----------
+    env : gymnasium.Env
+        `StereoSlam/DriveGaze-v0` with `BeliefObservation` around it.
+    accuracy : float
+        m.
+    goal : float
+        Share of the landmarks, above 0.
+    coverage_weight : float
+        Paid for the whole map.
+    path_weight : float
+        Price of each metre.
+    """
+
+    OnRows = CoverageRows
+
+    def __init__(
+        self,
+        env: gym.Env[Any, Any],
+        accuracy: float = 0.8,
+        goal: float = 0.6,
+        coverage_weight: float = 20.0,
+        path_weight: float = 0.01,
+    ) -> None:
+        super().__init__(env)
+
+
+def explore(
+    render_mode: str | None = None,
+    *,
+    level: str = "normal",
+    arguments: Mapping[str, Any] | None = None,
+    filter: str = "shared-anchor",
+    filter_options: Mapping[str, Any] = GAZE_FILTER,
+    accuracy: float = 0.8,
+    goal: float = 0.6,
+    coverage_weight: float = 20.0,
+    path_weight: float = 0.01,
+    choices: Mapping[str, Any] | None = None,
+    many: Mapping[str, Any] | None = None,
+    **world: Any,
+) -> Any:
+    """`StereoSlam/Explore-v0`: drive round a block and look about, until the map is worth no further metre.
+
+    The action is `Box(-1, 1, (5,))`: acceleration, steering, stop (above 0.5), pan and tilt. The observation has
+    `belief_sigmas` (6,) and `panorama` (12, 6), see `BeliefPanorama`, `head` (2,), `car` (2,), `route` (5, 2),
+    `progress` (1,) and `coverage` (1,), the last three by the filter's estimate. The reward is 20 for the whole map
+    (`Coverage`), minus 0.01 for each metre, 0.05 for each second, and 10 for a collision; nothing is paid for progress
+    along the route. The episode ends with the stop, a collision, the end of the route, or after 1200 steps.
+
+    Parameters
+    ----------
+    render_mode : str, optional
+        That of `StereoSlam/DriveGaze-v0`.
+    level : {"easy", "normal", "hard"}
+        Difficulty, see `LEVELS`.
+    arguments : mapping, optional
+        Of `StereoSlam/DriveGaze-v0`; JSON-able. The route is "random-loop" unless given here.
+    filter : str
+        Name of the filter in the loop.
+    filter_options : mapping
+        Its options; one that drops what is out of view maps little.
+    accuracy, goal, coverage_weight, path_weight : float
+        Of `Coverage`.
+    choices : mapping, optional
+        Arguments of `DriveChoices`: the action is then a speed and a gaze for a second, or the stop, and a script
+        steers. None: it is that of above.
+    many : mapping, optional
+        `num_envs`, `scenes` and `threads`: that many in rows, instead of one environment.
+    **world
+        Arguments of `StereoSlam/DriveGaze-v0`, as in `arguments`.
+    """
+    unpaid = dict.fromkeys(("progress_weight", "tracking_weight", "goal_weight", "effort_weight"), 0.0)
+    own = {"render_mode": render_mode, "route": "random-loop", "time_weight": 0.05, **unpaid}
+    inside = inner_environment("StereoSlam/DriveGaze-v0", level, of_world(arguments, world), many, **own)
+    inside = BeliefPanorama.around(BeliefObservation.around(inside, filter=filter, options=filter_options))
+    inside = RouteByEstimate.around(inside)
+    weights = {"coverage_weight": coverage_weight, "path_weight": path_weight}
+    paid = Coverage.around(inside, accuracy=accuracy, goal=goal, **weights)
+    return SelectedKeys.around(paid if choices is None else DriveChoices.around(paid, **choices), keys=KEYS)
+
+
+explore_vector = vector_of(explore)
+
+
+def explore_by_sweeping(observation: Mapping[str, Any], step: int) -> NDArray[np.float32]:
+    """Action number `step` of a rule: follow the route at 5 m/s, and look left and right in turn, two seconds each."""
+    action = drive_slowly(observation, 5)
+    action[3] = _PAN if step * FRAME_PERIOD % _PERIOD < 0.5 * _PERIOD else -_PAN
+    return action

@@ -1,0 +1,248 @@
+"""`StereoSlam/Revisit-v0`: decide when it is worth closing a loop."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+from typing import Any, ClassVar
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+
+from filters.contract.validation import positive, whole_number
+from filters.geometry.arrays import BoolArray, FloatArray
+from stereo_slam_env.envs.active_gaze import GAZE_FILTER
+from stereo_slam_env.envs.belief_observation import BeliefObservation
+from stereo_slam_env.envs.belief_panorama import BeliefPanorama
+from stereo_slam_env.envs.rewards import InformationGain
+from stereo_slam_env.envs.row_wrapper import RowWrapper, SelectedKeys
+from stereo_slam_env.envs.rows import Arrays, Rows, RowsWrapper, Seeds, Step
+from stereo_slam_env.envs.vectors import inner_environment, of_world, vector_of
+from stereo_slam_env.simulator.state import ODOMETRY_SIGMAS
+from stereo_slam_env.world.routes import Route
+
+KEYS = ("belief_sigmas", "panorama", "ahead", "price")
+STOP, GO_ON = 0, 1
+DEAREST: Mapping[str, float] = MappingProxyType({"easy": 0.2, "normal": 0.4, "hard": 0.8})
+"""Highest price of a metre at each level, nats."""
+_ODOMETRY = {"odometry_sigma_linear": ODOMETRY_SIGMAS[0], "odometry_sigma_angular": ODOMETRY_SIGMAS[1]}
+"""The same at each level: the worse it is, the more there is to learn where a loop closes."""
+_FARTHEST = 1000.0
+"""Bound of the key `ahead`, m."""
+_AWAY, _PAST = 30.0, 3.0
+"""m: a loop leads farther away from the start than the first, and passes it nearer than the second."""
+_BEYOND, _KNOWN_AGAIN = 5.0, -48.0
+"""Of `close_if_it_pays`: metres beyond the start, and the sum of 2 ln(sigma) that is left there."""
+
+
+class LoopClosureRows(RowsWrapper):
+    """What `LoopClosure` does, on rows; see there."""
+
+    changes = ("_closing", "_steps", "_price", "_driven", "_total", "_learnt", "_path")
+    training: ClassVar[Mapping[str, Any]] = {
+        "decisions": 20_480,
+        "environments": 64,
+        "minibatch": 512,
+        "epochs": 5,
+        "entropy": 0.03,
+        "gae_lambda": 1.0,
+        "discount": 1.0,
+        "initial_bias": [-3.5, 0.0],
+        "evaluate_every": 10_240,
+        "validation": 32,
+    }
+    """Whoever stops every other time never sees a loop closed. Most of the time is the way to the first decision, and
+    the more environments there are, the more drive it together."""
+
+    def __init__(self, rows: Rows, begin: Sequence[float], dearest: float, hold: int) -> None:
+        super().__init__(rows)
+        low, high = (positive("begin", share, allow_zero=True) for share in begin)
+        if not low <= high <= 1.0:
+            raise ValueError(f"begin must be two shares that ascend to 1 at most, got {tuple(begin)}")
+        self._begin, self._dearest = (low, high), positive("dearest", dearest)
+        self._hold = whole_number("hold", hold, 1)
+        closing_distance(self.needed("route"))  # refused before the first episode
+        self._closing = np.zeros(rows.count)
+        self._still = np.zeros((rows.count, *rows.action_space.shape), dtype=np.float32)
+        added = {
+            "ahead": spaces.Box(-_FARTHEST, _FARTHEST, (1,), np.float32),
+            "price": spaces.Box(0.0, max(dearest, max(DEAREST.values())), (1,), np.float32),
+        }
+        self.observation_space = spaces.Dict({**self.dict_space(), **added})
+        self.action_space = spaces.Discrete(2)
+        self._steps = np.zeros(rows.count, dtype=np.int64)
+        self._price, self._driven, self._total = (np.zeros(rows.count) for _ in range(3))
+        self._learnt, self._path = np.zeros(rows.count), np.zeros(rows.count)
+
+    def begin(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
+        """See `Rows`; draw a place and a price, and drive there."""
+        self.rows.begin(chosen, seeds, options)
+        first = np.zeros(self.count, dtype=np.int64)  # step of the first decision
+        for b in np.flatnonzero(chosen).tolist():
+            generator, route = self.world.generator(b), self.world.route_of(b)
+            self._closing[b] = closing_distance(route)
+            first[b] = np.searchsorted(route.arc_length, generator.uniform(*self._begin) * self._closing[b])
+            self._price[b] = generator.uniform(0.0, self._dearest)
+        for numbers in (self._steps, self._total, self._learnt, self._path):
+            numbers[chosen] = 0
+        while (going := chosen & (self._steps < first)).any():
+            self._drive(going)
+        self._driven[chosen] = self.world.told("distance")[chosen]
+
+    def advance(self, actions: Any, going: BoolArray) -> Step:
+        """See `Rows`; stop, or drive on for a second."""
+        stops = going & (np.asarray(actions) == STOP)
+        still, learnt = going & ~stops, np.zeros(self.count)
+        over = stops.copy()
+        driving = still
+        for _ in range(self._hold):
+            if not driving.any():
+                break
+            rewards, terminated, truncated = self._drive(driving)
+            learnt = learnt + rewards
+            over |= terminated | truncated
+            driving = driving & ~(terminated | truncated)
+        driven = self.world.told("distance")
+        path = np.where(still, self._price * (self._driven - driven), 0.0)
+        self._driven[still] = driven[still]
+        self._total = self._total + np.where(still, learnt + path, 0.0)
+        self._learnt[going], self._path[going] = learnt[going], path[going]
+        return learnt + path, over, np.zeros(self.count, dtype=np.bool_)
+
+    def look(self) -> tuple[Arrays, Arrays]:
+        """See `Rows`."""
+        observation, info = self.rows.look()
+        ahead = self._closing - self._driven_by_script()
+        added = {"ahead": ahead[:, None].astype(np.float32), "price": self._price[:, None].astype(np.float32)}
+        rewards = {"reward_information": self._learnt.copy(), "reward_path": self._path.copy()}
+        success = (ahead <= 0.0) & (self._total > 0.0)
+        return {**observation, **added}, {**info, **rewards, "is_success": success}
+
+    def _driven_by_script(self) -> FloatArray:
+        """Planned distances of all rows along their routes, m; (B,)."""
+        lengths = (self.world.route_of(b).arc_length[step] for b, step in enumerate(self._steps.tolist()))
+        return np.fromiter(lengths, dtype=np.float64, count=self.count)
+
+    def _drive(self, going: BoolArray) -> Step:
+        """A step of the rows inside."""
+        step = self.rows.advance(self._still, going)
+        self._steps[going] += 1
+        return step
+
+
+class LoopClosure(RowWrapper):
+    """The agent takes over on the way round a block, and decides every second whether to drive on or to stop.
+
+    `reset` drives from the start of the route to a place somewhere between the shares `begin` of the way to the start
+    pose, with the filter running, and draws a price for a metre, evenly between 0 and `dearest`. The action is
+    `Discrete(2)`: 0 stops, which ends the episode, 1 drives on for `hold` steps, looking straight ahead. The reward is
+    that of the environment, what was learnt, minus the price of the metres. The observation gains `ahead` (1,), the
+    planned way to the place where the route passes its start, m, below 0 beyond it, and `price` (1,), per metre. `info`
+    gains `reward_path`; `is_success` is whether the loop was closed and that has paid.
+
+    Parameters
+    ----------
+    env : gymnasium.Env
+        `StereoSlam/Gaze-v0` on a route that passes its start again, with a reward for what is learnt.
+    begin : (2,) sequence of float
+        Shares of the way.
+    dearest : float
+        Per metre, in units of the reward of `env`.
+    hold : int
+        Steps of a decision.
+
+    Raises
+    ------
+    ValueError
+        An argument is impossible, or the route does not come back to its start.
+    """
+
+    OnRows = LoopClosureRows
+
+    def __init__(
+        self,
+        env: gym.Env[Any, Any],
+        begin: Sequence[float] = (0.5, 0.95),
+        dearest: float = 0.4,
+        hold: int = 10,
+    ) -> None:
+        super().__init__(env)
+
+
+def closing_distance(route: Route) -> float:
+    """Distance along a route to the place where it passes its start again, m; a `ValueError` where it does not."""
+    away = np.linalg.norm(route.positions, axis=1)
+    left = away > _AWAY
+    back = np.flatnonzero((away < _PAST) & (np.cumsum(left) > 0))
+    if not len(back):
+        raise ValueError(f"the route must come back to its start, as 'loop' does, and {route.name!r} does not")
+    lap = back[: int(np.argmax(np.diff(back, append=route.frames + 1) > 1)) + 1]  # the first time that it comes back
+    return float(route.arc_length[lap[away[lap].argmin()]])
+
+
+def revisit(
+    render_mode: str | None = None,
+    *,
+    level: str = "normal",
+    arguments: Mapping[str, Any] | None = None,
+    filter: str = "shared-anchor",
+    filter_options: Mapping[str, Any] = GAZE_FILTER,
+    begin: Sequence[float] = (0.5, 0.95),
+    dearest: float | None = None,
+    hold: int = 10,
+    many: Mapping[str, Any] | None = None,
+    **world: Any,
+) -> Any:
+    """`StereoSlam/Revisit-v0`: drive on to see the first landmarks again, or save the metres.
+
+    A car has driven most of the way round a block, and the uncertainty of its pose has grown. Where the route passes
+    its start, the filter meets its first landmarks again, and the uncertainty falls. The action is `Discrete(2)`: stop,
+    or drive on for a second. The observation has `belief_sigmas` (6,), `panorama` (12, 6), `ahead` (1,), the metres to
+    the start, and `price` (1,), that of a metre in this episode. The reward is the decrease of the log determinant of
+    the covariance of the pose in nats (`InformationGain`), minus the price of the metres; who stops at once earns 0.
+    The episode ends with the stop or 24 m beyond the start.
+
+    Parameters
+    ----------
+    render_mode : str, optional
+        That of `StereoSlam/Gaze-v0`.
+    level : {"easy", "normal", "hard"}
+        Difficulty, see `LEVELS`.
+    arguments : mapping, optional
+        Of `StereoSlam/Gaze-v0`; JSON-able. The route is "random-loop" unless given here.
+    filter : str
+        Name of the filter in the loop.
+    filter_options : mapping
+        Its options; one that drops what is out of view cannot close a loop.
+    begin, hold
+        Of `LoopClosure`.
+    dearest : float, optional
+        Of `LoopClosure`; None: that of the level in `DEAREST`.
+    many : mapping, optional
+        `num_envs`, `scenes` and `threads`: that many in rows, instead of one environment.
+    **world
+        Arguments of `StereoSlam/Gaze-v0`, as in `arguments`.
+    """
+    own = {"render_mode": render_mode, "route": "random-loop"}
+    given = {**_ODOMETRY, **of_world(arguments, world)}
+    inside = inner_environment("StereoSlam/Gaze-v0", level, given, many, **own)
+    dearest = DEAREST[level] if dearest is None else dearest
+    inside = BeliefPanorama.around(BeliefObservation.around(inside, filter=filter, options=filter_options))
+    paid = InformationGain.around(inside, of="pose", resolution=(0.01, 0.001))
+    return SelectedKeys.around(LoopClosure.around(paid, begin=begin, dearest=dearest, hold=hold), keys=KEYS)
+
+
+revisit_vector = vector_of(revisit)
+
+
+def close_if_it_pays(observation: Mapping[str, Any]) -> int:
+    """A rule: drive on while what is expected of the closed loop is more than the price of the way.
+
+    Expected is that the variances fall to those of a pose that was known again, as if they were independent.
+    """
+    ahead, price = float(observation["ahead"][0]), float(observation["price"][0])
+    gain = 2.0 * float(np.log(np.asarray(observation["belief_sigmas"], dtype=np.float64)).sum()) - _KNOWN_AGAIN
+    if ahead <= 0.0:
+        return GO_ON if ahead > -_BEYOND else STOP
+    return GO_ON if gain > price * (ahead + _BEYOND) else STOP
