@@ -27,9 +27,9 @@ from scipy.stats import bootstrap
 
 from harness import arguments, show
 from stereo_slam_env.envs.active_gaze import GazeTask
-from stereo_slam_env.envs.vectors import LEVELS, WORLDS
+from stereo_slam_env.envs.make_vec import LEVELS, WORLDS
 from stereo_slam_env.policies import make_policy
-from stereo_slam_env.policies.rows import Oracle, TrueFigures, normalised_score, policy_in_rows, true_figures
+from stereo_slam_env.policies.policy_rows import Oracle, TrueFigures, normalised_score, policy_in_rows, true_figures
 
 SEED = 200_000
 """The first one: nothing was tuned or chosen on these."""

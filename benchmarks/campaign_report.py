@@ -23,9 +23,9 @@ from pathlib import Path
 import numpy as np
 
 from harness import arguments
+from stereo_slam_env.benchmark.storage.result_tables import write_results
 from stereo_slam_env.benchmark.storage.run_files import seed_name
 from stereo_slam_env.benchmark.storage.store import read_study
-from stereo_slam_env.benchmark.storage.tables import write_results
 from stereo_slam_env.files.folders import write_json
 from stereo_slam_env.files.readers import read_arrays, read_json
 from stereo_slam_env.report.benchmark_report import write_report_of

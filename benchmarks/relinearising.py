@@ -22,7 +22,7 @@ from harness import arguments, show
 from stereo_slam_env.envs import GazeTask
 from stereo_slam_env.evaluation.bands import mean_band
 from stereo_slam_env.policies import make_policy
-from stereo_slam_env.policies.rows import policy_in_rows
+from stereo_slam_env.policies.policy_rows import policy_in_rows
 from stereo_slam_env.sensing.padding import TrackingPolicy
 
 RIG = {"fx": 400.0, "fy": 400.0, "cx": 319.5, "cy": 199.5, "width": 640, "height": 400}

@@ -23,7 +23,7 @@ from filters.catalogue.registry import make_with_common_options
 from harness import arguments, show
 from stereo_slam_env.datasets import load
 from stereo_slam_env.datasets.single_data_sets import GYRO_DELAY, STARRY_NIGHT
-from stereo_slam_env.datasets.tracks import step_velocities
+from stereo_slam_env.datasets.track_files import step_velocities
 from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.files.readers import read_archive
 from stereo_slam_env.recording.recording import Recording

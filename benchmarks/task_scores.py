@@ -34,7 +34,7 @@ from stereo_slam_env.envs import (
     to_new_roads,
 )
 from stereo_slam_env.policies import normalised_score
-from stereo_slam_env.policies.rows import REFERENCE_RETURNS, Oracle
+from stereo_slam_env.policies.policy_rows import REFERENCE_RETURNS, Oracle
 from stereo_slam_env.world.street_grid import RIGHT, STRAIGHT
 
 SEED = 20_000

@@ -23,10 +23,10 @@ from scipy.stats import bootstrap, trim_mean
 
 from harness import arguments, show
 from stereo_slam_env.envs import GazeTask
+from stereo_slam_env.policies.named_policies import Network
+from stereo_slam_env.policies.policy_rows import normalised_score
 from stereo_slam_env.policies.ppo import LearningCurve, Task
 from stereo_slam_env.policies.registered_task import RegisteredTask, evaluate
-from stereo_slam_env.policies.registry import Network
-from stereo_slam_env.policies.rows import normalised_score
 
 SEED = 300_000
 """The first one."""

@@ -26,9 +26,9 @@ from stereo_slam_env.benchmark.storage.store import open_study
 from stereo_slam_env.evaluation.cramer_rao import cramer_rao_bound
 from stereo_slam_env.evaluation.drift_model import DriftModel, claim
 from stereo_slam_env.evaluation.filter_run import run_filter
+from stereo_slam_env.policies.named_policies import Network
 from stereo_slam_env.policies.ppo import LearningCurve
 from stereo_slam_env.policies.registered_task import PolicyEvaluation
-from stereo_slam_env.policies.registry import Network
 from stereo_slam_env.recording.archive import packed_recording
 from stereo_slam_env.recording.trajectory import Trajectory
 from stereo_slam_env.recording.trajectory_files import save_trajectory

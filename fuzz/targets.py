@@ -17,17 +17,17 @@ from stereo_slam_env.benchmark import compare
 from stereo_slam_env.benchmark.gate import gate
 from stereo_slam_env.benchmark.packets import packet_of, read_packet, require_no_other
 from stereo_slam_env.benchmark.scenarios.study import load_study
+from stereo_slam_env.benchmark.storage.result_tables import results_of
 from stereo_slam_env.benchmark.storage.run_files import load_provenance, load_run
 from stereo_slam_env.benchmark.storage.store import read_study
-from stereo_slam_env.benchmark.storage.tables import results_of
 from stereo_slam_env.datasets import load, open_image_sequence
 from stereo_slam_env.evaluation.body_frames import read_body
 from stereo_slam_env.evaluation.drift_model import DriftModel, claim
 from stereo_slam_env.evaluation.trajectory_score import evaluate_trajectory
 from stereo_slam_env.files.readers import read_arrays
 from stereo_slam_env.paper import holds_paper
+from stereo_slam_env.policies.named_policies import Network
 from stereo_slam_env.policies.ppo import LearningCurve, require_own_training
-from stereo_slam_env.policies.registry import Network
 from stereo_slam_env.recording.archive import load_recording
 from stereo_slam_env.recording.trajectory_bags import read_bag
 from stereo_slam_env.recording.trajectory_files import load_trajectory

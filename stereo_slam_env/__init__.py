@@ -33,27 +33,27 @@ _refuse_other_filters()
 
 
 def _register(
-    name: str, room: str, made: str, max_episode_steps: int, best: float | None = None, **arguments: object
+    name: str, module: str, made: str, max_episode_steps: int, best: float | None = None, **arguments: object
 ) -> None:
     """An id: one environment, and its vector by the name in small letters; `best` is the best mean return known."""
     if name in _gym.registry:
         return
-    vectors = "stereo_slam_env.envs.vectors" if room.startswith("envs.") else f"stereo_slam_env.{room}"
+    vectors = "make_vec" if made.startswith("Stereo") else module  # a task makes its own
     task = name.split("/")[1].split("-")[0]
     small = "".join(f"_{letter.lower()}" if letter.isupper() else letter for letter in task).strip("_")
     _gym.register(
         name,
-        entry_point=f"stereo_slam_env.{room}:{made}",
+        entry_point=f"stereo_slam_env.envs.{module}:{made}",
         max_episode_steps=max_episode_steps,
         reward_threshold=best,
-        vector_entry_point=f"{vectors}:{small}_vector",
+        vector_entry_point=f"stereo_slam_env.envs.{vectors}:{small}_vector",
         kwargs=arguments,
     )
 
 
-_register("StereoSlam/Drive-v0", "envs.drive", "StereoDriveEnv", 1200, 32.7)
-_register("StereoSlam/Gaze-v0", "envs.gaze", "StereoGazeEnv", 3000)
-_register("StereoSlam/DriveGaze-v0", "envs.drive_gaze", "StereoDriveGazeEnv", 1200)
+_register("StereoSlam/Drive-v0", "drive", "StereoDriveEnv", 1200, 32.7)
+_register("StereoSlam/Gaze-v0", "gaze", "StereoGazeEnv", 3000)
+_register("StereoSlam/DriveGaze-v0", "gaze", "StereoDriveGazeEnv", 1200)
 for _task, _made, _most, _best in (
     ("ActiveGaze", "active_gaze", 600, -0.69),
     ("Explore", "explore", 1200, 8.36),
@@ -61,9 +61,9 @@ for _task, _made, _most, _best in (
     ("ClosedLoop", "closed_loop", 1200, 21.5),
     ("Branches", "branches", 1000, 22.1),
 ):
-    _register(f"StereoSlam/{_task}-v0", f"tasks.{_made}", _made, _most, _best)
+    _register(f"StereoSlam/{_task}-v0", _made, _made, _most, _best)
     for _level in ("easy", "hard"):
-        _register(f"StereoSlam/{_task}-{_level}-v0", f"tasks.{_made}", _made, _most, level=_level)
+        _register(f"StereoSlam/{_task}-{_level}-v0", _made, _made, _most, level=_level)
 
 _load, __dir__, __all__ = _lazy_loader.attach_stub(__name__, __file__)
 

@@ -71,8 +71,8 @@ def record(
     import gymnasium as gym
 
     from stereo_slam_env.envs.recorder import record as record_route
-    from stereo_slam_env.policies.registry import make_policy
-    from stereo_slam_env.policies.rows import run_episode
+    from stereo_slam_env.policies.named_policies import make_policy
+    from stereo_slam_env.policies.policy_rows import run_episode
 
     whole_number("seed", seed, 0)
     if environment == "StereoSlam/Drive-v0":

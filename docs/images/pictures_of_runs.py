@@ -24,7 +24,7 @@ from PIL.PngImagePlugin import PngInfo
 
 import stereo_slam_env as sse
 from stereo_slam_env.benchmark import preset_study, run_benchmark
-from stereo_slam_env.paper import NOISES, convergence, figures
+from stereo_slam_env.paper import NOISES, convergence, plots
 from stereo_slam_env.viewer import Drive, RerunView
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
@@ -85,12 +85,12 @@ def paper_depth(path: Path, work: Path, *, small: bool) -> None:
     """Figure 4 of the paper."""
     drives = 4 if small else 200
     turns = convergence.experiments(dict.fromkeys(NOISES, drives), {})
-    figures.figure_4({name: make() for name, make in turns.items()}).save(path)
+    plots.figure_4({name: make() for name, make in turns.items()}).save(path)
 
 
 def paper_cloud(path: Path, work: Path, *, small: bool) -> None:
     """Figure 1 of the paper."""
-    figures.figure_1(500 if small else 10_000).save(path)
+    plots.figure_1(500 if small else 10_000).save(path)
 
 
 @contextmanager

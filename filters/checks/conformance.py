@@ -19,7 +19,15 @@ import numpy as np
 
 from filters.catalogue.registry import USUAL, FilterFactory, filter_factory, label_of, make_with_common_options
 from filters.checks.consistency import blind_pose_error, chi_square_quantile, fault_of, nees
-from filters.checks.drives import DT, SPEED, START, START_COVARIANCE, StraightDrive, WindingDrive, predict_step
+from filters.checks.synthetic_drives import (
+    DT,
+    SPEED,
+    START,
+    START_COVARIANCE,
+    StraightDrive,
+    WindingDrive,
+    predict_step,
+)
 from filters.contract.inputs import Start, StereoObservation
 from filters.contract.noise import StereoNoise
 from filters.contract.outputs import Forecast, PoseBelief, UpdateReport

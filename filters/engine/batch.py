@@ -22,7 +22,7 @@ from filters.contract.stereo_filter import (
 )
 from filters.contract.validation import whole_number
 from filters.engine.engine import Engine
-from filters.engine.frames import FrameOutcome, Observations, Odometry
+from filters.engine.frame_arrays import FrameOutcome, Observations, Odometry
 from filters.engine.row import Row, report
 from filters.engine.stereo_ekf import StereoEKF
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray

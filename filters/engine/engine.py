@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from filters.engine.frames import FrameOutcome, Observations, Odometry
+from filters.engine.frame_arrays import FrameOutcome, Observations, Odometry
 from filters.engine.recipes import compiled_calls
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.kernels.calls import Packed, raise_failure

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from filters.contract.outputs import VELOCITY
-from filters.engine.frames import ValuePlaces
+from filters.engine.frame_arrays import ValuePlaces
 from filters.engine.options import Options
 from filters.geometry.arrays import IntArray
 from filters.geometry.camera import StereoCamera

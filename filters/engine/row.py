@@ -13,7 +13,7 @@ from filters.contract.noise import StereoNoise
 from filters.contract.outputs import MovedLandmarks, UpdateReport, Variable
 from filters.contract.validation import require_known
 from filters.engine.engine import Engine
-from filters.engine.frames import FrameOutcome, Observations, Odometry, ValuePlaces
+from filters.engine.frame_arrays import FrameOutcome, Observations, Odometry, ValuePlaces
 from filters.engine.options import Options
 from filters.engine.recipes import recipe_of
 from filters.geometry.arrays import FloatArray, IntArray

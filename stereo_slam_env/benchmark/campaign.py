@@ -29,13 +29,13 @@ from stereo_slam_env.benchmark.scenarios.scenario import (
 )
 from stereo_slam_env.benchmark.scenarios.streams import check_source
 from stereo_slam_env.benchmark.scenarios.study import Study, load_study, preset_study
+from stereo_slam_env.benchmark.storage.result_tables import CellResult, write_results
 from stereo_slam_env.benchmark.storage.store import (
     RunDirectory,
     StudyDirectory,
     open_study,
     prepared_study,
 )
-from stereo_slam_env.benchmark.storage.tables import CellResult, write_results
 from stereo_slam_env.evaluation.body_frames import read_body
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
 from stereo_slam_env.evaluation.run_figures import Figures

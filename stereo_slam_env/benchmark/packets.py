@@ -31,9 +31,9 @@ from stereo_slam_env.benchmark.running.backends import Backend
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, Scenario
 from stereo_slam_env.benchmark.scenarios.study import Study
 from stereo_slam_env.benchmark.storage.code_identity import code_digest
+from stereo_slam_env.benchmark.storage.result_tables import CellResult, results_of
 from stereo_slam_env.benchmark.storage.run_files import SETTINGS
 from stereo_slam_env.benchmark.storage.store import prepared_study, read_study
-from stereo_slam_env.benchmark.storage.tables import CellResult, results_of
 from stereo_slam_env.evaluation.results import FilterRun
 from stereo_slam_env.evaluation.trajectory_score import evaluate_trajectory
 from stereo_slam_env.evaluation.trial import estimate_of, reference_of

@@ -17,10 +17,10 @@ import typer
 from stereo_slam_env.cli import bench as cli_bench
 from stereo_slam_env.cli import evaluate as cli_evaluate
 from stereo_slam_env.cli import recordings as cli_recordings
-from stereo_slam_env.cli import results as cli_results
+from stereo_slam_env.cli import reports as cli_reports
 from stereo_slam_env.cli import scenes as cli_scenes
 from stereo_slam_env.cli import train as cli_train
-from stereo_slam_env.cli.parts import (
+from stereo_slam_env.cli.shared_options import (
     FILTER_GROUPS,
     GroupedCommands,
     Interrupted,
@@ -64,11 +64,11 @@ app.command()(cli_bench.replay)
 app.command(cls=TakesTruths)(cli_evaluate.evaluate)
 app.command(cls=TakesTruths)(cli_evaluate.calibrate)
 app.command()(cli_evaluate.claim)
-app.command()(cli_results.report)
-app.command()(cli_results.submit)
-app.command()(cli_results.verify)
+app.command()(cli_reports.report)
+app.command()(cli_reports.submit)
+app.command()(cli_reports.verify)
 app.command()(cli_recordings.convert)
-app.command()(cli_results.paper)
+app.command()(cli_reports.paper)
 app.command()(cli_train.train)
 app.command()(cli_recordings.view)
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
-from stereo_slam_env.cli.parts import (
+from stereo_slam_env.cli.shared_options import (
     PRESET_GROUPS,
     FiltersOption,
     ImagesOptions,

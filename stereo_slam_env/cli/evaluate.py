@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from stereo_slam_env.cli.parts import (
+from stereo_slam_env.cli.shared_options import (
     BodyEstimatedOption,
     BodyOption,
     JsonOption,

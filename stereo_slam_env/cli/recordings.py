@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from stereo_slam_env.cli.parts import ImagesOptions, console, show_lines, with_options
+from stereo_slam_env.cli.shared_options import ImagesOptions, console, show_lines, with_options
 
 if TYPE_CHECKING:
-    from stereo_slam_env.viewer.drive import Drive
     from stereo_slam_env.viewer.drive_picture import Progress
+    from stereo_slam_env.viewer.watched_drive import Drive
 
 
 @with_options(ImagesOptions, "images")
@@ -88,7 +88,7 @@ def view(
     """
     from stereo_slam_env.files.folders import require_writable
     from stereo_slam_env.report.console import progress_bar
-    from stereo_slam_env.viewer.drive import revisit
+    from stereo_slam_env.viewer.watched_drive import revisit
 
     if frame is not None and still is None:
         raise ValueError("--frame needs --still OUT.png: it says what the picture shows")

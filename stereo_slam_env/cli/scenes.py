@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from stereo_slam_env.cli.parts import JsonOption, console, group, rig_from, show_json, show_lists, with_options
+from stereo_slam_env.cli.shared_options import JsonOption, console, group, rig_from, show_json, show_lists, with_options
 
 app = group("The simulated scenes: list, render, record, noise.")
 
@@ -52,7 +52,7 @@ def _scene(
 def list_scenes(as_json: JsonOption = False) -> None:
     """Routes, surroundings and renderers, and the ready-made scenarios of `bench`."""
     from stereo_slam_env.benchmark import presets
-    from stereo_slam_env.rendering.backends import RENDERERS
+    from stereo_slam_env.rendering.renderers import RENDERERS
     from stereo_slam_env.world.routes import available_routes
     from stereo_slam_env.world.surroundings import available_scenes
 

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from stereo_slam_env.cli.parts import OutOption, console, new_directory
+from stereo_slam_env.cli.shared_options import OutOption, console, new_directory
 
 GAZE = ("StereoSlam/Gaze-v0", *(f"StereoSlam/ActiveGaze{level}-v0" for level in ("", "-easy", "-hard")))
 """Ids of which where to look is learnt, by what a filter knows; every other id is learnt by its own reward."""

@@ -16,7 +16,7 @@ from filters.contract.validation import require_known
 from stereo_slam_env.datasets.bag_images import grey_of, write_mcap
 from stereo_slam_env.datasets.image_files import BrokenPair
 from stereo_slam_env.datasets.kitti_odometry import write_kitti_sequence
-from stereo_slam_env.datasets.registry import (
+from stereo_slam_env.datasets.layouts import (
     FolderLayout,
     available_recordings,
     file_layout,
@@ -29,10 +29,10 @@ from stereo_slam_env.datasets.single_data_sets import read_gtsam
 from stereo_slam_env.evaluation.body_frames import read_body
 from stereo_slam_env.files.opening import is_there, require_inside, require_links_inside
 from stereo_slam_env.frontend.camera_motion import set_up_for_tracks, with_moving_start
-from stereo_slam_env.frontend.recorder import record_tracks
 from stereo_slam_env.frontend.rectification_errors import calibrated
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.frontend.track_noise import with_measured_noise
+from stereo_slam_env.frontend.track_recorder import record_tracks
 from stereo_slam_env.recording.archive import load_recording
 from stereo_slam_env.recording.recording import ImageSequence, Recording
 from stereo_slam_env.sensing.projections import require_baseline

@@ -24,7 +24,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from filters import InertialSamples, InertialUnit, Pose
 from filters.geometry.arrays import FloatArray, IntArray
-from stereo_slam_env.datasets.registry import reference_for
+from stereo_slam_env.datasets.layouts import reference_for
 from stereo_slam_env.datasets.restated import as_they_are, sample_of_files
 from stereo_slam_env.datasets.sequence import Choice, ImageFiles, RecordedSequence, known_poses
 from stereo_slam_env.files.opening import is_plain_name

@@ -19,7 +19,7 @@ import numpy as np
 from filters import Pose, StereoCamera
 from filters.geometry.arrays import FloatArray
 from stereo_slam_env.datasets.image_files import numbered_images
-from stereo_slam_env.datasets.registry import POSITION, reference_for
+from stereo_slam_env.datasets.layouts import POSITION, reference_for
 from stereo_slam_env.datasets.sequence import (
     Choice,
     ImageFiles,

@@ -25,7 +25,7 @@ from filters.geometry.arrays import FloatArray
 from stereo_slam_env.datasets.image_files import numbered_images
 from stereo_slam_env.datasets.kitti_odometry import CAMERAS, chosen_cameras
 from stereo_slam_env.datasets.sequence import Choice, ImageFiles, RecordedSequence, known_poses, of_left_camera, rig_of
-from stereo_slam_env.datasets.tracks import camera_velocities
+from stereo_slam_env.datasets.track_files import camera_velocities
 from stereo_slam_env.files.opening import require_inside
 from stereo_slam_env.files.readers import finite_rows, read_text
 from stereo_slam_env.recording.inertial import samples_of_steps

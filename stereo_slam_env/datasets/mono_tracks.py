@@ -30,7 +30,7 @@ import numpy as np
 from filters import InertialUnit, Pose, StereoCamera, StereoNoise, StereoObservation
 from filters.contract.validation import first_line, positive, require_known
 from filters.geometry.arrays import FloatArray
-from stereo_slam_env.datasets.registry import reference_for
+from stereo_slam_env.datasets.layouts import reference_for
 from stereo_slam_env.datasets.restated import pose_at
 from stereo_slam_env.files.opening import require_inside
 from stereo_slam_env.files.readers import parse_toml, read_table, read_text

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from filters import Pose, Start, StereoCamera
 from filters.geometry.arrays import FloatArray
 from stereo_slam_env.datasets.image_files import BrokenPair, read_grey
-from stereo_slam_env.datasets.registry import reference_for
+from stereo_slam_env.datasets.layouts import reference_for
 from stereo_slam_env.frontend.rectification_errors import FEWEST, RowOffsets, row_offsets
 from stereo_slam_env.recording.recording import GreyImage, ImageSequence, Reference, StereoPair
 from stereo_slam_env.recording.trajectory import Trajectory

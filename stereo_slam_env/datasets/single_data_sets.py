@@ -21,11 +21,11 @@ from filters import InertialUnit, Pose, Start
 from filters.contract.extras import require_module
 from filters.contract.validation import positive
 from filters.geometry.arrays import FloatArray, IntArray
-from stereo_slam_env.datasets import tracks as point_tracks
+from stereo_slam_env.datasets import track_files as point_tracks
 from stereo_slam_env.datasets.image_files import numbered_images
-from stereo_slam_env.datasets.registry import POSITION, ImagesRow, known_by, reference_for
+from stereo_slam_env.datasets.layouts import POSITION, ImagesRow, known_by, reference_for
 from stereo_slam_env.datasets.sequence import Choice, ImageFiles, RecordedSequence, known_poses, poses_of_rows, rig_of
-from stereo_slam_env.datasets.tracks import ASSUMED, SPEEDS, PointTracks, TrackFiles, TracksRow, camera_velocities
+from stereo_slam_env.datasets.track_files import ASSUMED, SPEEDS, PointTracks, TrackFiles, TracksRow, camera_velocities
 from stereo_slam_env.files.opening import is_there, require_inside
 from stereo_slam_env.files.readers import finite_rows, read_archive, read_poses, read_table, split_poses
 from stereo_slam_env.recording.inertial import samples_of_steps

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from filters import Pose, StereoCamera
 from filters.geometry.arrays import BoolArray, FloatArray
 from stereo_slam_env.datasets.image_files import image_size, numbered_images
-from stereo_slam_env.datasets.registry import reference_for
+from stereo_slam_env.datasets.layouts import reference_for
 from stereo_slam_env.datasets.sequence import Choice, ImageFiles, RecordedSequence, known_poses
 from stereo_slam_env.files.readers import finite_rows, read_table
 from stereo_slam_env.recording.recording import NO_REFERENCE

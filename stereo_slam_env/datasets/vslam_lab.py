@@ -16,7 +16,7 @@ import numpy as np
 from filters import Pose
 from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray
-from stereo_slam_env.datasets.registry import reference_for
+from stereo_slam_env.datasets.layouts import reference_for
 from stereo_slam_env.datasets.restated import as_they_are, pose_at, sample_of_files
 from stereo_slam_env.datasets.sequence import Choice, ImageFiles, RecordedSequence
 from stereo_slam_env.files.opening import require_inside

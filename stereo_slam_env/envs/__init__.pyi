@@ -18,13 +18,13 @@ from .gaze import StereoDriveGazeEnv as StereoDriveGazeEnv
 from .gaze import StereoGazeEnv as StereoGazeEnv
 from .information import InformationCriterion as InformationCriterion
 from .information import log_det as log_det
+from .make_vec import LEVELS as LEVELS
+from .make_vec import Snapshot as Snapshot
+from .make_vec import restore as restore
+from .make_vec import snapshot as snapshot
 from .revisit import LoopClosure as LoopClosure
 from .revisit import close_if_it_pays as close_if_it_pays
 from .rewards import InformationGain as InformationGain
 from .rewards import TrueError as TrueError
 from .row_wrapper import DirectionOfGaze as DirectionOfGaze
 from .row_wrapper import SelectedKeys as SelectedKeys
-from .vectors import LEVELS as LEVELS
-from .vectors import Snapshot as Snapshot
-from .vectors import restore as restore
-from .vectors import snapshot as snapshot

@@ -20,11 +20,11 @@ from stereo_slam_env.envs import (
     TrueError,
 )
 from stereo_slam_env.envs.information import CRITERIA, Criterion
+from stereo_slam_env.envs.make_vec import of_level, of_world, rows_of, vector_of
 from stereo_slam_env.envs.rewards import BeliefOf
 from stereo_slam_env.envs.row_wrapper import directions, moving_head
 from stereo_slam_env.envs.rows import Rows
 from stereo_slam_env.envs.vector_env import RowsVectorEnv, limited
-from stereo_slam_env.envs.vectors import of_level, of_world, rows_of, vector_of
 
 GAZE_FILTER: Mapping[str, Any] = {
     "drop_unseen": False,
@@ -97,7 +97,7 @@ class GazeTask:
         return env if self.pans is None else DirectionOfGaze(env, self.pans)
 
     def make_rows(self, num_envs: int, scenes: int | None = None, threads: int = 1) -> Rows:
-        """So many times `make_for_learning` as rows; see `wrappers.vectors.stereo_vector`."""
+        """So many times `make_for_learning` as rows; see `envs.make_vec.stereo_vector`."""
         given = dict(self.arguments)
         limit = given.pop("max_episode_steps", gym.spec(self.environment).max_episode_steps)
         given.pop("disable_env_checker", None)

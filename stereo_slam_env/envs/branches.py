@@ -12,13 +12,13 @@ from gymnasium import spaces
 from filters.contract.validation import positive, whole_number
 from filters.geometry.arrays import BoolArray, FloatArray
 from stereo_slam_env.envs.active_gaze import GAZE_FILTER
+from stereo_slam_env.envs.arguments import FEW_DECISIONS
 from stereo_slam_env.envs.belief_observation import BeliefObservation
 from stereo_slam_env.envs.belief_panorama import BeliefPanorama
 from stereo_slam_env.envs.filter_rows import FilterRows
-from stereo_slam_env.envs.options import FEW_DECISIONS
+from stereo_slam_env.envs.make_vec import inner_environment, of_world, vector_of
 from stereo_slam_env.envs.row_wrapper import RowWrapper, SelectedKeys
 from stereo_slam_env.envs.rows import Arrays, Rows, RowsWrapper, Seeds, Step
-from stereo_slam_env.envs.vectors import inner_environment, of_world, vector_of
 from stereo_slam_env.world.routes import through_streets
 from stereo_slam_env.world.street_grid import LEFT, RIGHT, STRAIGHT, Place, StreetGrid
 

@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 from filters.contract.validation import positive, whole_number
 from filters.geometry.arrays import BoolArray, FloatArray
 from filters.geometry.poses import Pose
+from stereo_slam_env.envs.arguments import STEERING
 from stereo_slam_env.envs.belief_observation import BeliefObservation
 from stereo_slam_env.envs.belief_panorama import BeliefPanorama
 from stereo_slam_env.envs.filter_rows import FilterRows
-from stereo_slam_env.envs.options import STEERING
+from stereo_slam_env.envs.make_vec import inner_environment, of_world, vector_of
 from stereo_slam_env.envs.row_wrapper import RowWrapper, SelectedKeys
 from stereo_slam_env.envs.rows import Arrays, Rows, RowsWrapper, Seeds, Step
-from stereo_slam_env.envs.vectors import inner_environment, of_world, vector_of
 from stereo_slam_env.simulator.motion import nearest_frames, routes_ahead
 from stereo_slam_env.simulator.state import ARENA
 from stereo_slam_env.world.routes import FRAME_PERIOD

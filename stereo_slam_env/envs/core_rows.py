@@ -15,10 +15,10 @@ from filters.contract.noise import ColouredNoise, LandmarkDrift, StereoNoise
 from filters.geometry.arrays import BoolArray, FloatArray
 from filters.geometry.camera import StereoCamera
 from filters.geometry.poses import Pose
-from stereo_slam_env.envs.options import DriveOptions, HeadOptions, StereoOptions
-from stereo_slam_env.envs.pictures import Pictures
+from stereo_slam_env.envs.arguments import DriveOptions, HeadOptions, StereoOptions
+from stereo_slam_env.envs.row_pictures import Pictures
 from stereo_slam_env.envs.rows import Arrays, Measured, Rows, Seeds, Step
-from stereo_slam_env.frontend.recorder import TYPICAL_NOISE, ImageSensor
+from stereo_slam_env.frontend.track_recorder import TYPICAL_NOISE, ImageSensor
 from stereo_slam_env.recording.recording import Frame, LandmarkTruth
 from stereo_slam_env.rendering.overlay import annotated_pair
 from stereo_slam_env.rendering.pinhole import StereoImages
@@ -26,7 +26,7 @@ from stereo_slam_env.sensing.corruptions import NOISE_MODELS
 from stereo_slam_env.sensing.imu import Imu
 from stereo_slam_env.sensing.padding import NO_LANDMARK, padded_extras
 from stereo_slam_env.simulator.motion import LOOK_AHEAD
-from stereo_slam_env.simulator.scenes import MAX_VELOCITY, SceneArrays, scene_arrays
+from stereo_slam_env.simulator.scene_arrays import MAX_VELOCITY, SceneArrays, scene_arrays
 from stereo_slam_env.simulator.simulator import Simulator
 from stereo_slam_env.simulator.state import ARENA, RIDE_STEPS, WEIGHTS, make_rules
 from stereo_slam_env.world.routes import FRAME_PERIOD, RANDOM_ROUTES, Route, named_route

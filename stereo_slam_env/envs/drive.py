@@ -6,7 +6,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from stereo_slam_env.envs.options import DriveOptions
+from stereo_slam_env.envs.arguments import DriveOptions
 from stereo_slam_env.envs.stereo_env import Observation, StereoEnv
 
 

@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 from filters.contract.validation import positive
 from filters.geometry.arrays import BoolArray, FloatArray
 from stereo_slam_env.envs.active_gaze import GAZE_FILTER
+from stereo_slam_env.envs.arguments import FEW_DECISIONS
 from stereo_slam_env.envs.belief_observation import BeliefObservation
 from stereo_slam_env.envs.belief_panorama import BeliefPanorama
 from stereo_slam_env.envs.closed_loop import DriveChoices, RouteByEstimate, drive_slowly
 from stereo_slam_env.envs.filter_rows import FilterRows
-from stereo_slam_env.envs.options import FEW_DECISIONS
+from stereo_slam_env.envs.make_vec import inner_environment, of_world, vector_of
 from stereo_slam_env.envs.row_wrapper import RowWrapper, SelectedKeys
 from stereo_slam_env.envs.rows import Arrays, Rows, RowsWrapper, Seeds, Step
-from stereo_slam_env.envs.vectors import inner_environment, of_world, vector_of
 from stereo_slam_env.world.routes import FRAME_PERIOD
 
 KEYS = ("belief_sigmas", "panorama", "head", "car", "route", "progress", "coverage")

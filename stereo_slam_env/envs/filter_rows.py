@@ -23,7 +23,7 @@ from filters.engine.batch import (
     goes_in_a_batch,
     world_landmarks,
 )
-from filters.engine.frames import Observations, Odometry
+from filters.engine.frame_arrays import Observations, Odometry
 from filters.geometry import rotations
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.geometry.poses import Pose

@@ -13,15 +13,15 @@ import numpy as np
 from filters.contract.inputs import Start
 from filters.contract.noise import StereoNoise
 from filters.geometry.camera import StereoCamera
+from stereo_slam_env.envs.arguments import DriveOptions, StereoOptions
 from stereo_slam_env.envs.core_rows import CoreRows
 from stereo_slam_env.envs.drive import StereoDriveEnv
-from stereo_slam_env.envs.options import DriveOptions, StereoOptions
 from stereo_slam_env.envs.stereo_env import StereoEnv
 from stereo_slam_env.files.package_versions import version_of
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.recording.recording import SIMULATION, Frame, LandmarkTruth, Recording, Reference, StereoPair
-from stereo_slam_env.rendering.backends import renderer_identity
 from stereo_slam_env.rendering.pinhole import grey
+from stereo_slam_env.rendering.renderers import renderer_identity
 from stereo_slam_env.world.routes import RANDOM_ROUTES
 
 DRIVE = "StereoSlam/Drive-v0"

@@ -15,10 +15,10 @@ from filters.geometry.arrays import BoolArray, FloatArray
 from stereo_slam_env.envs.active_gaze import GAZE_FILTER
 from stereo_slam_env.envs.belief_observation import BeliefObservation
 from stereo_slam_env.envs.belief_panorama import BeliefPanorama
+from stereo_slam_env.envs.make_vec import inner_environment, of_world, vector_of
 from stereo_slam_env.envs.rewards import InformationGain
 from stereo_slam_env.envs.row_wrapper import RowWrapper, SelectedKeys
 from stereo_slam_env.envs.rows import Arrays, Rows, RowsWrapper, Seeds, Step
-from stereo_slam_env.envs.vectors import inner_environment, of_world, vector_of
 from stereo_slam_env.simulator.state import ODOMETRY_SIGMAS
 from stereo_slam_env.world.routes import Route
 

@@ -146,7 +146,7 @@ class InformationGain(RowWrapper):
     """The reward of a step is the decrease of a potential, the uncertainty of pose and map.
 
     So the return telescopes: it is the potential at reset minus the potential at the end, times `weight`, whatever
-    happened between and however long it took. The potentials are those of `wrappers.information`; there every unseen
+    happened between and however long it took. The potentials are those of `envs.information`; there every unseen
     landmark stands at a prior, so that discovering one is never punished. A landmark that leaves the map falls back to
     the prior: its information is lost, and costs what it had earned. (The named filters drop landmarks as soon as
     they are out of sight; `BeliefObservation(env, options={"drop_unseen": False})` keeps them.)

@@ -16,9 +16,9 @@ from filters.contract.validation import finite_array
 from filters.geometry.arrays import FloatArray, IntArray
 from filters.geometry.camera import StereoCamera
 from filters.geometry.poses import Pose
+from stereo_slam_env.envs.arguments import StereoOptions
 from stereo_slam_env.envs.core_rows import CoreRows, keeps_scene
-from stereo_slam_env.envs.options import StereoOptions
-from stereo_slam_env.envs.pictures import modes_here, window_for
+from stereo_slam_env.envs.row_pictures import modes_here, window_for
 from stereo_slam_env.frontend.tracks import TrackedPair
 from stereo_slam_env.recording.recording import Frame, LandmarkTruth
 from stereo_slam_env.simulator.state import Kept

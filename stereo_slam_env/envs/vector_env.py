@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from filters.contract.validation import whole_number
 from filters.geometry.arrays import BoolArray, FloatArray
+from stereo_slam_env.envs.arguments import StereoOptions
 from stereo_slam_env.envs.core_rows import CoreRows
-from stereo_slam_env.envs.options import StereoOptions
 from stereo_slam_env.envs.rows import Arrays, Rows, TimeLimitRows, checked_actions
 from stereo_slam_env.envs.stereo_env import row_of
 from stereo_slam_env.simulator.state import Kept, Sensed

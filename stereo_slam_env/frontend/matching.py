@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from filters.contract.validation import finite_array
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
-from stereo_slam_env.frontend.compiled import note_peaks, note_refined
+from stereo_slam_env.frontend.correlation import note_peaks, note_refined
 from stereo_slam_env.frontend.patches import PATCH, Image, Patches, cut_patches
 
 _RADIUS = PATCH // 2

@@ -26,7 +26,7 @@ from stereo_slam_env.files import (
     write_text,
 )
 from stereo_slam_env.paper import convergence, drives, landmark_uncertainty, long_drive, speed
-from stereo_slam_env.paper.claims import (
+from stereo_slam_env.paper.paper_claims import (
     NOISES,
     PLACES,
     RENDERED,

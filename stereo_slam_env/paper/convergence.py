@@ -19,7 +19,8 @@ from filters import Pose, Start, StereoNoise
 from stereo_slam_env import Recording, RenderedDrive, run
 from stereo_slam_env.frontend import record_tracks, with_moving_start
 from stereo_slam_env.paper import drives
-from stereo_slam_env.paper.claims import (
+from stereo_slam_env.paper.drives import ROUTES, TURN
+from stereo_slam_env.paper.paper_claims import (
     ASSUMED_NAMES,
     DUAL,
     FILTER_NAMES,
@@ -36,7 +37,6 @@ from stereo_slam_env.paper.claims import (
     mean_interval,
     ratio_interval,
 )
-from stereo_slam_env.paper.drives import ROUTES, TURN
 from stereo_slam_env.rendering import overlay
 
 IntArray = NDArray[np.int64]

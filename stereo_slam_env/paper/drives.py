@@ -19,7 +19,7 @@ from filters import StereoNoise
 from stereo_slam_env import Recording, load
 from stereo_slam_env.benchmark import StreetSource, long_drive, short_turn
 from stereo_slam_env.datasets import holds_images, layout_of
-from stereo_slam_env.paper.claims import (
+from stereo_slam_env.paper.paper_claims import (
     ASSUMED,
     ASSUMED_NAMES,
     COUPLED,

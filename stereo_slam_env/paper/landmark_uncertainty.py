@@ -14,7 +14,7 @@ from scipy.stats import chi2, norm
 
 from filters import Euclidean, InverseDepth, LandmarkModel, RangeBearing, StartedLandmarks, StereoNoise
 from stereo_slam_env.benchmark import CONFIDENCE
-from stereo_slam_env.paper.claims import (
+from stereo_slam_env.paper.paper_claims import (
     ASSUMED_NAMES,
     COUPLED,
     DIAGONAL,

@@ -27,7 +27,7 @@ from stereo_slam_env.evaluation import (
     run_filter,
 )
 from stereo_slam_env.paper import drives
-from stereo_slam_env.paper.claims import (
+from stereo_slam_env.paper.paper_claims import (
     ASSUMED_NAMES,
     DUAL,
     EUCLIDEAN,

@@ -12,8 +12,15 @@ import numpy as np
 
 from stereo_slam_env.evaluation import mean_band, readable, share_inside
 from stereo_slam_env.files import own_files, write_atomically, write_text
-from stereo_slam_env.paper import convergence, figures, landmark_uncertainty, long_drive, speed
-from stereo_slam_env.paper.claims import (
+from stereo_slam_env.paper import convergence, landmark_uncertainty, long_drive, plots, speed
+from stereo_slam_env.paper.drives import (
+    DRIVE,
+    FRAMES_OF_THE_PAPER,
+    HOW_TO_GET_KARLSRUHE,
+    TURN,
+    Setting,
+)
+from stereo_slam_env.paper.paper_claims import (
     ASSUMED_NAMES,
     EUCLIDEAN,
     FILTER_NAMES,
@@ -28,13 +35,6 @@ from stereo_slam_env.paper.claims import (
     ClaimVerdict,
     FloatArray,
     finite_mean,
-)
-from stereo_slam_env.paper.drives import (
-    DRIVE,
-    FRAMES_OF_THE_PAPER,
-    HOW_TO_GET_KARLSRUHE,
-    TURN,
-    Setting,
 )
 from stereo_slam_env.report import Chart, Column, TableCell, Tone, figure_block, html_page, number, table
 
@@ -101,33 +101,38 @@ class Page:
         samples, kinds = self._settings.samples, {name.partition(".")[0] for name in results}
         timed = any(name.startswith("speed-") for name in results)
         drawers: dict[str, tuple[str, bool, Callable[[], Chart], Callable[[], Numbers] | None]] = {
-            "1": ("Figure 1: a landmark at 70 m (4.1)", True, lambda: figures.figure_1(samples), None),
+            "1": ("Figure 1: a landmark at 70 m (4.1)", True, lambda: plots.figure_1(samples), None),
             "2": (
                 "Figure 2: landmarks at 15, 30 and 45 m (4.1)",
                 True,
-                lambda: figures.figure_2(samples),
+                lambda: plots.figure_2(samples),
                 lambda: uncertainty_table(samples),
             ),
             "4": (
                 "Figure 4: uncertainty of the depth over the updates (4.3)",
                 TURN in kinds,
-                lambda: figures.figure_4(results),
+                lambda: plots.figure_4(results),
                 lambda: convergence_table(results),
             ),
             "5": (
                 "Figure 5: depth of one landmark over the updates (4.3)",
                 TURN in kinds,
-                lambda: figures.figure_5(results),
+                lambda: plots.figure_5(results),
                 None,
             ),
             "6": (
                 "Figure 6: trajectory, yaw and velocity (4.4)",
                 DRIVE in kinds,
-                lambda: figures.figure_6(*long_drive.example_course(results)),
+                lambda: plots.figure_6(*long_drive.example_course(results)),
                 lambda: drive_table(results),
             ),
-            "nees": ("Consistency (4.1, 5)", DRIVE in kinds, lambda: figures.figure_nees(results), None),
-            "speed": ("Speed (3.1, 5)", timed, lambda: figures.figure_speed(results), lambda: speed_table(results)),
+            "nees": ("Consistency (4.1, 5)", DRIVE in kinds, lambda: plots.figure_nees(results), None),
+            "speed": (
+                "Speed (3.1, 5)",
+                timed,
+                lambda: plots.figure_speed(results),
+                lambda: speed_table(results),
+            ),
         }
         found = []
         for name, (title, there, draw, numbers) in drawers.items():
@@ -147,7 +152,7 @@ class Page:
     ) -> str:
         key = f"figure-{name}"
         if key not in self._blocks:  # its results do not change any more
-            caption = TABLE["figures"][key].format(shown=figures.SHOWN, samples=self._settings.samples)
+            caption = TABLE["figures"][key].format(shown=plots.SHOWN, samples=self._settings.samples)
             block = figure_block(draw(), key, caption, self._out / "figures")
             about = f"<h3>Every number</h3>{_numbers(*numbers())}" if numbers else ""
             own = "".join(_findings(one) for one in claims if one.sentence.evidence == key)

@@ -24,7 +24,7 @@ from filters import (
     StereoObservation,
     make_filter,
 )
-from stereo_slam_env.paper.claims import (
+from stereo_slam_env.paper.paper_claims import (
     DUAL,
     EUCLIDEAN,
     FILTER_NAMES,

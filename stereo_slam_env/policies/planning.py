@@ -29,7 +29,7 @@ from stereo_slam_env.policies.foresight import (
     straight_ahead,
     turning_head,
 )
-from stereo_slam_env.policies.registry import Action, look_towards, require_head
+from stereo_slam_env.policies.named_policies import Action, look_towards, require_head
 from stereo_slam_env.sensing.padding import TrackingPolicy
 from stereo_slam_env.world.routes import FRAME_PERIOD, Route
 from stereo_slam_env.world.vehicle import Head

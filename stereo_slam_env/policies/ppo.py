@@ -33,6 +33,7 @@ from stereo_slam_env.files.folders import (
 from stereo_slam_env.files.opening import open_regular, require_links_inside
 from stereo_slam_env.files.package_versions import commit, version_of
 from stereo_slam_env.files.readers import read_json, read_text, require_plain_zip
+from stereo_slam_env.policies.named_policies import Network
 from stereo_slam_env.policies.registered_task import (
     VALIDATION_SEEDS,
     EpisodeOutcome,
@@ -42,7 +43,6 @@ from stereo_slam_env.policies.registered_task import (
     evaluate,
     words,
 )
-from stereo_slam_env.policies.registry import Network
 
 if TYPE_CHECKING:
     from stable_baselines3 import PPO

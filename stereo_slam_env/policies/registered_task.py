@@ -16,8 +16,8 @@ from filters.contract.validation import positive, probability, whole_number
 from filters.geometry.arrays import BoolArray, FloatArray
 from stereo_slam_env.envs.active_gaze import GazeTask
 from stereo_slam_env.envs.vector_env import RowsVectorEnv
-from stereo_slam_env.policies.registry import Network
-from stereo_slam_env.policies.rows import REFERENCE_RETURNS, normalised_score, true_figures
+from stereo_slam_env.policies.named_policies import Network
+from stereo_slam_env.policies.policy_rows import REFERENCE_RETURNS, normalised_score, true_figures
 
 _WITH_IDS = ("StereoSlam/Drive-v0", "StereoSlam/Gaze-v0", "StereoSlam/DriveGaze-v0")
 """Environments that show the numbers of landmarks unless they are told not to: of no use to a learner."""

@@ -9,14 +9,14 @@ from .charts.axes import filter_colours as filter_colours
 from .charts.axes import label_room as label_room
 from .charts.axes import log_axis as log_axis
 from .charts.axes import panel_width as panel_width
-from .charts.consistency import plot_error_bounds as plot_error_bounds
-from .charts.consistency import plot_nees as plot_nees
 from .charts.drawing import DASHED as DASHED
 from .charts.drawing import BoxMark as BoxMark
 from .charts.drawing import Chart as Chart
 from .charts.drawing import Curve as Curve
 from .charts.drawing import Panel as Panel
 from .charts.drawing import figure as figure
+from .charts.nees import plot_error_bounds as plot_error_bounds
+from .charts.nees import plot_nees as plot_nees
 from .page import figure_block as figure_block
 from .page import html_page as html_page
 from .page_sections import Column as Column

@@ -16,9 +16,9 @@ from stereo_slam_env.benchmark.statistics.differences import CONFIDENCE, MIN_PAI
 from stereo_slam_env.benchmark.statistics.measures import EFFICIENCY, POSE_NEES, POSITION
 from stereo_slam_env.benchmark.statistics.policy_verdict import Looks, baseline_of
 from stereo_slam_env.benchmark.statistics.verdict import Verdict, consistency, judge
+from stereo_slam_env.benchmark.storage.result_tables import CellResult
 from stereo_slam_env.benchmark.storage.run_files import seed_name
 from stereo_slam_env.benchmark.storage.store import StudyDirectory
-from stereo_slam_env.benchmark.storage.tables import CellResult
 from stereo_slam_env.evaluation.bands import DOF, mean_band, studentised_interval
 from stereo_slam_env.evaluation.figures import Figure
 from stereo_slam_env.evaluation.results import FilterSummary

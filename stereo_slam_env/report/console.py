@@ -35,7 +35,7 @@ from stereo_slam_env.benchmark.statistics.remarks import (
     reference_remarks,
 )
 from stereo_slam_env.benchmark.statistics.verdict import judge, pose_nees
-from stereo_slam_env.benchmark.storage.tables import CellResult
+from stereo_slam_env.benchmark.storage.result_tables import CellResult
 from stereo_slam_env.evaluation.figures import FIGURES, UNKNOWN, Figure
 from stereo_slam_env.evaluation.results import FilterSummary
 from stereo_slam_env.recording.recording import Recording

@@ -14,7 +14,7 @@ from filters import LandmarkBelief
 from filters.geometry.arrays import FloatArray
 from stereo_slam_env.evaluation.results import FilterRun
 from stereo_slam_env.evaluation.trajectory_score import TrajectoryScore
-from stereo_slam_env.report.charts import consistency, series, trajectories
+from stereo_slam_env.report.charts import nees, series, trajectories
 from stereo_slam_env.report.charts.accuracy import TRUTH, map_panel
 from stereo_slam_env.report.charts.axes import INK, MUTED, WIDTH, filter_colours, label_room
 from stereo_slam_env.report.charts.drawing import Chart, Curve, figure
@@ -47,7 +47,7 @@ def show_nees(run: Shown) -> Chart:
     runs = _runs(run)
     if not any(np.isfinite(one.pose_nees).any() for one in runs):
         raise ValueError("run must have a truth that counts and covariances: there is no NEES to show")
-    return consistency.plot_nees(runs)
+    return nees.plot_nees(runs)
 
 
 def show_errors(run: Shown) -> Chart:
@@ -68,7 +68,7 @@ def show_errors(run: Shown) -> Chart:
     one = _only(run)
     if not np.isfinite(one.true_positions).any():
         raise ValueError("run must have a truth: without one there are no errors to show")
-    return consistency.plot_error_bounds(one)
+    return nees.plot_error_bounds(one)
 
 
 def show_map(run: Shown) -> Chart:

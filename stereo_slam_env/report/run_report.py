@@ -26,7 +26,7 @@ from stereo_slam_env.evaluation.audits import ReferenceAudit
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
 from stereo_slam_env.evaluation.run_figures import Bounds, Figures, RunKey, key_of
 from stereo_slam_env.report import tables
-from stereo_slam_env.report.charts import accuracy, consistency, factors, policies, series
+from stereo_slam_env.report.charts import accuracy, factors, nees, policies, series
 from stereo_slam_env.report.charts.drawing import Chart
 from stereo_slam_env.report.comparison_report import attribution_section, conclusions
 from stereo_slam_env.report.overview import colour_key, overview, policy_overview
@@ -229,12 +229,12 @@ def _sections(
     if found := [*_audits(audits, draw)]:
         yield part("section", "Is the reference right?", _AUDIT_NOTE, found)
     if with_nees:
-        limit = consistency.error_limits(first)
+        limit = nees.error_limits(first)
         guide = "Position in the world, rotation in the camera frame; equal scales for all filters."
         if len(first) > MOST_SHOWN:
             guide += f" The first {MOST_SHOWN} of {len(first)} filters."
         bounded = [
-            draw(f"error_{i}", f"{run.filter_name} on {shown}.", consistency.plot_error_bounds, run, limit)
+            draw(f"error_{i}", f"{run.filter_name} on {shown}.", nees.plot_error_bounds, run, limit)
             for i, run in enumerate(first[:MOST_SHOWN])
         ]
         yield part("section", "Errors and their 3σ bounds", guide, bounded)
@@ -298,11 +298,11 @@ def _consistency(
 ) -> Iterator[Markup]:
     if any(s.consistency for s in summaries):
         caption = "Means by their degrees of freedom in their 95 % bands, and the share of the frames inside."
-        yield draw("consistency", caption, consistency.plot_consistency, summaries)
+        yield draw("consistency", caption, nees.plot_consistency, summaries)
     if with_nees:
-        yield draw("nees", "Pose NEES / 6 along the drive; the scale is logarithmic.", consistency.plot_nees, runs)
+        yield draw("nees", "Pose NEES / 6 along the drive; the scale is logarithmic.", nees.plot_nees, runs)
     caption = "Innovations along the drive, pooled over runs and short stretches of time."
-    yield draw("nis", caption, consistency.plot_nis, runs)
+    yield draw("nis", caption, nees.plot_nis, runs)
 
 
 def _map(
@@ -312,15 +312,15 @@ def _map(
         caption = (
             "By true distance: error relative to the camera, mean depth error (Sibley's bias), NEES / 3 in (u, v, d)."
         )
-        yield draw("landmarks", caption, consistency.plot_landmark_errors, summaries)
+        yield draw("landmarks", caption, nees.plot_landmark_errors, summaries)
     if any(s.depth_convergence for s in summaries):
         caption = "All landmarks of that depth at first sight: the σ a filter claims should follow its true error."
-        yield draw("convergence", caption, consistency.plot_depth_convergence, summaries)
+        yield draw("convergence", caption, nees.plot_depth_convergence, summaries)
     if same_landmarks and any(run.traces for run in runs):
         caption = (
             "Two landmarks. Dots: the frame's own disparity. A narrow band that misses the truth is false confidence."
         )
-        yield draw("depth", caption, consistency.plot_depth, runs)
+        yield draw("depth", caption, nees.plot_depth, runs)
 
 
 def _cost(

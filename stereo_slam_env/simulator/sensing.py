@@ -13,7 +13,7 @@ from filters.geometry.rotations import Three
 from filters.kernels.compilation import kernel
 from stereo_slam_env.simulator.motion import CHOICE, NOISE, back, rotation_of
 from stereo_slam_env.simulator.rays import is_seen
-from stereo_slam_env.simulator.scenes import Bodies, bodies_of, is_behind_body
+from stereo_slam_env.simulator.scene_arrays import Bodies, bodies_of, is_behind_body
 from stereo_slam_env.simulator.state import Fleet, Kept, Rules, Sensed
 
 

@@ -16,9 +16,9 @@ from stereo_slam_env.recording.recording import Frame, Velocity
 from stereo_slam_env.sensing.corruptions import PixelNoise
 from stereo_slam_env.sensing.imu import Imu, UnitErrors
 from stereo_slam_env.simulator.bullet import BulletAnswers
-from stereo_slam_env.simulator.frame import FIRST, JUDGE, MOVE, SENSE, STEP, WAIT, run_frame
+from stereo_slam_env.simulator.frame_kernel import FIRST, JUDGE, MOVE, SENSE, STEP, WAIT, run_frame
 from stereo_slam_env.simulator.rays import traversal
-from stereo_slam_env.simulator.scenes import SceneArrays, Shown, put_route, put_scene, show, with_room
+from stereo_slam_env.simulator.scene_arrays import SceneArrays, Shown, put_route, put_scene, show, with_room
 from stereo_slam_env.simulator.sensing import Streams
 from stereo_slam_env.simulator.state import NO_NOISE, NOISE_KINDS, RIDE_STEPS, Kept, Rules, empty_fleet, empty_sensed
 from stereo_slam_env.world.routes import Route

@@ -21,8 +21,8 @@ from stereo_slam_env.loop import Moment
 from stereo_slam_env.rendering.overlay import disparity_colors
 from stereo_slam_env.report.charts.axes import BAND, GRID, INK, MUTED, filter_colours
 from stereo_slam_env.report.charts.series import heading, map_axes
-from stereo_slam_env.viewer.drive import Drive, Recorder
 from stereo_slam_env.viewer.rerun_view import SIGMAS, ellipsoids
+from stereo_slam_env.viewer.watched_drive import Drive, Recorder
 
 require_module("matplotlib", "pictures")
 

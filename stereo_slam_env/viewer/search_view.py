@@ -27,7 +27,7 @@ from stereo_slam_env.rendering.overlay import (
     line_scale,
 )
 from stereo_slam_env.rendering.pinhole import Image
-from stereo_slam_env.viewer.drive import Recorder
+from stereo_slam_env.viewer.watched_drive import Recorder
 
 SIGMAS = 3.0
 """Size of the ellipses."""

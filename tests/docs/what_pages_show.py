@@ -17,7 +17,7 @@ from stereo_slam_env.benchmark.scenarios.study import study_from
 from stereo_slam_env.datasets import open_image_sequence, write_kitti_sequence
 from stereo_slam_env.envs.recorder import RenderedDrive
 from stereo_slam_env.evaluation import run_filter
-from stereo_slam_env.rendering.backends import make_renderer
+from stereo_slam_env.rendering.renderers import make_renderer
 from stereo_slam_env.sensing.rigs import RIGS
 from stereo_slam_env.world.frames import WorldFrame
 from stereo_slam_env.world.physics import PhysicsWorld

@@ -15,7 +15,7 @@ def missing_gl(request, monkeypatch):
 
     The lack itself is made, not its report: a patched function would stay in modules that are first imported meanwhile.
     """
-    from stereo_slam_env.rendering.backends import renderer_identity
+    from stereo_slam_env.rendering.renderers import renderer_identity
 
     renderer_identity.cache_clear()  # it does not look again once it found both
     if request.param == "moderngl":

@@ -15,11 +15,11 @@ from stereo_slam_env.benchmark.recordings.reference_problem import short_turn
 from stereo_slam_env.benchmark.recordings.sources import FactorySource, ReferenceSource
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, Scenario
 from stereo_slam_env.benchmark.scenarios.study import MOST_TRIALS, Study, load_study
+from stereo_slam_env.benchmark.storage.result_tables import write_results
 from stereo_slam_env.benchmark.storage.run_files import load_run, packed_run
 from stereo_slam_env.benchmark.storage.store import open_study, read_study
-from stereo_slam_env.benchmark.storage.tables import write_results
 from stereo_slam_env.cli.app import main
-from stereo_slam_env.cli.parts import console
+from stereo_slam_env.cli.shared_options import console
 from stereo_slam_env.evaluation.filter_run import run_filter
 
 ROOT = Path(__file__).resolve().parents[2]

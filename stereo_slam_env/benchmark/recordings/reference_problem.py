@@ -39,7 +39,7 @@ from stereo_slam_env.recording.recording import SIMULATION, Frame, LandmarkTruth
 from stereo_slam_env.sensing.corruptions import NOISE_MODELS
 from stereo_slam_env.sensing.padding import TrackingPolicy
 from stereo_slam_env.sensing.rigs import CAMERA_HEIGHT, RIGS, Rig, camera_of
-from stereo_slam_env.simulator.scenes import SceneArrays, scene_arrays
+from stereo_slam_env.simulator.scene_arrays import SceneArrays, scene_arrays
 from stereo_slam_env.simulator.simulator import Simulator
 from stereo_slam_env.simulator.state import make_rules
 from stereo_slam_env.world.frames import WorldFrame

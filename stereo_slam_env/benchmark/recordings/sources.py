@@ -32,7 +32,7 @@ class StreetSource(Source, frozen=True, tag="street"):
     """The PyBullet street of the environment."""
 
     has_rig: ClassVar[bool] = True
-    preloaded: ClassVar[tuple[str, ...]] = ("stereo_slam_env.envs.machine_code",)
+    preloaded: ClassVar[tuple[str, ...]] = ("stereo_slam_env.envs.preload",)
 
     arguments: dict[str, Any] = msgspec.field(default_factory=dict)
     """Arguments of `StereoSlam/Drive-v0`."""
@@ -67,7 +67,7 @@ class StreetSource(Source, frozen=True, tag="street"):
 
     def check(self, frames: int | None = None) -> None:
         """Refuse unknown arguments, and a renderer that does not run here."""
-        from stereo_slam_env.envs.options import DriveOptions
+        from stereo_slam_env.envs.arguments import DriveOptions
 
         options = DriveOptions.checked(self.options)
         if options.draws:
@@ -185,7 +185,7 @@ class DatasetSource(Source, frozen=True, tag="dataset"):
         """Read it, or track landmarks through its images."""
         from stereo_slam_env.datasets import load  # OpenCV, only where it is needed
         from stereo_slam_env.frontend.camera_motion import set_up_for_tracks
-        from stereo_slam_env.frontend.recorder import record_tracks
+        from stereo_slam_env.frontend.track_recorder import record_tracks
 
         def read() -> Recording:
             return load(self.path, **self.arguments)
@@ -264,7 +264,7 @@ def source_of(kind: str, options: Mapping[str, Any]) -> Source:
 
 def require_renderer(name: str) -> None:
     """Raise a `ValueError`, in one line, if nothing can be drawn with that renderer here."""
-    from stereo_slam_env.rendering.backends import renderer_identity
+    from stereo_slam_env.rendering.renderers import renderer_identity
 
     try:
         renderer_identity(name)

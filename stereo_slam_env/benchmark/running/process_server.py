@@ -39,7 +39,7 @@ Send = Callable[[str, object], None]
 PRELOADED = (
     "filters.engine.row",
     "stereo_slam_env.benchmark.running.tasks",
-    "stereo_slam_env.policies.rows",
+    "stereo_slam_env.policies.policy_rows",
     "stereo_slam_env.envs.belief_panorama",
     "stereo_slam_env.envs.recorder",
 )

@@ -55,14 +55,14 @@ from stereo_slam_env.evaluation.filter_run import failed_run, run_filter
 from stereo_slam_env.evaluation.outside_run import outside_run
 from stereo_slam_env.evaluation.results import FilterRun
 from stereo_slam_env.evaluation.run_figures import score_of
-from stereo_slam_env.frontend.recorder import ActiveSearch, Watch, record_tracks
+from stereo_slam_env.frontend.track_recorder import ActiveSearch, Watch, record_tracks
 from stereo_slam_env.loop import Observe
 from stereo_slam_env.recording.archive import packed_recording, unpacked_recording
 from stereo_slam_env.recording.recording import Recording
 from stereo_slam_env.recording.trajectory_files import load_trajectory
 
 if TYPE_CHECKING:
-    from stereo_slam_env.policies.rows import Episode
+    from stereo_slam_env.policies.policy_rows import Episode
 
 Result = TypeVar("Result")
 

@@ -21,7 +21,7 @@ from stereo_slam_env.recording.recording import Recording, require_frames
 from stereo_slam_env.sensing.corruptions import corrupted, make_corruption
 
 if TYPE_CHECKING:
-    from stereo_slam_env.policies.rows import Episode
+    from stereo_slam_env.policies.policy_rows import Episode
 
 
 def make_recording(scenario: Scenario, seed: int | None, progress: Progress | None = None) -> Recording:
@@ -104,7 +104,7 @@ def drive_episode(
     """
     from stereo_slam_env.envs import BeliefObservation, BeliefPanorama
     from stereo_slam_env.policies import make_policy
-    from stereo_slam_env.policies.rows import run_episode
+    from stereo_slam_env.policies.policy_rows import run_episode
 
     assert choice.policy is not None
     core = scenario.source.make_environment()
@@ -132,8 +132,8 @@ def drive_episode(
 
 def drive_straight_ahead(scenario: Scenario, seed: int | None, progress: Progress | None = None) -> Episode:
     """Episode with a fixed head and without a filter."""
-    from stereo_slam_env.policies.registry import FixedGaze
-    from stereo_slam_env.policies.rows import run_episode
+    from stereo_slam_env.policies.named_policies import FixedGaze
+    from stereo_slam_env.policies.policy_rows import run_episode
 
     env = scenario.source.make_environment()
     try:

@@ -30,9 +30,9 @@ from stereo_slam_env.benchmark.statistics.changes import (
     headline,
 )
 from stereo_slam_env.benchmark.statistics.measures import DIVERGED, MEASURES, TIME, difference_by
+from stereo_slam_env.benchmark.storage.result_tables import results_of
 from stereo_slam_env.benchmark.storage.run_files import SETTINGS
 from stereo_slam_env.benchmark.storage.store import RunDirectory, read_study
-from stereo_slam_env.benchmark.storage.tables import results_of
 from stereo_slam_env.evaluation.figures import Figure
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
 from stereo_slam_env.evaluation.run_figures import RunFigures, RunKey, common_keys, key_of, summarise

@@ -24,8 +24,8 @@ from stereo_slam_env.report.charts.axes import (
     nested_widths,
     panel_width,
 )
-from stereo_slam_env.report.charts.consistency import band_chart, pose_error_chart, shared_error_limits
 from stereo_slam_env.report.charts.drawing import DASHED, Chart, Curve, Panel, figure
+from stereo_slam_env.report.charts.nees import band_chart, pose_error_chart, shared_error_limits
 
 SIGMAS = 3.0
 """Half width of a tube."""

@@ -12,7 +12,7 @@ import stereo_slam_env as sse
 from filters import ConformanceError, InverseDepthStereoEKF, PoseBelief, StereoEKF, check_filter, nees
 from filters.checks.conformance import REFERENCE_CAMERA, REFERENCE_NOISE
 from filters.checks.consistency import InconsistentPoseError, blind_pose_error
-from filters.checks.drives import StraightDrive
+from filters.checks.synthetic_drives import StraightDrive
 from stereo_slam_env.evaluation.filter_run import run_filter
 
 

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from filters import CalibratedPair, RightInvariant, StereoEKF, StereoNoise
 from filters.engine.engine import Engine
-from filters.engine.frames import Observations
+from filters.engine.frame_arrays import Observations
 from filters.geometry import symmetric
 from filters.kernels.recipe import Recipe
 from filters.kernels.records import FAILED, FilterState

@@ -14,8 +14,8 @@ from stereo_slam_env.benchmark import FilterChoice, Scenario, campaign, run_benc
 from stereo_slam_env.benchmark.recordings.sources import DatasetSource, FactorySource, ReferenceSource
 from stereo_slam_env.benchmark.scenarios.scenario import filter_choice
 from stereo_slam_env.benchmark.scenarios.study import Study, study_from
+from stereo_slam_env.benchmark.storage.result_tables import write_results
 from stereo_slam_env.benchmark.storage.store import prepared_study, read_study
-from stereo_slam_env.benchmark.storage.tables import write_results
 from stereo_slam_env.evaluation.trial import Trial
 
 from ..third_party import install

@@ -36,7 +36,7 @@ THIRD_PARTY = '''
 
 import os
 
-from stereo_slam_env.policies.registry import FixedGaze
+from stereo_slam_env.policies.named_policies import FixedGaze
 
 
 class Raises(FixedGaze):

@@ -22,7 +22,7 @@ from stereo_slam_env.benchmark import presets
 from stereo_slam_env.benchmark.scenarios.schema import setting_keys
 from stereo_slam_env.benchmark.storage.store import RunDirectory
 from stereo_slam_env.cli import app as cli
-from stereo_slam_env.cli.parts import FILTER_GROUPS, PRESET_GROUPS
+from stereo_slam_env.cli.shared_options import FILTER_GROUPS, PRESET_GROUPS
 from stereo_slam_env.recording.archive import save_recording
 from stereo_slam_env.recording.recording import GIVEN_TRUTH, SIMULATION, Reference
 

@@ -10,7 +10,7 @@ import pytest
 
 from stereo_slam_env.datasets import open_for_front_end, open_image_sequence
 from stereo_slam_env.datasets.bag_images import shift_of_messages
-from stereo_slam_env.frontend.recorder import record_tracks
+from stereo_slam_env.frontend.track_recorder import record_tracks
 from stereo_slam_env.recording.trajectory_files import load_trajectory
 
 from ..frontend.drawn_street import CAMERA, DT

@@ -10,7 +10,7 @@ from filters import Pose
 from stereo_slam_env import run
 from stereo_slam_env.datasets import image_layouts, open_image_sequence
 from stereo_slam_env.datasets.single_data_sets import P_I, R_CI
-from stereo_slam_env.frontend.recorder import record_tracks
+from stereo_slam_env.frontend.track_recorder import record_tracks
 from stereo_slam_env.recording.archive import load_recording, save_recording
 
 from ..real_data import real_data

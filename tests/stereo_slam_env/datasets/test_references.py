@@ -6,8 +6,8 @@ import shutil
 import numpy as np
 import pytest
 
-from stereo_slam_env.datasets import load, open_image_sequence, registry
-from stereo_slam_env.datasets.registry import KNOWN, KnownRecording, digest, known_by
+from stereo_slam_env.datasets import layouts, load, open_image_sequence
+from stereo_slam_env.datasets.layouts import KNOWN, KnownRecording, digest, known_by
 from stereo_slam_env.recording.recording import Reference
 
 from ..real_data import real_data
@@ -47,7 +47,7 @@ def long_kitti06(folder, frames=20):
 def known_as(monkeypatch, positions, first_scored):
     """Let these positions be those of a known recording."""
     made = KnownRecording(Reference("surveyed", "By the makers."), first_scored)
-    monkeypatch.setattr(registry, "KNOWN", {digest(positions): made})
+    monkeypatch.setattr(layouts, "KNOWN", {digest(positions): made})
 
 
 @pytest.mark.parametrize("layout", [*TRACKS, *IMAGES])

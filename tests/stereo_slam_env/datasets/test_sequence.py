@@ -20,7 +20,7 @@ from stereo_slam_env.datasets.image_files import (
     shift_of_files,
 )
 from stereo_slam_env.datasets.sequence import Choice, Faults, ImageFiles, poses_of_rows, usable_pairs
-from stereo_slam_env.datasets.tracks import PointTracks, camera_velocities, stated_or_assumed, without_repeats
+from stereo_slam_env.datasets.track_files import PointTracks, camera_velocities, stated_or_assumed, without_repeats
 
 from .small_image_folders import DT, FRAMES, kitti06
 

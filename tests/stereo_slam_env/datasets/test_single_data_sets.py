@@ -10,10 +10,10 @@ from scipy.spatial.transform import Rotation
 from filters import StereoObservation
 from filters.contract.extras import install_command
 from stereo_slam_env import evaluate
-from stereo_slam_env.datasets import layout_of, load, registry
-from stereo_slam_env.datasets.registry import KnownRecording, digest
+from stereo_slam_env.datasets import layout_of, layouts, load
+from stereo_slam_env.datasets.layouts import KnownRecording, digest
 from stereo_slam_env.datasets.single_data_sets import GYRO_DELAY, KITTI07_TRACKS
-from stereo_slam_env.datasets.tracks import camera_velocities, step_velocities
+from stereo_slam_env.datasets.track_files import camera_velocities, step_velocities
 from stereo_slam_env.evaluation.trajectory_metrics import ate_rigid, path_length
 from stereo_slam_env.recording.recording import Reference
 
@@ -151,7 +151,7 @@ def test_frames_whose_ground_truth_is_known_to_be_wrong_have_none(tmp_path, monk
     folder = kitti00(tmp_path)
     made = KnownRecording(Reference("ins", "By the makers."), 16)
     positions = np.loadtxt(folder / "poses.txt")[:, 3::4]
-    monkeypatch.setattr(registry, "KNOWN", {digest(positions): made})
+    monkeypatch.setattr(layouts, "KNOWN", {digest(positions): made})
     recording = load(folder)
     assert [frame.truth is None for frame in recording.frames] == [True] * 16 + [False] * 4
     first, *_, last = [frame.truth for frame in recording.frames[16:]]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stereo_slam_env.datasets.tracks import PointTracks, frames_of, without_repeats
+from stereo_slam_env.datasets.track_files import PointTracks, frames_of, without_repeats
 
 
 def random_tracks(seed=3, landmarks=60, frames=30):

@@ -6,7 +6,7 @@ import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 
-from stereo_slam_env.envs.options import StereoOptions
+from stereo_slam_env.envs.arguments import StereoOptions
 from stereo_slam_env.recording.recording import LandmarkTruth, Recording
 from stereo_slam_env.sensing.padding import padded
 

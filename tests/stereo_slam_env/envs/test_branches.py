@@ -7,7 +7,7 @@ import pytest
 import stereo_slam_env  # noqa: F401 (registers the ids)
 from stereo_slam_env.envs import explore_and_close, restore, snapshot, to_new_roads
 from stereo_slam_env.envs.branches import DRIVEN, EXISTS, TO_NEW, TO_START
-from stereo_slam_env.policies.rows import Oracle
+from stereo_slam_env.policies.policy_rows import Oracle
 from stereo_slam_env.world.street_grid import RIGHT, STRAIGHT
 
 NAME = "StereoSlam/Branches-v0"

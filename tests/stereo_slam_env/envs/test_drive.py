@@ -18,8 +18,8 @@ import stereo_slam_env
 from filters.contract.inputs import StereoObservation
 from filters.contract.noise import StereoNoise
 from filters.geometry import rotations
+from stereo_slam_env.envs.arguments import DriveOptions
 from stereo_slam_env.envs.drive import StereoDriveEnv
-from stereo_slam_env.envs.options import DriveOptions
 from stereo_slam_env.world.routes import FRAME_PERIOD, ROUTES
 
 ROOT = Path(__file__).parents[3]

@@ -10,10 +10,10 @@ from filters import StereoNoise, make_filter
 from stereo_slam_env.datasets import load, open_for_front_end, write_kitti_sequence
 from stereo_slam_env.envs.drive import StereoDriveEnv
 from stereo_slam_env.envs.recorder import RenderedDrive
-from stereo_slam_env.frontend.recorder import ActiveSearch, record_tracks
 from stereo_slam_env.frontend.settings import TrackerSettings
-from stereo_slam_env.rendering.backends import image_quality, renderer_identity
+from stereo_slam_env.frontend.track_recorder import ActiveSearch, record_tracks
 from stereo_slam_env.rendering.pinhole import grey
+from stereo_slam_env.rendering.renderers import image_quality, renderer_identity
 
 DRIVE = {"route": "right-turn", "rig": "qvga"}
 FRAMES = 6

@@ -12,7 +12,7 @@ import stereo_slam_env  # noqa: F401 (registers the ids)
 from stereo_slam_env.envs import follow_route
 from stereo_slam_env.envs.core_rows import CoreRows
 from stereo_slam_env.policies import normalised_score
-from stereo_slam_env.policies.rows import REFERENCE_RETURNS
+from stereo_slam_env.policies.policy_rows import REFERENCE_RETURNS
 
 from .test_tasks import QUICK, made
 

@@ -164,8 +164,10 @@ OWN = {
         "kept.read_bytes": "a file that the package wrote beside itself",
         "Path(__file__).read_bytes": "the package's own source",
     },
-    "stereo_slam_env/benchmark/storage/tables.py": {"sqlite3.connect": "a new file, to write it"},
-    "stereo_slam_env/paper/claims.py": {"Path(__file__).with_name('claims.json').read_text": "a file of the package"},
+    "stereo_slam_env/benchmark/storage/result_tables.py": {"sqlite3.connect": "a new file, to write it"},
+    "stereo_slam_env/paper/paper_claims.py": {
+        "Path(__file__).with_name('claims.json').read_text": "a file of the package"
+    },
 }
 
 

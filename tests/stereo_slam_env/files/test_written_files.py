@@ -286,10 +286,10 @@ CHANGES |= {f"os.{name}" for name in ("replace", "remove", "truncate")} | {"shut
 WHY = {
     "stereo_slam_env/files/folders.py": "this is the place",
     "stereo_slam_env/files/bags.py": "files unpacked into a temporary folder",
-    "stereo_slam_env/benchmark/storage/tables.py": "an unfinished file of ours, beside which SQLite keeps a journal",
+    "stereo_slam_env/benchmark/storage/result_tables.py": "an unfinished file of ours, with SQLite's journal",
     "stereo_slam_env/benchmark/storage/store.py": "recordings and bounds in a run of ours, by their names",
     "stereo_slam_env/benchmark/running/isolation.py": "an end of a pipe, by its number",
-    "stereo_slam_env/viewer/drive.py": "an unfinished file of ours, and the file that was asked for",
+    "stereo_slam_env/viewer/watched_drive.py": "an unfinished file of ours, and the file that was asked for",
     "stereo_slam_env/world/physics.py": "a folder of our own for temporary files, which must not exist before",
     "stereo_slam_env/datasets/kitti_odometry.py": "a new folder, and an empty one; what is there is refused",
     "stereo_slam_env/datasets/bag_images.py": "out of a temporary folder, to a name that nothing has",

@@ -7,8 +7,8 @@ import pytest
 
 from filters import make_filter
 from filters.contract.noise import StereoNoise
-from stereo_slam_env.frontend.recorder import ActiveSearch
 from stereo_slam_env.frontend.settings import TrackerSettings
+from stereo_slam_env.frontend.track_recorder import ActiveSearch
 
 from .drawn_street import CAMERA, DT, DrawnStreet
 

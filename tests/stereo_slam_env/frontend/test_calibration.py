@@ -5,9 +5,9 @@ import pytest
 
 from filters.geometry import rotations
 from stereo_slam_env.frontend.ego_motion import Pairs, Step
-from stereo_slam_env.frontend.recorder import record_tracks
 from stereo_slam_env.frontend.rectification_errors import PRIOR_SIGMA, DisparityOffset, calibrated
 from stereo_slam_env.frontend.settings import TrackerSettings
+from stereo_slam_env.frontend.track_recorder import record_tracks
 
 from .drawn_street import DrawnStreet
 from .synthetic_steps import CAMERA

@@ -15,9 +15,9 @@ from filters.landmarks.inverse_depth import InverseDepth
 from filters.landmarks.lasting_errors import LastingErrors
 from stereo_slam_env.frontend.causal_noise import CausalNoiseEKF
 from stereo_slam_env.frontend.ego_motion import Step
-from stereo_slam_env.frontend.recorder import TYPICAL_NOISE
 from stereo_slam_env.frontend.settings import DRIFT_SHARE
 from stereo_slam_env.frontend.track_noise import COMMON_WALK, TrackStatistics, with_measured_noise
+from stereo_slam_env.frontend.track_recorder import TYPICAL_NOISE
 from stereo_slam_env.loop import Moment
 from stereo_slam_env.recording.recording import Recording
 

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from stereo_slam_env.frontend.compiled import correlation_map
+from stereo_slam_env.frontend.correlation import correlation_map
 from stereo_slam_env.frontend.matching import search
 from stereo_slam_env.frontend.patches import PATCH, cut_patches
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from filters import Start
-from stereo_slam_env.frontend.recorder import record_tracks
 from stereo_slam_env.frontend.settings import TrackerSettings
+from stereo_slam_env.frontend.track_recorder import record_tracks
 
 from .drawn_street import DT, DrawnStreet
 

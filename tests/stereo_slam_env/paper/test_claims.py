@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from filters.catalogue.registry import usual_options
-from stereo_slam_env.paper.claims import (
+from stereo_slam_env.paper.paper_claims import (
     EUCLIDEAN,
     FILTERS,
     REAL,

@@ -9,7 +9,7 @@ import pytest
 from stereo_slam_env.cli import app as cli
 from stereo_slam_env.files import claimed_folder
 from stereo_slam_env.paper import EXPERIMENTS, FIGURES, FULL, QUICK, PaperSettings, drives, run_paper
-from stereo_slam_env.paper.claims import (
+from stereo_slam_env.paper.paper_claims import (
     PLACES,
     REAL,
     RENDERED,

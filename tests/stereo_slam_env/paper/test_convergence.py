@@ -8,7 +8,15 @@ import pytest
 from stereo_slam_env.benchmark import short_turn
 from stereo_slam_env.evaluation import run_filter
 from stereo_slam_env.paper import convergence, drives
-from stereo_slam_env.paper.claims import (
+from stereo_slam_env.paper.convergence import (
+    DepthHistory,
+    Depths,
+    follow_depths,
+    measurements,
+    of_drives,
+    seen_throughout,
+)
+from stereo_slam_env.paper.paper_claims import (
     ASSUMED,
     COUPLED,
     DIAGONAL,
@@ -19,14 +27,6 @@ from stereo_slam_env.paper.claims import (
     PIXELS,
     RENDERED,
     ClaimVerdict,
-)
-from stereo_slam_env.paper.convergence import (
-    DepthHistory,
-    Depths,
-    follow_depths,
-    measurements,
-    of_drives,
-    seen_throughout,
 )
 from stereo_slam_env.sensing import RIGS
 

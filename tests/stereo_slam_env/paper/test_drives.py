@@ -8,7 +8,7 @@ import pytest
 
 from stereo_slam_env.benchmark import short_turn
 from stereo_slam_env.paper import convergence, drives, long_drive
-from stereo_slam_env.paper.claims import OWN, REAL, RENDERED, ClaimVerdict
+from stereo_slam_env.paper.paper_claims import OWN, REAL, RENDERED, ClaimVerdict
 from stereo_slam_env.recording.archive import save_recording
 
 from ..datasets.small_image_folders import karlsruhe as write_sequence

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from stereo_slam_env.paper import landmark_uncertainty
-from stereo_slam_env.paper.claims import COUPLED, DIAGONAL, EUCLIDEAN, JOINT, PIXELS, UVD, ClaimVerdict
 from stereo_slam_env.paper.landmark_uncertainty import CAMERA, DEPTHS, fits, judge, places, points
+from stereo_slam_env.paper.paper_claims import COUPLED, DIAGONAL, EUCLIDEAN, JOINT, PIXELS, UVD, ClaimVerdict
 
 # Of an independent prototype: share of the cloud in the 95 % region, and distance of the depth marginal.
 XYZ_COVERAGE = {5: 0.949, 15: 0.942, 30: 0.920, 45: 0.892, 70: 0.844, 150: 0.736}

@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from stereo_slam_env.paper import drives, long_drive
-from stereo_slam_env.paper.claims import (
+from stereo_slam_env.paper.paper_claims import (
     DUAL,
     EUCLIDEAN,
     FILTERS,

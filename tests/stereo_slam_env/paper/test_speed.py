@@ -5,7 +5,7 @@ import pytest
 
 from filters import make_filter
 from stereo_slam_env.paper import speed
-from stereo_slam_env.paper.claims import DUAL, JOINT, ClaimVerdict
+from stereo_slam_env.paper.paper_claims import DUAL, JOINT, ClaimVerdict
 
 
 def results_of(ours, theirs, rounds=12, predict=lambda n: n):

@@ -7,7 +7,7 @@ import pytest
 from stereo_slam_env.envs import BeliefObservation, BeliefPanorama
 from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.policies import make_policy
-from stereo_slam_env.policies.rows import run_episode
+from stereo_slam_env.policies.policy_rows import run_episode
 from stereo_slam_env.recording.archive import packed_recording, unpacked_recording
 
 OPTIONS = {"drop_unseen": False, "motion": "velocity-driven", "gate": None}

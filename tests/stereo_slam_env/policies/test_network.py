@@ -11,8 +11,8 @@ import pytest
 from stereo_slam_env.envs.active_gaze import GazeTask
 from stereo_slam_env.envs.gaze import StereoGazeEnv
 from stereo_slam_env.policies import make_policy
+from stereo_slam_env.policies.named_policies import CHECKPOINT, Network, NetworkPolicy
 from stereo_slam_env.policies.registered_task import PPOSettings
-from stereo_slam_env.policies.registry import CHECKPOINT, Network, NetworkPolicy
 
 
 def small_network(seed=0, hold=1, choices=None):

@@ -40,7 +40,9 @@ def test_it_is_known_by_name_turns_the_head_and_the_same_seed_gives_the_same_act
 def test_one_of_ours_is_made_without_asking_all_installed_packages(monkeypatch):
     """That costs a tenth of a second, and each row of a vector has a policy of its own."""
     asked = []
-    monkeypatch.setattr("stereo_slam_env.policies.registry.entry_points", lambda **group: asked.append(group) or [])
+    monkeypatch.setattr(
+        "stereo_slam_env.policies.named_policies.entry_points", lambda **group: asked.append(group) or []
+    )
     make_policy("greedy")
     assert not asked
     with pytest.raises(ValueError, match="policy must be one of"):

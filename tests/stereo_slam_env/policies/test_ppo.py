@@ -16,6 +16,8 @@ from filters.contract import extras
 from stereo_slam_env.cli import app as cli
 from stereo_slam_env.files.folders import claimed_folder
 from stereo_slam_env.policies import make_policy, ppo
+from stereo_slam_env.policies.named_policies import Network
+from stereo_slam_env.policies.policy_rows import normalised_score
 from stereo_slam_env.policies.ppo import LearningCurve, train
 from stereo_slam_env.policies.registered_task import (
     EpisodeOutcome,
@@ -24,8 +26,6 @@ from stereo_slam_env.policies.registered_task import (
     PPOSettings,
     RegisteredTask,
 )
-from stereo_slam_env.policies.registry import Network
-from stereo_slam_env.policies.rows import normalised_score
 
 TASK = GazeTask(arguments={"route": "right-turn"}, hold=8)
 SETTINGS = PPOSettings(decisions=40, environments=1, rollout=20, minibatch=20, epochs=1, evaluate_every=20)

@@ -6,9 +6,9 @@ import pytest
 
 from stereo_slam_env.envs.active_gaze import GazeTask
 from stereo_slam_env.policies import make_policy
+from stereo_slam_env.policies.named_policies import look_towards
 from stereo_slam_env.policies.planning import Greedy
-from stereo_slam_env.policies.registry import look_towards
-from stereo_slam_env.policies.rows import Oracle, RowOfVector, policy_in_rows, rng_of_policy, true_figures
+from stereo_slam_env.policies.policy_rows import Oracle, RowOfVector, policy_in_rows, rng_of_policy, true_figures
 
 QUICK = {"route": "right-turn"}
 SEEDS = [11, 12]

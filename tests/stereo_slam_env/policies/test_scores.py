@@ -9,7 +9,7 @@ import pytest
 import stereo_slam_env  # noqa: F401 (registers the ids)
 from stereo_slam_env.envs import follow_route
 from stereo_slam_env.policies import normalised_score
-from stereo_slam_env.policies.rows import REFERENCE_RETURNS
+from stereo_slam_env.policies.policy_rows import REFERENCE_RETURNS
 
 DRIVE = "StereoSlam/Drive-v0"
 BRAKE = np.array([-1.0, 0.0], dtype=np.float32)

@@ -11,7 +11,7 @@ import pytest
 from filters import Pose
 from filters.geometry import rotations
 from filters.geometry.camera import StereoCamera
-from stereo_slam_env.rendering.backends import RENDERERS, make_renderer
+from stereo_slam_env.rendering.renderers import RENDERERS, make_renderer
 from stereo_slam_env.world.frames import WorldFrame
 from stereo_slam_env.world.physics import PhysicsWorld
 from stereo_slam_env.world.scene import Box, Ground, Look, Material, Scene

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from stereo_slam_env.rendering.backends import RENDERERS, image_quality, make_renderer, renderer_identity
+from stereo_slam_env.rendering.renderers import RENDERERS, image_quality, make_renderer, renderer_identity
 from stereo_slam_env.world.physics import PhysicsWorld
 
 from .planes import CAMERA, FRAME, both_back_ends, skip_where_missing

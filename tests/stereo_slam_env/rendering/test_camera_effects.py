@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from stereo_slam_env.rendering.backends import CameraEffects
 from stereo_slam_env.rendering.pinhole import StereoImages, grey
+from stereo_slam_env.rendering.renderers import CameraEffects
 
 SHAPE = (391, 640)
 

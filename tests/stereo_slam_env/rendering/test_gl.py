@@ -12,7 +12,7 @@ import pytest
 from filters import Pose
 from filters.geometry import rotations
 from filters.geometry.camera import StereoCamera
-from stereo_slam_env.rendering.backends import make_renderer
+from stereo_slam_env.rendering.renderers import make_renderer
 from stereo_slam_env.world.physics import PhysicsWorld
 from stereo_slam_env.world.routes import ROUTES
 from stereo_slam_env.world.scene import Box, Cylinder, Look, Material

@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from stereo_slam_env.cli import app as cli
-from stereo_slam_env.cli.parts import rig_from
+from stereo_slam_env.cli.shared_options import rig_from
 from stereo_slam_env.sensing.lenses import Rectification
 from stereo_slam_env.sensing.rig_files import body_of_camera, noise_of_unit, read_calibration
 from stereo_slam_env.sensing.rigs import RIGS, calibration_of, camera_of, imu_shift_of

@@ -16,7 +16,7 @@ from stereo_slam_env.benchmark.recordings.sources import StreetSource, source_of
 from stereo_slam_env.benchmark.scenarios.streams import make_recording, stream_digest
 from stereo_slam_env.benchmark.scenarios.study import study_from
 from stereo_slam_env.cli import app as cli
-from stereo_slam_env.cli.parts import rig_from
+from stereo_slam_env.cli.shared_options import rig_from
 from stereo_slam_env.envs.recorder import record
 from stereo_slam_env.sensing.rigs import RIGS, camera_of
 

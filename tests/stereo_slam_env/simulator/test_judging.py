@@ -5,7 +5,7 @@ import pytest
 
 from stereo_slam_env.sensing.corruptions import IndependentPixels
 from stereo_slam_env.simulator import Simulator
-from stereo_slam_env.simulator.scenes import scene_arrays
+from stereo_slam_env.simulator.scene_arrays import scene_arrays
 from stereo_slam_env.world.routes import Route, right_turn, straight
 from stereo_slam_env.world.scene import Box
 from stereo_slam_env.world.vehicle import Head

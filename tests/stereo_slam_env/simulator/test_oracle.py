@@ -10,9 +10,9 @@ from filters.geometry import rotations
 from stereo_slam_env.sensing.padding import TrackingPolicy
 from stereo_slam_env.simulator import Simulator, obstacles, touching, visible
 from stereo_slam_env.simulator.bullet import BulletAnswers
-from stereo_slam_env.simulator.frame import _touches
+from stereo_slam_env.simulator.frame_kernel import _touches
 from stereo_slam_env.simulator.rays import Obstacles, traversal, tree
-from stereo_slam_env.simulator.scenes import scene_arrays
+from stereo_slam_env.simulator.scene_arrays import scene_arrays
 from stereo_slam_env.simulator.sensing import is_visible, view_of
 from stereo_slam_env.simulator.state import make_rules
 from stereo_slam_env.world.frames import WorldFrame

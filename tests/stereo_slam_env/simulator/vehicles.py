@@ -7,7 +7,7 @@ from stereo_slam_env.sensing.corruptions import NOISE_MODELS
 from stereo_slam_env.sensing.padding import TrackingPolicy
 from stereo_slam_env.sensing.rigs import CAMERA_HEIGHT, RIGS
 from stereo_slam_env.simulator import Simulator
-from stereo_slam_env.simulator.scenes import scene_arrays
+from stereo_slam_env.simulator.scene_arrays import scene_arrays
 from stereo_slam_env.simulator.state import make_rules
 from stereo_slam_env.world.frames import WorldFrame
 from stereo_slam_env.world.routes import straight

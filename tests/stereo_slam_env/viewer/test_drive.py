@@ -10,8 +10,8 @@ from filters import InverseDepthStereoEKF
 from stereo_slam_env.benchmark.storage.run_files import load_run, packed_run
 from stereo_slam_env.benchmark.storage.store import read_study
 from stereo_slam_env.evaluation.filter_run import run_filter
-from stereo_slam_env.viewer.drive import Drive, revisit
 from stereo_slam_env.viewer.rerun_view import LARGEST, SIGMAS, ellipsoids
+from stereo_slam_env.viewer.watched_drive import Drive, revisit
 
 from ..benchmark.small_recordings import small_recording
 

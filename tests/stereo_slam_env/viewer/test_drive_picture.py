@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from filters import InverseDepthStereoEKF
-from stereo_slam_env.viewer.drive import Drive
 from stereo_slam_env.viewer.drive_picture import DrivePicture, save_film, save_still, style_context
+from stereo_slam_env.viewer.watched_drive import Drive
 
 from ..benchmark.small_recordings import small_recording
 

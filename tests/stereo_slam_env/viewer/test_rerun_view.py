@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from filters import EuclideanEKF, InverseDepthStereoEKF
-from stereo_slam_env.viewer.drive import Drive
 from stereo_slam_env.viewer.rerun_view import FARTHEST, RerunView, ellipsoids
+from stereo_slam_env.viewer.watched_drive import Drive
 
 from ..benchmark.small_recordings import CAMERA, small_recording
 

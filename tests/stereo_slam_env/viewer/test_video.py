@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from stereo_slam_env.viewer.drive import Recorder
+from stereo_slam_env.viewer.watched_drive import Recorder
 
 
 def pictures(count=5, size=(120, 160)):

@@ -23,15 +23,15 @@ from stereo_slam_env.benchmark.scenarios.streams import (
     without_measurements,
 )
 from stereo_slam_env.benchmark.scenarios.study import Study, preset
+from stereo_slam_env.benchmark.storage.result_tables import write_results
 from stereo_slam_env.benchmark.storage.store import open_study, read_study
-from stereo_slam_env.benchmark.storage.tables import write_results
 from stereo_slam_env.envs import recorder
 from stereo_slam_env.envs.recorder import RenderedDrive
 from stereo_slam_env.evaluation.filter_run import run_filter
-from stereo_slam_env.frontend import recorder as recorder_of_tracks
+from stereo_slam_env.frontend import track_recorder as recorder_of_tracks
 from stereo_slam_env.frontend.rectification_errors import PRIOR_SIGMA
 from stereo_slam_env.frontend.settings import TrackerSettings
-from stereo_slam_env.rendering.backends import renderer_identity
+from stereo_slam_env.rendering.renderers import renderer_identity
 from stereo_slam_env.report.benchmark_report import write_report_of
 from stereo_slam_env.report.run_report import write_report
 

@@ -342,7 +342,7 @@ def test_a_process_has_the_machine_code_of_usual_trials_before_it_begins():
 
     def loaded(tell):
         from filters.kernels import prediction
-        from stereo_slam_env.simulator.frame import run_frame
+        from stereo_slam_env.simulator.frame_kernel import run_frame
         from stereo_slam_env.world.street_plan import plan
 
         return [len(kernel.signatures) for kernel in (run_frame, plan)], "_compiled" in vars(prediction.predict)

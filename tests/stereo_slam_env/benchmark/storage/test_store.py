@@ -13,8 +13,8 @@ from stereo_slam_env.benchmark.scenarios.scenario import Scenario, filter_choice
 from stereo_slam_env.benchmark.scenarios.streams import stream_digest
 from stereo_slam_env.benchmark.scenarios.study import Study
 from stereo_slam_env.benchmark.storage import store
+from stereo_slam_env.benchmark.storage.result_tables import write_results
 from stereo_slam_env.benchmark.storage.run_files import packed_run
-from stereo_slam_env.benchmark.storage.tables import write_results
 from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.evaluation.results import FilterSummary
 from stereo_slam_env.recording.archive import packed_recording

@@ -8,8 +8,8 @@ import pytest
 from stereo_slam_env.benchmark import FilterChoice, Scenario, run_benchmark
 from stereo_slam_env.benchmark.recordings.sources import ReferenceSource
 from stereo_slam_env.benchmark.scenarios.study import study_from
-from stereo_slam_env.benchmark.storage import tables
-from stereo_slam_env.benchmark.storage.tables import SCHEMA, write_trial_table
+from stereo_slam_env.benchmark.storage import result_tables
+from stereo_slam_env.benchmark.storage.result_tables import SCHEMA, write_trial_table
 from stereo_slam_env.evaluation.figures import trial_columns
 
 STUDY = study_from(
@@ -81,7 +81,7 @@ def test_what_is_not_known_is_null(tmp_path):
 def test_a_table_that_cannot_be_written_leaves_the_old_one(finished, monkeypatch):
     path = finished.out / "trials.sqlite"
     before = path.read_bytes()
-    monkeypatch.setattr(tables, "SCHEMA", "no number")
+    monkeypatch.setattr(result_tables, "SCHEMA", "no number")
     with pytest.raises(OSError, match=r"trials\.sqlite cannot be written"):
         write_trial_table(path, finished.cells)
     assert path.read_bytes() == before

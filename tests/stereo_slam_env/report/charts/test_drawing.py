@@ -16,8 +16,8 @@ from stereo_slam_env.report.charts.axes import (
     short_number,
     spread_out,
 )
-from stereo_slam_env.report.charts.consistency import pose_error_chart
 from stereo_slam_env.report.charts.drawing import Chart, Curve, Panel, figure
+from stereo_slam_env.report.charts.nees import pose_error_chart
 from stereo_slam_env.report.page import inline_svg
 
 from .reading import panels, values

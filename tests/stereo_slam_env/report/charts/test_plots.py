@@ -10,8 +10,14 @@ from scipy.spatial.transform import Rotation
 from stereo_slam_env.report.charts import series
 from stereo_slam_env.report.charts.accuracy import plot_error_by_run, plot_trajectory, plot_velocity
 from stereo_slam_env.report.charts.axes import filter_colours
-from stereo_slam_env.report.charts.consistency import error_limits, plot_depth, plot_error_bounds, plot_nees, plot_nis
 from stereo_slam_env.report.charts.factors import plot_time_per_frame
+from stereo_slam_env.report.charts.nees import (
+    error_limits,
+    plot_depth,
+    plot_error_bounds,
+    plot_nees,
+    plot_nis,
+)
 
 from ....synthetic_runs import THREE, THREE_ONE_DIVERGING, make_runs
 from .reading import panels, values

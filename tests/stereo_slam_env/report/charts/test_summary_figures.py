@@ -13,8 +13,12 @@ from stereo_slam_env.evaluation.figures import FIGURES
 from stereo_slam_env.evaluation.landmark_statistics import RangeError
 from stereo_slam_env.report.charts.accuracy import plot_efficiency, plot_error_against_bound, plot_segment_errors
 from stereo_slam_env.report.charts.axes import filter_colours
-from stereo_slam_env.report.charts.consistency import plot_consistency, plot_depth_convergence, plot_landmark_errors
 from stereo_slam_env.report.charts.factors import FactorResponse, plot_changes, plot_cost, plot_effects, plot_factor
+from stereo_slam_env.report.charts.nees import (
+    plot_consistency,
+    plot_depth_convergence,
+    plot_landmark_errors,
+)
 
 from ....synthetic_runs import THREE, THREE_ONE_DIVERGING, Behaviour, changed, make_bounds, make_runs, scored
 from .reading import panels, series_of, values

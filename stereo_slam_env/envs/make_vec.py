@@ -11,9 +11,9 @@ import gymnasium as gym
 from gymnasium.vector import AutoresetMode
 
 from filters.contract.validation import one_of
+from stereo_slam_env.envs.arguments import STEERING, DriveGazeOptions, DriveOptions, GazeOptions, StereoOptions
 from stereo_slam_env.envs.belief_observation import BeliefObservation
 from stereo_slam_env.envs.belief_panorama import BeliefPanorama
-from stereo_slam_env.envs.options import STEERING, DriveGazeOptions, DriveOptions, GazeOptions, StereoOptions
 from stereo_slam_env.envs.rewards import InformationGain, TrueError
 from stereo_slam_env.envs.row_wrapper import DirectionOfGaze, SelectedKeys
 from stereo_slam_env.envs.rows import Rows, put_state, state_of
@@ -265,7 +265,7 @@ def inner_environment(
 ) -> gym.Env[Any, Any] | Rows:
     """The environment `name` inside a task: its own arguments, those of the level, and those given; the last ones win.
 
-    Rows of such where `many` has their number, see `wrappers.vectors.rows_of`.
+    Rows of such where `many` has their number, see `rows_of`.
     """
     arguments = {**own, **of_level(level, scripted=name == "StereoSlam/Gaze-v0"), **given}
     if many is not None:

@@ -19,7 +19,7 @@ from stereo_slam_env.envs.recorder import recording_of
 from stereo_slam_env.envs.rows import Rows
 from stereo_slam_env.envs.stereo_env import StereoEnv, row_of
 from stereo_slam_env.envs.vector_env import RowsVectorEnv
-from stereo_slam_env.policies.registry import ActsTogether, Policy
+from stereo_slam_env.policies.named_policies import ActsTogether, Policy
 from stereo_slam_env.recording.recording import Frame, Recording
 
 _STREAM = 6

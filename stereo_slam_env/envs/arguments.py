@@ -12,7 +12,7 @@ import numpy as np
 from filters.contract.validation import did_you_mean, one_of, positive, require_known, whole_number
 from filters.geometry.camera import StereoCamera
 from stereo_slam_env.frontend.settings import TrackerSettings
-from stereo_slam_env.rendering.backends import RendererName, image_quality
+from stereo_slam_env.rendering.renderers import RendererName, image_quality
 from stereo_slam_env.sensing.corruptions import NoiseName
 from stereo_slam_env.sensing.imu import DATA_SHEETS
 from stereo_slam_env.sensing.padding import TrackingPolicy

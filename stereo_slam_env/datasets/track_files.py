@@ -17,7 +17,7 @@ from filters import BodyVelocity, InertialSamples, Pose, Start, StereoCamera, St
 from filters.contract.validation import positive, whole_number
 from filters.geometry import rotations
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
-from stereo_slam_env.datasets.registry import LayoutRow, known_by, reference_for
+from stereo_slam_env.datasets.layouts import LayoutRow, known_by, reference_for
 from stereo_slam_env.files.readers import Shape
 from stereo_slam_env.recording.recording import Frame, LandmarkTruth, Recording
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from stereo_slam_env.cli.parts import (
+from stereo_slam_env.cli.shared_options import (
     Interrupted,
     JobsOption,
     JsonOption,
@@ -57,8 +57,8 @@ def report(
     ] = None,
 ) -> None:
     """Write tables and report of a finished run again; with a second run, say what changed significantly."""
+    from stereo_slam_env.benchmark.storage.result_tables import write_results
     from stereo_slam_env.benchmark.storage.store import read_study
-    from stereo_slam_env.benchmark.storage.tables import write_results
     from stereo_slam_env.files.folders import claimed_folder
     from stereo_slam_env.report.benchmark_report import write_report_of
     from stereo_slam_env.report.console import show_cells
@@ -258,7 +258,7 @@ def _show_claims(claims: Sequence[Claim]) -> None:
     from rich.box import SIMPLE_HEAD
     from rich.table import Table
 
-    from stereo_slam_env.paper.claims import PLACES, ClaimVerdict
+    from stereo_slam_env.paper.paper_claims import PLACES, ClaimVerdict
 
     colours = {
         ClaimVerdict.HOLDS: "green",

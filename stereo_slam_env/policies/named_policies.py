@@ -33,7 +33,7 @@ class Policy(Protocol):
     """A policy: decides where to look.
 
     Policies never look at the truth and never copy the environment. What they may ask it for, with `get_wrapper_attr`,
-    are `slam` (the filter in the loop, see `wrappers.BeliefObservation`), `camera`, `noise`, `head`, `head_angles`,
+    are `slam` (the filter in the loop, see `envs.BeliefObservation`), `camera`, `noise`, `head`, `head_angles`,
     `route`, the planned drive, and of `options` what the sensors are like (range, noise of the odometry).
     """
 
@@ -90,13 +90,13 @@ def gaze_action(env: gym.Env[Any, Any], decided: ArrayLike) -> Action:
 ENTRY_POINT_GROUP = "stereo_slam.policies"
 
 _OWN = {
-    "fixed": "open_loop:FixedGaze",
-    "random": "open_loop:RandomGaze",
-    "sweep": "open_loop:Sweep",
+    "fixed": "named_policies:FixedGaze",
+    "random": "named_policies:RandomGaze",
+    "sweep": "named_policies:Sweep",
     "most-uncertain": "planning:MostUncertain",
     "greedy": "planning:Greedy",
     "lookahead": "planning:Lookahead",
-    "ppo": "network:NetworkPolicy",
+    "ppo": "named_policies:NetworkPolicy",
 }
 
 

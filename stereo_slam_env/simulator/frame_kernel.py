@@ -22,7 +22,7 @@ from stereo_slam_env.simulator.motion import (
     route_velocity,
     times,
 )
-from stereo_slam_env.simulator.scenes import bodies_of, move_bodies, touches_body
+from stereo_slam_env.simulator.scene_arrays import bodies_of, move_bodies, touches_body
 from stereo_slam_env.simulator.sensing import mark_in_view, observe
 from stereo_slam_env.simulator.state import ARENA, Fleet, Rules, Sensed
 

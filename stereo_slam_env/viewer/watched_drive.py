@@ -24,7 +24,7 @@ from stereo_slam_env.benchmark.storage.run_files import load_run
 from stereo_slam_env.benchmark.storage.store import RunDirectory, read_study
 from stereo_slam_env.files.folders import unfinished_name
 from stereo_slam_env.files.opening import checked_file
-from stereo_slam_env.frontend.recorder import ActiveSearch
+from stereo_slam_env.frontend.track_recorder import ActiveSearch
 from stereo_slam_env.loop import Moment, Observe, run
 from stereo_slam_env.recording.archive import load_recording
 from stereo_slam_env.recording.recording import LandmarkTruth, Recording

@@ -17,9 +17,9 @@ from filters.contract.extras import install_command
 from filters.geometry.arrays import BoolArray, FloatArray
 from filters.geometry.camera import StereoCamera
 from filters.geometry.poses import Pose
-from stereo_slam_env.envs.options import StereoOptions
-from stereo_slam_env.rendering.backends import CameraEffects, make_renderer
+from stereo_slam_env.envs.arguments import StereoOptions
 from stereo_slam_env.rendering.pinhole import Image, StereoImages, StereoRenderer
+from stereo_slam_env.rendering.renderers import CameraEffects, make_renderer
 from stereo_slam_env.sensing.padding import TrackingPolicy
 from stereo_slam_env.sensing.rigs import CAMERA_HEIGHT
 from stereo_slam_env.simulator.state import Kept

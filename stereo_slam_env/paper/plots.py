@@ -10,7 +10,18 @@ from scipy.stats import chi2, norm
 from stereo_slam_env.benchmark import CONFIDENCE
 from stereo_slam_env.evaluation import mean_band
 from stereo_slam_env.paper import convergence, long_drive, speed
-from stereo_slam_env.paper.claims import (
+from stereo_slam_env.paper.drives import Setting
+from stereo_slam_env.paper.landmark_uncertainty import (
+    ASSUMED,
+    CAMERA,
+    FIGURE_1,
+    FIGURE_2,
+    landmark,
+    measurements,
+    places,
+    points,
+)
+from stereo_slam_env.paper.paper_claims import (
     DIAGONAL,
     DUAL,
     EUCLIDEAN,
@@ -27,17 +38,6 @@ from stereo_slam_env.paper.claims import (
     Arrays,
     FloatArray,
     ratio_interval,
-)
-from stereo_slam_env.paper.drives import Setting
-from stereo_slam_env.paper.landmark_uncertainty import (
-    ASSUMED,
-    CAMERA,
-    FIGURE_1,
-    FIGURE_2,
-    landmark,
-    measurements,
-    places,
-    points,
 )
 from stereo_slam_env.report import (
     BAND,
