@@ -113,3 +113,43 @@ def test_documentation_is_never_a_single_word(path):
     nodes = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
     texts = [node.value for node in nodes if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)]
     assert [f"line {text.lineno}" for text in texts if isinstance(text.value, str) and " " not in text.value] == []
+
+
+MESSAGES_OF_LIBRARIES = {
+    ("filters/catalogue/registry.py", "multiple values for keyword argument"),
+    ("stereo_slam_env/benchmark/recordings/source.py", "Object missing"),
+    ("stereo_slam_env/benchmark/recordings/source.py", "Invalid enum value"),
+    ("stereo_slam_env/files/bags.py", "CREATE VIRTUAL"),
+    ("stereo_slam_env/recording/archive.py", "independent truth"),
+    ("stereo_slam_env/recording/archive.py", "odometry from the same images"),
+}
+"""Phrases that are looked for in what is not ours to change: errors of libraries, SQL, archives of before."""
+_SEARCHES = {"startswith", "endswith", "removeprefix", "removesuffix", "find", "index", "replace", "count", "partition"}
+
+
+def phrases_looked_for(path):
+    """Words that a comparison or a search of a text hangs on: phrases, that is letters with a space between."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        sides = []
+        if isinstance(node, ast.Compare):
+            sides = [node.left, *node.comparators]
+        elif isinstance(node, ast.Call) and getattr(node.func, "attr", "") in _SEARCHES:
+            sides = node.args
+        elif isinstance(node, ast.Call) and getattr(getattr(node.func, "value", None), "id", "") == "re":
+            sides = node.args[:1]
+        inside = (part for side in sides if not isinstance(side, ast.Call) for part in ast.walk(side))
+        texts = (
+            part.value.strip() for part in inside if isinstance(part, ast.Constant) and isinstance(part.value, str)
+        )
+        yield from (text for text in texts if re.fullmatch(r"[A-Za-z]+( [A-Za-z']+)+", text))
+
+
+@pytest.mark.parametrize("path", MODULES, ids=name_of)
+def test_nothing_decides_on_the_words_of_a_sentence(path):
+    """Verdicts are values; sentences are written last. Half a sentence that is compared would tie both together."""
+    assert {(name_of(path), phrase) for phrase in phrases_looked_for(path)} <= MESSAGES_OF_LIBRARIES
+
+
+def test_a_decision_on_words_is_found(tmp_path):
+    (tmp_path / "judge.py").write_text('if verdict.startswith("too tight") or re.match("is consistent", text): pass')
+    assert list(phrases_looked_for(tmp_path / "judge.py")) == ["too tight", "is consistent"]

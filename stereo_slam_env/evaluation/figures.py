@@ -96,11 +96,7 @@ class Figure:
     def column_meaning(self) -> str:
         """Meaning of that column."""
         of = self.ideal
-        return (
-            self.meaning
-            if of in (None, 1.0)
-            else f"{self.meaning.replace(f'; {of:g} is ideal', '')}; by {of:g}, so 1 is ideal"
-        )
+        return self.meaning if of in (None, 1.0) else f"{self.meaning}; here by {of:g}, so 1 is ideal"
 
     def in_unit(self, value: Value) -> Value:
         """The value as such a table has it; None where it is not known."""

@@ -16,7 +16,7 @@ from stereo_slam_env.envs import (
     SelectedKeys,
     belief_observation,
 )
-from stereo_slam_env.policies.registered_task import GAZE_FILTER, GazeTask
+from stereo_slam_env.envs.active_gaze import GAZE_FILTER, GazeTask
 
 GAZE = "StereoSlam/Gaze-v0"
 WORLD = {"route": "right-turn", "rig": "qvga"}

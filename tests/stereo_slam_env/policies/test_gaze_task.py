@@ -11,7 +11,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env, data_equivalence
 
 from stereo_slam_env.benchmark import preset_study
-from stereo_slam_env.policies.registered_task import POLICY_KEYS, GazeTask
+from stereo_slam_env.envs.active_gaze import POLICY_KEYS, GazeTask
 
 QUICK = {"route": "right-turn"}
 

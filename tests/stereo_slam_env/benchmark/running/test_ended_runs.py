@@ -22,7 +22,7 @@ class Run:
     def __init__(self, out: Path, *, seeds: int = 40) -> None:
         self.out, self.mark = out, f"{MARK}={out}"
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "stereo_slam_env.cli", "bench", "--preset", "reference-turn", "--jobs", "2",
+            [sys.executable, "-m", "stereo_slam_env", "bench", "--preset", "reference-turn", "--jobs", "2",
              "--seeds", str(seeds), "--out", str(out)],
             cwd=ROOT,
             env={**os.environ, "PYTHONPATH": str(ROOT), MARK: str(out)},

@@ -135,7 +135,7 @@ def test_a_filter_that_now_raises_does_not_return_its_old_result(project, tmp_pa
     after = bench(project, tmp_path / "b")
     assert after["lab"]["failures"] == ["seed 0, frame 1: RuntimeError: edited"]
     assert of_ours.stat().st_mtime_ns == written
-    said = in_process(project, "-m", "stereo_slam_env.cli", "report", str(tmp_path / "a"), str(tmp_path / "b"))
+    said = in_process(project, "-m", "stereo_slam_env", "report", str(tmp_path / "a"), str(tmp_path / "b"))
     assert re.search(r"The code of lab differs\s+between\s+the\s+two\s+runs", said)
     assert "The code of stereo-slam-env differs" not in said
     edit(tmp_path / "b" / "settings.json", f'"code": "{code_digest()}"', '"code": "another"')

@@ -50,7 +50,10 @@ def test_every_column_is_explained(finished):
     meanings = {name: (unit, meaning) for name, unit, meaning in rows(path, "SELECT * FROM columns")}
     assert list(meanings) == names
     assert {figure.column for figure in trial_columns()} <= set(names)
-    assert meanings["pose_anees_per_dof"] == ("", "mean NEES of the pose over frames; by 6, so 1 is ideal")
+    assert meanings["pose_anees_per_dof"] == (
+        "",
+        "mean NEES of the pose over frames; 6 is ideal; here by 6, so 1 is ideal",
+    )
     assert all(meaning for _, meaning in meanings.values())
     assert meanings["position_rmse_m"][0] == "m"
     assert rows(path, "PRAGMA user_version") == [(SCHEMA,)]
