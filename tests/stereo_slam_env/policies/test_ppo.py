@@ -25,6 +25,7 @@ from stereo_slam_env.policies.registered_task import (
     PolicyEvaluation,
     PPOSettings,
     RegisteredTask,
+    words,
 )
 
 TASK = GazeTask(arguments={"route": "right-turn"}, hold=8)
@@ -207,8 +208,8 @@ def test_the_words_of_a_progress_bar_have_the_score_of_the_task_as_it_is():
         == "return 3.00"
     )
     figures = PolicyEvaluation(0.5, -40.0, 0.2, 0.4, 1.0, -5.26)
-    assert GazeTask().words(figures) == "true error 0.400 m, claimed 0.500 m, score 0"
-    assert GazeTask(hold=3).words(figures) == "true error 0.400 m, claimed 0.500 m"
+    assert words(GazeTask(), figures) == "true error 0.400 m, claimed 0.500 m, score 0"
+    assert words(GazeTask(hold=3), figures) == "true error 0.400 m, claimed 0.500 m"
 
 
 class Valve(gym.Env):
