@@ -102,7 +102,10 @@ ROOMS = {
             *(f"tests/filters/engine/test_{name}.py" for name in ("golden", "gauge_walk", "consensus", "gating")),
             *(f"tests/filters/engine/test_{name}.py" for name in ("batch", "drift", "extreme_input", "heavy_tails")),
             *(f"tests/filters/stranger/test_{name}.py" for name in ("blocks", "late_clock", "kernels")),
-            *(f"tests/filters/state/test_{name}.py" for name in ("clones", "added_variables", "variables")),
+            *(
+                f"tests/filters/state/test_{name}.py"
+                for name in ("clones", "added_variables", "variables", "joint_jacobians")
+            ),
             *(f"tests/filters/errors/test_{name}.py" for name in ("errors", "first_estimates")),
             "tests/filters/landmarks/test_hybrid.py",
             "tests/filters/motions/test_gravity.py",

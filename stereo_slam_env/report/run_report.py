@@ -270,7 +270,9 @@ def _accuracy(
     if len(set(map(key_of, runs))) > 1 and any(s.position_rmse_m is not None for s in summaries):
         caption = "The error of each run."
         if len(summaries) > 1:
-            caption = "A line joins the errors on the same recording: look at its direction, not at the spread."
+            caption = (
+                "Each dot is a run; below, by the error of the best filter on the same recording: right of 1 is worse."
+            )
         yield draw("error_by_run", caption, accuracy.plot_error_by_run, runs)
     caption = f"Path on {shown}; errors of all runs, single ones thin, without alignment."
     yield draw("trajectory", caption, accuracy.plot_trajectory, runs)

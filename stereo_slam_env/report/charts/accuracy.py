@@ -127,26 +127,34 @@ def _error_over_distance(runs: Sequence[FilterRun], width: float, height: float)
 
 
 def plot_error_by_run(runs: Sequence[FilterRun]) -> Chart:
-    """Position RMSE of each run, runs on the same recording joined: the paired comparison to look at first."""
+    """Position RMSE of each run, and below it by that of the best filter on the same recording: a paired comparison."""
     groups = series.by_filter(runs)
-    names = list(groups)
+    names, colours = list(groups), filter_colours(groups)
     failed = {name: sum(run.failure is not None for run in group) for name, group in groups.items()}
     notes = {name: f"({count} failed)" for name, count in failed.items() if count}
-    rmse = {(run.filter_name, run.recording_name, run.seed): position_rmse(run) for run in runs}
-    panel = _rows("position RMSE of each run (m)", names, rmse.values(), spread=10.0, notes=notes)
-    recordings = dict.fromkeys(key_of(run) for run in runs)  # few: their time series are kept
-    rows = np.arange(len(names))
-    joined = ([rmse.get((name, *recording), np.nan) for name in names] for recording in recordings)
-    panel.lines(Curve("", values, rows, MUTED, width=0.9, opacity=0.35, said=None) for values in joined)
-    colours = filter_colours(names)
-    panel.dots(
-        (
-            Curve(name, [value], [names.index(name)], colours[name], opacity=0.85, said=_said(name, recording, seed))
-            for (name, recording, seed), value in rmse.items()
-        ),
-        size=48,
-    )
-    return figure([panel], colours)
+    rmse = {(run.filter_name, *key_of(run)): position_rmse(run) for run in runs}
+
+    def dotted(title: str, rows: Sequence[str], values: Mapping[tuple[str, str, int | None], float]) -> Panel:
+        ends = [*values.values(), *([] if values is rmse else [1.0])]
+        panel = _rows(title, rows, ends, spread=10.0 if values is rmse else 1.0, colours=colours, notes=notes)
+        panel.dots(
+            (
+                Curve(name, [value], [rows.index(name)], colours[name], opacity=0.85, said=_said(name, recording, seed))
+                for (name, recording, seed), value in values.items()
+            ),
+            size=48,
+        )
+        return panel
+
+    panels = [dotted("position RMSE of each run (m)", names, rmse)]
+    squares = {name: [value**2 for key, value in rmse.items() if key[0] == name] for name in names}
+    best = min(names, key=lambda name: float(np.mean(squares[name])) if np.isfinite(squares[name]).all() else np.inf)
+    others = [name for name in names if name != best]
+    ratios = {key: value / rmse.get((best, *key[1:]), np.nan) for key, value in rmse.items() if key[0] != best}
+    if np.isfinite(list(ratios.values())).any():
+        panels.append(dotted(f"RMSE by that of {best} on the same recording", others, ratios))
+        panels[-1].rule(x=1.0, dash=DASHED)
+    return figure(panels, colours, columns=1, row=44)
 
 
 def plot_velocity(runs: Sequence[FilterRun]) -> Chart:

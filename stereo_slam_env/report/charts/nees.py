@@ -315,7 +315,6 @@ def plot_landmark_errors(summaries: Sequence[FilterSummary]) -> Chart:
         panel = Panel(x, y, panel_width(3, label_room(colours), 56.0), 200.0, title, zoom=False)
         if ideal is not None:
             panel.rule(y=ideal, dash=DASHED)
-        panel.lines(Curve(c.key, c.x, c.y, c.colour, width=1.0, said=None) for c in curves)
         panel.intervals(curves)
         panel.dots(curves, 34)
         panel.column_names(range(len(ranges)), [_range_name(*ends) for ends in ranges])
