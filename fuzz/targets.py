@@ -62,7 +62,7 @@ _CLAIMS = ("drift_calibration.calibrate", "DriftModel.read", "stereo-slam calibr
 _STUDIES = ("campaign.run_benchmark", "study.load_study", "study.preset_study", "stereo-slam bench")
 _HAND_IN = ("stereo-slam verify",)
 _JSON = ("readers.read_json",)
-_RUNS = ("comparison.compare", "stereo-slam report", "stereo-slam submit", "settings.holds_run")
+_RUNS = ("comparison.compare", "stereo-slam report", "stereo-slam submit", "run_files.holds_run")
 
 
 @cache
@@ -89,13 +89,13 @@ def targets() -> tuple[Target, ...]:
         Target("trajectories", seeds.trajectories(), _score, True, _TRAJECTORIES),
         Target("layouts", seeds.layouts(), _layouts, True, _CLAIMS),
         Target("body", others.body(), lambda folder: read_body(folder / "body.json"), True),
-        Target("bodies", others.bodies(), _bodies, True, ("own_bodies.obj_mesh", "own_bodies.urdf_solids")),
+        Target("bodies", others.bodies(), _bodies, True, ("meshes.obj_mesh", "meshes.urdf_solids")),
         Target("route", seeds.route(), lambda folder: kitti_route(folder / "poses.txt"), True),
         Target("network", seeds.network(), lambda folder: Network.load(folder / "network.npz"), True),
         Target("scenario", seeds.scenario(), _scenarios, True, _STUDIES),
         Target("packet", others.packets(), _packet, True, _HAND_IN),
         Target("results", seeds.results(), _results, calls=_RUNS),
-        Target("finished", seeds.finished(), _finished, calls=(*_RUNS, "drive.revisit", "stereo-slam view")),
+        Target("finished", seeds.finished(), _finished, calls=(*_RUNS, "watched_drive.revisit", "stereo-slam view")),
         Target(
             "paper",
             {"paper_settings.json": b'{"version": 1, "settings": {}, "versions": {}}'},
