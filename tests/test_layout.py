@@ -3,6 +3,7 @@
 import ast
 import re
 import sys
+from collections import Counter
 from functools import cache
 from pathlib import Path
 
@@ -101,6 +102,12 @@ def test_figures_never_touch_the_global_state_of_pyplot(path):
 def test_no_module_is_a_drawer_of_odds_and_ends():
     vague = {"utils", "util", "helpers", "helper", "common", "misc", "tools"}
     assert [name_of(path) for path in MODULES if vague & {path.stem, *path.parts}] == []
+
+
+def test_a_file_name_is_used_once():
+    """So that a name says which file is meant."""
+    stems = Counter(path.stem for path in MODULES if not path.stem.startswith("__"))
+    assert [stem for stem, count in stems.items() if count > 1] == []
 
 
 def test_long_files_have_a_reason():

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from stereo_slam_env.evaluation.trial import position_rmse
 from stereo_slam_env.report.charts import series
 from stereo_slam_env.report.charts.accuracy import plot_error_by_run, plot_trajectory, plot_velocity
 from stereo_slam_env.report.charts.axes import filter_colours
@@ -72,6 +73,20 @@ def test_a_diverging_filter_does_not_flatten_the_others():
     errors = panels(plot_trajectory(make_runs(THREE_ONE_DIVERGING, frames=240)))[1]
     assert errors.y[1] < 1.0
     assert any(words.startswith("↑ euclidean to") for words in errors.words())
+
+
+def test_the_errors_of_runs_stand_over_those_of_the_best_filter_on_the_same_recording():
+    runs = make_runs(frames=60)
+    rmse = {(run.filter_name, run.seed): position_rmse(run) for run in runs}
+    names = {run.filter_name for run in runs}
+    best = min(names, key=lambda name: sum(value**2 for (other, _), value in rmse.items() if other == name))
+    absolute, paired = panels(plot_error_by_run(runs))
+    assert len(absolute.rows("dots")) == len(runs)
+    drawn = sorted(float(row["x"][0]) for row in paired.rows("dots"))
+    assert drawn == pytest.approx(
+        sorted(v / rmse[best, seed] for (name, seed), v in rmse.items() if name != best), rel=1e-3
+    )
+    assert len(panels(plot_error_by_run([run for run in runs if run.filter_name == best]))) == 1
 
 
 def test_a_median_is_never_cut_off():
