@@ -41,7 +41,7 @@ from .contract.outputs import VariableBelief as VariableBelief
 from .contract.outputs import VelocityBelief as VelocityBelief
 from .contract.stereo_filter import StereoFilter as StereoFilter
 from .engine.batch import FilterBatch as FilterBatch
-from .engine.kernel import kernel as kernel
+from .engine.own_state import kernel as kernel
 from .engine.stereo_ekf import StereoEKF as StereoEKF
 from .errors import ErrorDefinition as ErrorDefinition
 from .errors import Extended as Extended

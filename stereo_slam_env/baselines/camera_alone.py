@@ -55,7 +55,7 @@ class CameraBelief:
 
     def predicted(self, dt: float, odometry: BodyVelocity | None, motion: MotionModel) -> CameraBelief:
         """After `dt` seconds: driven by the odometry where there is one, by `motion` where not."""
-        from filters.engine.steps import predict_camera
+        from filters.engine.own_state import predict_camera
 
         step = predict_camera(motion if odometry is None else _DRIVEN, self.state, dt, odometry)
         P = step.F @ self.P @ step.F.T + step.G @ step.Q @ step.G.T

@@ -23,7 +23,7 @@ from filters import (
 )
 from filters.contract.noise import gate_limit
 from filters.contract.validation import gate_probability, unique_ids
-from filters.engine.steps import predict_camera
+from filters.engine.own_state import predict_camera
 from filters.geometry import rotations
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.motions.motion_model import (

@@ -16,7 +16,7 @@ from scipy.linalg import block_diag, solve_triangular
 
 from filters import BodyVelocity, CameraState, MotionModel, StereoCamera
 from filters.contract.extras import install_command
-from filters.engine.steps import predict_camera
+from filters.engine.own_state import predict_camera
 from filters.geometry import rotations
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.motions.motion_model import POSE_SIZE, POSITION, ROTATION
