@@ -346,7 +346,7 @@ def _by(measure: Figure, summary: FilterSummary, verdict: PolicyVerdict) -> Tabl
     else:
         words.append(difference.interval_words)
         if difference.finding is Finding.NOT_SHOWN:
-            words.append("not shown")
+            words.append(difference.finding.value)
     return answer(shown, ", ".join(words), FINDING_TONES[difference.finding], key=value)
 
 
