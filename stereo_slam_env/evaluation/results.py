@@ -121,7 +121,7 @@ class FilterRun:
     truth_from: Reference = GIVEN_TRUTH
     """What the truth is, where there is one."""
     final_map: LandmarkBelief | None = None
-    """Landmarks after the last frame; None where they are not kept, as in runs that were stored."""
+    """Landmarks after the last frame; None in runs that were stored, or made in a batch."""
 
     def __post_init__(self) -> None:
         for series in fields(self):

@@ -37,7 +37,7 @@ from stereo_slam_env.paper.paper_claims import (
     mean_interval,
     ratio_interval,
 )
-from stereo_slam_env.rendering import overlay
+from stereo_slam_env.rendering import tracks_picture
 
 IntArray = NDArray[np.int64]
 UPDATES = 10
@@ -339,4 +339,4 @@ def feature_picture(arrays: Arrays) -> bytes:
     colours = [NEAR if depth < near else FAR if depth > far else BETWEEN for depth in arrays["depths"]]
     words = "first frame: features are initialised", f"after {UPDATES} updates"
     ways = arrays["pixels"][:1], arrays["pixels"]
-    return overlay.tracks_picture(arrays["images"], ways, colours, words)
+    return tracks_picture(arrays["images"], ways, colours, words)

@@ -19,7 +19,7 @@ from stereo_slam_env.frontend import (
     make_front_end,
 )
 from stereo_slam_env.frontend.front_ends import CAMERA, DT, _pairs
-from stereo_slam_env.frontend.other_front_ends import SIGMA, KLTFrontEnd
+from stereo_slam_env.frontend.other_front_ends import KLT_SIGMA, KLTFrontEnd
 
 from ..datasets.small_image_folders import kitti_odometry
 
@@ -186,7 +186,7 @@ def test_klt_claims_one_constant_and_finds_the_disparity_offset():
     left, right = _pairs()[0]
     plain = KLTFrontEnd(CAMERA).track(left, right)
     np.testing.assert_allclose(
-        plain.R, np.tile(SIGMA**2 * np.array([[1, 0, 1], [0, 1, 0], [1, 0, 2]]), (len(plain.ids), 1, 1))
+        plain.R, np.tile(KLT_SIGMA**2 * np.array([[1, 0, 1], [0, 1, 0], [1, 0, 2]]), (len(plain.ids), 1, 1))
     )
     moved = KLTFrontEnd(CAMERA, TrackerSettings(disparity_offset=0.25)).track(left, right)
     np.testing.assert_allclose(moved.uvd[:, 2], plain.uvd[:, 2] + 0.25)

@@ -123,7 +123,14 @@ def test_the_first_screen_has_a_row_a_policy_and_a_sentence_for_each():
     markup = policy_overview(summaries, verdict)
     assert markup.count("<tr>") == 1 + 3
     assert markup.count("<li>") == 2
-    for said in ("What does it claim at the end?", "How wrong is it then?", "baseline", ">yes<", ">no<", "not significant"):
+    for said in (
+        "What does it claim at the end?",
+        "How wrong is it then?",
+        "baseline",
+        ">yes<",
+        ">no<",
+        "not significant",
+    ):
         assert said in markup, said
 
 
