@@ -79,7 +79,7 @@ def broken(tmp_path):
 
     def run(*arguments):
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(site)])}
-        command = [sys.executable, "-m", "stereo_slam_env.cli", *arguments]
+        command = [sys.executable, "-m", "stereo_slam_env", *arguments]
         done = subprocess.run(
             command, capture_output=True, text=True, env=environment, cwd=tmp_path, timeout=240, check=False
         )

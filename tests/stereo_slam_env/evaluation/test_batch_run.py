@@ -15,8 +15,6 @@ from stereo_slam_env.recording.recording import Reference
 from ..benchmark.small_recordings import small_recording
 
 TIMED = {"milliseconds", "predict_milliseconds", "update_milliseconds", "memory_mb"}
-OF_SINGLE_RUNS = {"final_map"}
-"""Kept to be shown; a campaign shows no single map."""
 TIMED_FIGURES = {"ms_per_frame", "ms_predict", "ms_update", "ms_95", "memory_mb"}
 MOTION = {"motion": {"sigma_acceleration": 3.0, "sigma_angular_acceleration": 0.6}, "gate": None}
 
@@ -57,11 +55,8 @@ def plain(value):
     if isinstance(value, np.ndarray):
         return value.tobytes()
     if dataclasses.is_dataclass(value):
-        return {
-            f.name: plain(getattr(value, f.name))
-            for f in dataclasses.fields(value)
-            if f.name not in TIMED | OF_SINGLE_RUNS
-        }
+        own = (f.name for f in dataclasses.fields(value) if f.name not in {*TIMED, "final_map"})
+        return {name: plain(getattr(value, name)) for name in own}
     if isinstance(value, (tuple, list)):
         return [plain(item) for item in value]
     return {key: plain(item) for key, item in value.items()} if isinstance(value, dict) else repr(value)
