@@ -265,7 +265,7 @@ def words(task: GazeTask | RegisteredTask, results: Any) -> str:
     """Results in the words of a progress bar; the score is that of the id, with its own arguments."""
     if not isinstance(task, GazeTask):
         return task.words(results)
-    said = f"true error {results.final_position_error_m:.3f} m, claimed {results.final_position_sigma_m:.3f} m"
+    errors = f"true error {results.final_position_error_m:.3f} m, claimed {results.final_position_sigma_m:.3f} m"
     if task != GazeTask():
-        return said
-    return f"{said}, score {float(normalised_score(_ID, results.validation_return)):.0f}"
+        return errors
+    return f"{errors}, score {float(normalised_score(_ID, results.validation_return)):.0f}"

@@ -149,10 +149,10 @@ def plot_error_by_run(runs: Sequence[FilterRun]) -> Chart:
     panels = [dotted("position RMSE of each run (m)", names, rmse)]
     squares = {name: [value**2 for key, value in rmse.items() if key[0] == name] for name in names}
     best = min(names, key=lambda name: float(np.mean(squares[name])) if np.isfinite(squares[name]).all() else np.inf)
-    others = [name for name in names if name != best]
+    rivals = [name for name in names if name != best]
     ratios = {key: value / rmse.get((best, *key[1:]), np.nan) for key, value in rmse.items() if key[0] != best}
     if np.isfinite(list(ratios.values())).any():
-        panels.append(dotted(f"RMSE by that of {best} on the same recording", others, ratios))
+        panels.append(dotted(f"RMSE by that of {best} on the same recording", rivals, ratios))
         panels[-1].rule(x=1.0, dash=DASHED)
     return figure(panels, colours, columns=1, row=44)
 
