@@ -442,7 +442,7 @@ def no_deadline():
 def no_ros():
     assert {name.split(".")[0] for _, name in imported()}.isdisjoint({"rospy", "rclpy"})
     assert "rclpy" in (ROOT / "templates" / "ros2-node" / "stereo_slam_node" / "node.py").read_text(encoding="utf-8")
-    writer = (ROOT / "stereo_slam_env" / "datasets" / "bag_writer.py").read_text(encoding="utf-8")
+    writer = (ROOT / "stereo_slam_env" / "datasets" / "bag_images.py").read_text(encoding="utf-8")
     assert not re.search(r"nav_msgs|sensor_msgs/msg/Imu", writer)
 
 
