@@ -53,7 +53,7 @@ def _register(
 
 _register("StereoSlam/Drive-v0", "drive", "StereoDriveEnv", 1200, 32.7)
 _register("StereoSlam/Gaze-v0", "gaze", "StereoGazeEnv", 3000)
-_register("StereoSlam/DriveGaze-v0", "gaze", "StereoDriveGazeEnv", 1200)
+_register("StereoSlam/DriveGaze-v0", "drive_gaze", "StereoDriveGazeEnv", 1200)
 for _task, _made, _most, _best in (
     ("ActiveGaze", "active_gaze", 600, -0.69),
     ("Explore", "explore", 1200, 8.36),

@@ -11,14 +11,13 @@ from .closed_loop import RouteByEstimate as RouteByEstimate
 from .closed_loop import drive_slowly as drive_slowly
 from .closed_loop import follow_route as follow_route
 from .drive import StereoDriveEnv as StereoDriveEnv
+from .drive_gaze import StereoDriveGazeEnv as StereoDriveGazeEnv
 from .explore import Coverage as Coverage
 from .explore import explore_by_sweeping as explore_by_sweeping
 from .filter_rows import Belief as Belief
-from .gaze import StereoDriveGazeEnv as StereoDriveGazeEnv
 from .gaze import StereoGazeEnv as StereoGazeEnv
 from .information import InformationCriterion as InformationCriterion
 from .information import log_det as log_det
-from .make_vec import LEVELS as LEVELS
 from .make_vec import Snapshot as Snapshot
 from .make_vec import restore as restore
 from .make_vec import snapshot as snapshot

@@ -14,7 +14,8 @@ from scipy.stats import chi2
 from filters import VelocityDriven, make_filter
 from filters.geometry import rotations
 from stereo_slam_env.envs.drive import StereoDriveEnv
-from stereo_slam_env.envs.gaze import StereoDriveGazeEnv, StereoGazeEnv
+from stereo_slam_env.envs.drive_gaze import StereoDriveGazeEnv
+from stereo_slam_env.envs.gaze import StereoGazeEnv
 from stereo_slam_env.world.routes import FRAME_PERIOD
 
 QUICK = {"route": "right-turn"}
