@@ -115,15 +115,18 @@ class Study:
         require_known("scenario has no key", [key.partition(".")[0] for key in settings], KEYS)
         if not settings.get("gate", True):
             settings = {"consensus": False, **settings}
+        keys = [*_flat(settings), *(f"{key}.name" for key, value in settings.items() if isinstance(value, str))]
+        tables = tuple(f"{key}." for key in settings)
+        replaced = {key: None for key, value in settings.items() if isinstance(value, Mapping) and "name" in value}
 
         def changed(cell: Cell) -> Cell:
-            for key, factor in itertools.product(_flat(settings), cell.factors):
+            for key, factor in itertools.product(keys, cell.factors):
                 if f"{key}.".startswith(f"{factor}."):
                     raise ValueError(f"{key} must not be set: the grid of {self.name} varies it")
-            varied = {
-                key: value for key, value in cell.factors.items() if key.startswith(tuple(f"{s}." for s in settings))
-            }
-            values = _merged(_merged(cell.scenario.as_dict(), _nested(settings)), _nested(varied))
+            varied = {key: value for key, value in cell.factors.items() if key.startswith(tables)}
+            values = cell.scenario.as_dict()
+            for changes in (replaced, settings, varied):
+                values = _merged(values, _nested(changes))
             return replace(cell, scenario=Scenario.from_dict(_plain(values)))
 
         return replace(self, cells=tuple(map(changed, self.cells)))
@@ -347,16 +350,14 @@ def _with_data(values: dict[str, Any], data: str | Path | None) -> dict[str, Any
 def _merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
     """`base` with `changes` in its tables; a value that is no table takes the old one's place.
 
-    A name is short for a table with that `name`, so "vga" with {"baseline": 0.2} is {"name": "vga", "baseline": 0.2}; a
-    table with a `name` is another one.
+    A name is short for a table with that `name`, so "vga" with {"baseline": 0.2} is {"name": "vga", "baseline": 0.2}.
     """
     merged = copy.deepcopy(dict(base))
     for key, value in changes.items():
         before = merged.get(key)
         if isinstance(before, str) and isinstance(value, Mapping):
             before = {"name": before}
-        is_change = isinstance(value, Mapping) and "name" not in value and key != "noise"  # which has one key
-        if is_change and isinstance(before, Mapping):
+        if isinstance(before, Mapping) and isinstance(value, Mapping) and key != "noise":  # which has one key
             value = _merged(before, value)
         merged[key] = copy.copy(value)
     return merged

@@ -247,6 +247,22 @@ def test_a_grid_over_the_baseline_stays_one_with_another_camera():
     ]
 
 
+def test_a_grid_over_the_names_of_rigs_keeps_the_numbers_that_stand_or_are_given_beside_them():
+    tables = {"name": "rigs", "kind": "street", "options": {"route": "right-turn", "rig": {"baseline": 0.2}}}
+    study = study_from({**tables, "grid": {"options.rig.name": ["vga", "qvga"]}})
+
+    def rigs(one):
+        return [cell.scenario.source.options["rig"] for cell in one.cells]
+
+    assert rigs(study) == [{"name": "vga", "baseline": 0.2}, {"name": "qvga", "baseline": 0.2}]
+    assert rigs(study.with_settings({"options.rig": {"baseline": 0.3}})) == [
+        {"name": "vga", "baseline": 0.3},
+        {"name": "qvga", "baseline": 0.3},
+    ]
+    with pytest.raises(ValueError, match=r"options\.rig\.name must not be set: the grid of rigs varies it"):
+        study.with_settings({"options.rig": "vga"})
+
+
 def test_a_rig_of_no_use_is_refused():
     with pytest.raises(ValueError, match=r"options\.rig\.baseline must not be set: the grid of baseline varies it"):
         preset_study("baseline").with_settings({"options.rig": {"baseline": 0.3}})
