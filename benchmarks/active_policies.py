@@ -8,7 +8,7 @@
 For each policy, in the same drives: change against `fixed` of the mean true final error, of its root mean square over
 the drive and of the claimed sigma, paired, with 95 % bootstrap intervals; mean log det of the final pose, position
 NEES / 3, score (0 is `fixed`, 100 the oracle, by the return of minus squared true error) and processor seconds. Worlds
-are those of `tasks.levels.WORLDS`; options of the belief come on top of those of `GazeTask`. A policy is a name, or a
+are those of `envs.make_vec.WORLDS`; options of the belief come on top of those of `GazeTask`. A policy is a name, or a
 checkpoint of `stereo-slam train`.
 """
 

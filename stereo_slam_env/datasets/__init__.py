@@ -1,6 +1,6 @@
 """Readers of real recordings: `load` gives a `Recording` of tracks or of images, whatever layout a folder or file has.
 
-A layout is one of `registry`, ours or a third party's, and is recognised by its files.
+A layout is one of `layouts`, ours or a third party's, and is recognised by its files.
 """
 
 from __future__ import annotations

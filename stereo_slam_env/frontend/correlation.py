@@ -1,6 +1,6 @@
 """Compiled correlation of patches with an image: the best pixel among candidates, and its place between the pixels.
 
-One landmark after the other, all that belongs to it stays in the processor's cache. `correlation` says what is
+One landmark after the other, all that belongs to it stays in the processor's cache. `matching` says what is
 calculated; Numba compiles it when it is first used and keeps the result on disk.
 """
 
@@ -99,7 +99,7 @@ def note_peaks(
     offset: FloatArray,
     rising: BoolArray,
 ) -> None:
-    """Write the peaks of each template: see `correlation.best_peaks`; candidates x have |whiten (x - center)| <= 1."""
+    """Write the peaks of each template: see `matching.best_peaks`; candidates x have |whiten (x - center)| <= 1."""
     height, width = image.shape
     for k in range(len(templates)):
         u_first, v_first, u_last, v_last = first[k, 0], first[k, 1], last[k, 0], last[k, 1]
@@ -185,7 +185,7 @@ def note_refined(
     texture: FloatArray,
     stays: BoolArray,
 ) -> None:
-    """Write the steps of `correlation.refine` for each template: the way from the pixel, and what it ends at.
+    """Write the steps of `matching.refine` for each template: the way from the pixel, and what it ends at.
 
     `away` (N, 2) px, `score` (N,), `texture` (N, 3) are the entries uu, uv, vv of the matrix of gradients.
     """

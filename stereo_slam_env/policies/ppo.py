@@ -159,7 +159,7 @@ def train(
 
     `out` gets `run.json` (task, settings, versions, commit), `learning_curve.csv` (return, claim, true error, losses,
     entropy, KL, explained variance, throughput), `policy.npz` (of a `GazeTask` the network with the least true error on
-    the validation episodes, else that with the largest return, see `policies.network`), `state.pt` (to go on) and,
+    the validation episodes, else that with the largest return, see `Network`), `state.pt` (to go on) and,
     where TensorBoard is installed, `tensorboard/` with all that stable-baselines3 logs. A training that was stopped
     between two looks at the validation episodes goes on from the last look, with the bits of one that was not stopped.
 

@@ -114,7 +114,7 @@ def html_page(*, title: str, subtitle: str, body: str) -> str:
     title, subtitle : str
         Plain text.
     body : str
-        Markup: sections, `figure_block`s, `table`s (of `page_tables`). Tables of class "sortable" sort.
+        Markup: sections, `figure_block`s, `table`s (of `page_sections`). Tables of class "sortable" sort.
 
     Returns
     -------
@@ -175,7 +175,7 @@ def figure_blocks(charts: Mapping[str, tuple[Chart, str]], folder: Path) -> dict
     ----------
     charts : mapping of str to (Chart, str)
         By the name of the files, and of the figure in the page: letters, digits, "_" and "-", unique in the page. The
-        chart, drawn with the colours of `style`, and one sentence of plain text: the caption, and what a screen reader
+        chart, drawn with the colours of `axes`, and one sentence of plain text: the caption, and what a screen reader
         says.
     folder : Path
         Where `<name>.png` and `<name>.svg` go, beside the page: links in the page are relative to its parent.
@@ -204,7 +204,7 @@ def figure_blocks(charts: Mapping[str, tuple[Chart, str]], folder: Path) -> dict
 
 
 def inline_svg(svg: str, name: str, description: str) -> Markup:
-    """Turn an SVG document, drawn with the colours of `style`, into an element that takes those of the page around it.
+    """Turn an SVG document, drawn with the colours of `axes`, into an element that takes those of the page around it.
 
     `name` prefixes the ids inside, `description` is what a screen reader says. Nothing in it refers to the outside.
     """

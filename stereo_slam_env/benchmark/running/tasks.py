@@ -80,7 +80,7 @@ class Task:
     recording: bytes | None = None  # see `recording.archive`; None: the policy of `choice` drives an episode of its own
     provenance: Mapping[str, Any] = field(default_factory=dict)  # kept with the result
     bound: Bound | None = None  # for the recording, for the figures of the trial
-    whole: bool = True  # whether the time series are kept, see `run_archive`
+    whole: bool = True  # whether the time series are kept, see `run_files`
     timed: bool = True  # whether the times of the filter are wanted
 
 

@@ -166,7 +166,7 @@ class RunDirectory:
         return {**about, "code": code, "recording": as_given(recorded, self.scenario)}
 
     def save_trial(self, seed: int | None, choice: FilterChoice | None, content: bytes) -> None:
-        """Keep a finished trial (bytes of `run_archive`), or a bound."""
+        """Keep a finished trial (bytes of `run_files`), or a bound."""
         path = self.bound_path(seed) if choice is None else self.trial_path(seed, choice)
         write_atomically(path, lambda stream: stream.write(content))
 

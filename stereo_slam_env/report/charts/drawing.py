@@ -63,7 +63,7 @@ class Curve:
     y: ArrayLike
     """(K,): NaN is a gap."""
     colour: str
-    """One of `style`."""
+    """One of `axes`."""
     low: ArrayLike | None = None
     """(K,): lower ends of a band or of an interval."""
     high: ArrayLike | None = None
