@@ -169,7 +169,7 @@ def run_checked(
     write_report: ReportWriter | None = None,
 ) -> BenchmarkResult:
     """Run a study that `check_study` has passed, in a directory of `prepared_study`; as `run_benchmark`."""
-    with claimed_folder(directory.root), _terminated_like_interrupted():
+    with claimed_folder(directory.root), _interruptible():
         directory = open_study(directory.out, directory.study)
         _run_missing(directory.cells, backend, progress or (lambda done, total: None))
         results = write_results(directory)
@@ -178,14 +178,24 @@ def run_checked(
 
 
 @contextmanager
-def _terminated_like_interrupted() -> Iterator[None]:
-    """Let SIGTERM do what Ctrl-C does, where nobody else handles it: everything is ended and what is finished kept."""
+def _interruptible() -> Iterator[None]:
+    """End everything and keep what is finished at Ctrl-C, and at SIGTERM where nobody else handles it.
+
+    An interruption may meet a file half written, whose closing fails then: the error is not told in place of it.
+    """
     ours = threading.current_thread() is threading.main_thread() and signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
     if ours:
         interrupts = signal.getsignal(signal.SIGINT)
         signal.signal(signal.SIGTERM, interrupts if callable(interrupts) else signal.default_int_handler)
     try:
         yield
+    except Exception as error:
+        context = error.__context__
+        while context is not None and not isinstance(context, KeyboardInterrupt):
+            context = context.__context__
+        if context is None:
+            raise
+        raise KeyboardInterrupt from error
     finally:
         if ours:
             signal.signal(signal.SIGTERM, signal.SIG_DFL)

@@ -86,6 +86,17 @@ def test_an_interrupted_run_goes_on_where_it_stopped(tmp_path, monkeypatch):
     assert made == []
 
 
+def test_what_an_interruption_breaks_on_its_way_out_is_an_interruption(tmp_path):
+    def interrupted_while_it_writes(done, total):
+        try:
+            raise KeyboardInterrupt
+        finally:
+            raise ValueError("Can't close the ZIP file while there is an open writing handle on it")
+
+    with pytest.raises(KeyboardInterrupt):
+        run_benchmark(SHORT, tmp_path / "out", jobs=1, progress=interrupted_while_it_writes)
+
+
 def test_a_full_disk_loses_no_finished_trial(tmp_path, monkeypatch):
     written = []
     write = campaign.RunDirectory.save_trial

@@ -90,7 +90,7 @@ def test_a_terminated_run_says_what_is_kept_as_an_interrupted_one_does(run, by):
     run.wait_for_trials()
     told = run.end_by(by, group=by == signal.SIGINT)
     kept = len(list(run.out.glob("trials/*/*.npz")))
-    assert run.process.returncode == 130
+    assert run.process.returncode == 130, told
     assert f"interrupted: {kept} finished trials are kept in {run.out}" in told
     assert "to go on: stereo-slam bench --preset reference-turn" in told
     assert "Traceback" not in told
