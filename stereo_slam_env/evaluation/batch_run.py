@@ -113,9 +113,9 @@ def _step(batch: FilterBatch, rows: Sequence[_BatchRow], k: int, *, use_odometry
             row.failure = log.fault()
             continue
         if frame.truth is not None:
-            error = batch[b].pose_error(frame.truth.position, frame.truth.orientation)
+            error, claimed = batch[b].pose_error(frame.truth.position, frame.truth.orientation)
             counts = reference.counts_as_truth and bool(reference.has_settled(frame.timestamp))
-            log.note_error(k, *error, scored=counts)
+            log.note_errors(k, error, claimed, claimed if counts else None)
         if forecasts is not None:
             log.note_map(FrameMap(k, frame, forecasts[b], batch[b].noise.R))
 

@@ -11,7 +11,7 @@ from threadpoolctl import threadpool_limits
 
 from filters import LandmarkBelief, StereoNoise
 from filters.catalogue.registry import FilterFactory, label_of, make_with_common_options
-from filters.checks.consistency import InconsistentPoseError, nees
+from filters.checks.consistency import InconsistentPoseError, are_definite, nees
 from filters.contract.outputs import UpdateReport
 from filters.contract.validation import error_line, first_line
 from filters.geometry.arrays import FloatArray, IntArray
@@ -133,7 +133,7 @@ def run_filter(
             failure = log.fault() or f"{where}: {error_line(error)}"
         memory = peak_memory_mb() - memory
         if scores is not None and failure is None:
-            log.add_windows(scores.series)
+            log.note_series(np.arange(len(recording)), **scores.series)
     if failure is not None:
         _log.info("%s on %s failed at %s", name, recording.name, failure)
     return log.result(name, used, seed, failure, memory, not_given, final_map)
@@ -178,7 +178,17 @@ class RunLog:
     def __init__(self, recording: Recording) -> None:
         self._recording = recording
         self._has_truth = recording.reference.counts_as_truth
-        count = len(recording)
+        frames, count = recording.frames, len(recording)
+        nowhere, no_turn = np.full(3, np.nan), np.full(4, np.nan)
+        poses, moves = [f.truth for f in frames], [f.truth_velocity for f in frames]
+        self.given = {
+            "timestamps": np.array([f.timestamp for f in frames]),
+            "true_positions": np.array([nowhere if p is None else p.position for p in poses]),
+            "true_orientations": np.array([no_turn if p is None else p.orientation for p in poses]),
+            "true_linear_velocities": np.array([nowhere if v is None else v.linear for v in moves]),
+            "true_angular_velocities": np.array([nowhere if v is None else v.angular for v in moves]),
+        }
+        """Series of the run that the recording gives."""
         self._series = {name: np.full((count, *shape), np.nan) for name, shape in _SERIES.items()}
         self._nis_dof: IntArray = np.zeros(count, dtype=np.int64)
         self._counts: dict[str, IntArray] = {name: np.zeros(count, dtype=np.int64) for name in COUNTS}
@@ -213,30 +223,35 @@ class RunLog:
                 return
         except InconsistentPoseError as error:
             raise ContractBroken(moment.number, str(error)) from error
-        self.note_error(moment.number, *moment.pose_error)
-        if moment.scored_error is not None:
-            (_, claimed), (_, summed) = moment.pose_error, moment.scored_error
-            self._scored[moment.number] = summed
-            if summed is not claimed:
-                self._series["pose_nees_floor"][moment.number] = nees_floor(claimed, summed - claimed)
+        scored = None if moment.scored_error is None else moment.scored_error[1]
+        self.note_errors(moment.number, *moment.pose_error, scored)
 
     def note(self, k: int, report: UpdateReport, **values: FloatArray | float) -> None:
         """Note the next frame, of number k: values of series by name, and what the update did."""
         if k - self._checked == AT_ONCE:
             self._check()
-        for name, value in values.items():
-            self._series[name][k] = value
+        self.note_series(k, **values)
         self._series["nis"][k], self._nis_dof[k] = report.nis, report.nis_dof
         for name in EVENTS:
             self._counts[name][k] = len(getattr(report, name))
         self._counts["failed_factorisations"][k] = report.failed_factorisations
         self._noted = k + 1
 
-    def note_error(self, k: int, error: FloatArray, covariance: FloatArray, *, scored: bool = False) -> None:
-        """Note the error of the pose in frame k and the covariance claimed for it, by which it may be `scored`."""
-        self._series["pose_errors"][k], self._claimed[k], self._judged[k] = error, covariance, True
-        if scored:
-            self._scored[k] = covariance
+    def note_errors(
+        self, k: int | IntArray, errors: FloatArray, claimed: FloatArray, scored: FloatArray | None = None
+    ) -> None:
+        """Note errors of the pose in frames k, the covariances claimed for them, and those that they are scored by.
+
+        The latter are the claimed ones plus those of the reference; NaN, or None, where a frame is not scored.
+        """
+        self._series["pose_errors"][k], self._claimed[k], self._judged[k] = errors, claimed, True
+        if scored is not None:
+            self._scored[k] = scored
+
+    def note_series(self, k: int | IntArray, **values: FloatArray | float) -> None:
+        """Note values of series in frames k, by name."""
+        for name, value in values.items():
+            self._series[name][k] = value
 
     def note_map(self, one: FrameMap) -> None:
         """Note the map in a frame that is noted."""
@@ -311,10 +326,6 @@ class RunLog:
         self._scorer.add(score, frames)
         self._traces.add(view, maps)
 
-    def add_windows(self, series: Mapping[str, FloatArray]) -> None:
-        """Note what windows showed."""
-        self._series.update(series)
-
     def result(
         self,
         label: str,
@@ -328,20 +339,15 @@ class RunLog:
         """The run so far."""
         for name, part in _NEES.items():
             self._series[name] = nees(self._series["pose_errors"][:, part], self._scored[:, part, part])
-        frames = self._recording.frames
-        nowhere, no_turn = np.full(3, np.nan), np.full(4, np.nan)
-        poses, moves = [f.truth for f in frames], [f.truth_velocity for f in frames]
+        doubt = self._scored - self._claimed
+        doubted = are_definite(self._claimed) & np.isfinite(doubt).all(axis=(1, 2)) & doubt.any(axis=(1, 2))
+        self._series["pose_nees_floor"][doubted] = nees_floor(self._claimed[doubted], doubt[doubted])
         return FilterRun(
             filter_name=label,
             recording_name=self._recording.name,
             options=options,
             not_given=not_given or {},
             seed=seed,
-            timestamps=np.array([f.timestamp for f in frames]),
-            true_positions=np.array([nowhere if p is None else p.position for p in poses]),
-            true_orientations=np.array([no_turn if p is None else p.orientation for p in poses]),
-            true_linear_velocities=np.array([nowhere if v is None else v.linear for v in moves]),
-            true_angular_velocities=np.array([nowhere if v is None else v.angular for v in moves]),
             nis_dof=self._nis_dof,
             counts=self._counts,
             traces=self._traces.traces(),
@@ -350,6 +356,7 @@ class RunLog:
             landmark_statistics=self._scorer.statistics,
             truth_from=self._recording.truth_from,
             final_map=final_map,
+            **self.given,
             **self._series,
         )
 

@@ -16,12 +16,12 @@ import numpy as np
 from filters import Pose, nees
 from filters.checks.consistency import are_definite
 from filters.geometry.arrays import FloatArray, IntArray
-from filters.motions.motion_model import POSE_SIZE, POSITION, ROTATION
-from stereo_slam_env.evaluation.filter_run import failed_run
+from filters.motions.motion_model import POSE_SIZE
+from stereo_slam_env.evaluation.filter_run import RunLog
 from stereo_slam_env.evaluation.gauges import Alignment, carried, correlation_of, is_zero_at_start
 from stereo_slam_env.evaluation.results import FilterRun
 from stereo_slam_env.evaluation.synchronisation import MAX_GAP
-from stereo_slam_env.evaluation.windows import WINDOWS, motion_covariances, motions, nees_floor, series_of, window_ends
+from stereo_slam_env.evaluation.windows import WINDOWS, motion_covariances, motions, series_of, window_ends
 from stereo_slam_env.recording.recording import Recording
 from stereo_slam_env.recording.trajectory import Trajectory, pose_errors, tangent_jacobian, transformed
 
@@ -57,34 +57,25 @@ def outside_run(
         With `failure` where no pose belongs to a frame, or a covariance is not positive definite; without NEES where
         nothing is claimed, or only motion in a plane.
     """
+    log, failure = RunLog(recording), None
     name, options = label or trajectory.name, options or {}
-    run = replace(failed_run(recording, name, options, seed, ""), failure=None)
     try:
-        rows, frames = _paired(trajectory, run.timestamps)
+        rows, frames = _paired(trajectory, log.given["timestamps"])
         poses = _in_world(trajectory.rows(rows), recording, int(frames[0]))
     except ValueError as error:
-        return replace(run, failure=str(error))
+        return log.result(name, options, seed, str(error), float("nan"))
     claimed = None if poses.plane is not None else poses.covariances
-    failure = None
     if claimed is not None:
         sound = are_definite(claimed)
         sound[0] = True  # where it starts may be known exactly
         if not sound.all():
             first = int(np.flatnonzero(~sound)[0])
             failure = f"frame {frames[first]}: its covariance is not positive definite"
-            poses, frames, claimed = poses.rows(slice(0, first)), frames[:first], claimed[:first]
-    series = {"positions": poses.positions, "orientations": poses.orientations}
+            poses, frames = poses.rows(slice(0, first)), frames[:first]
+    log.note_series(frames, positions=poses.positions, orientations=poses.orientations)
     if claimed is not None:
-        covariances = poses.pose_covariances
-        assert covariances is not None
-        series |= {"pose_covariances": covariances} | _scored(recording, run, poses, claimed, frames)
-    filled = {key: getattr(run, key).copy() for key in (*series, *(series_of(s) for s in WINDOWS))}
-    for key, values in series.items():
-        filled[key][frames] = values
-    if claimed is not None and poses.drift is not None:
-        for seconds in WINDOWS:
-            _add_windows(filled[series_of(seconds)], seconds, recording, run, poses, frames)
-    return replace(run, failure=failure, **filled)
+        _score(log, recording, poses, frames)
+    return log.result(name, options, seed, failure, float("nan"))
 
 
 def _paired(trajectory: Trajectory, times: FloatArray) -> tuple[IntArray, IntArray]:
@@ -133,57 +124,47 @@ def _in_world(poses: Trajectory, recording: Recording, frame: int) -> Trajectory
     )
 
 
-def _scored(
-    recording: Recording, run: FilterRun, poses: Trajectory, claimed: FloatArray, frames: IntArray
-) -> dict[str, FloatArray]:
-    """Errors of the poses and their NEES, with what the reference states of its own errors."""
-    truth, truly_turned = run.true_positions[frames], run.true_orientations[frames]
+def _score(log: RunLog, recording: Recording, poses: Trajectory, frames: IntArray) -> None:
+    """Note what poses claim, and their errors, with what the reference states of its own errors."""
+    reference, start = recording.reference, Pose(recording.start.position, recording.start.orientation)
+    claimed, pose_covariances = poses.covariances, poses.pose_covariances
+    assert claimed is not None
+    assert pose_covariances is not None
+    truth, truly_turned = log.given["true_positions"][frames], log.given["true_orientations"][frames]
     known = np.isfinite(truth).all(axis=1)
     errors = np.full((len(frames), POSE_SIZE), np.nan)
     estimated = poses.positions[known], poses.orientations[known]
     errors[known] = pose_errors(poses.tangent, *estimated, truth[known], truly_turned[known])
-    reference, start = recording.reference, Pose(recording.start.position, recording.start.orientation)
-    summed, floor = claimed, np.full(len(frames), np.nan)
+    scored = claimed
     if not reference.is_exact:
         truths = [recording.frames[k].truth for k in frames]
         doubt = np.array([np.zeros((6, 6)) if t is None else reference.covariance(start, t) for t in truths])
-        doubt = transformed(tangent_jacobian(poses.tangent, poses.positions, poses.orientations), doubt)
-        summed = claimed + doubt
-        usable = np.flatnonzero(are_definite(claimed) & known)
-        floor[usable] = [nees_floor(claimed[k], doubt[k]) for k in usable]
-    counts = known & reference.has_settled(run.timestamps[frames]) & reference.counts_as_truth
+        scored = claimed + transformed(tangent_jacobian(poses.tangent, poses.positions, poses.orientations), doubt)
+    settled = known & reference.has_settled(log.given["timestamps"][frames]) & reference.counts_as_truth
+    counts = settled.copy()
     counts[0] = poses.gauge == "fixed"  # else both are put together there
-    summed = np.where(counts[:, None, None], summed, np.nan)
-    return {
-        "pose_errors": errors,
-        "pose_nees": nees(errors, summed),
-        "position_nees": nees(errors[:, POSITION], summed[:, POSITION, POSITION]),
-        "rotation_nees": nees(errors[:, ROTATION], summed[:, ROTATION, ROTATION]),
-        "pose_nees_floor": floor,
-    }
+    log.note_series(frames, pose_covariances=pose_covariances)
+    log.note_errors(frames, errors, claimed, np.where(counts[:, None, None], scored, np.nan))
+    if poses.drift is not None:
+        rows = np.flatnonzero(settled)
+        for seconds in WINDOWS:
+            _score_windows(log, seconds, recording, poses.rows(rows), frames[rows])
 
 
-def _add_windows(
-    series: FloatArray, seconds: float, recording: Recording, run: FilterRun, poses: Trajectory, frames: IntArray
-) -> None:
+def _score_windows(log: RunLog, seconds: float, recording: Recording, poses: Trajectory, frames: IntArray) -> None:
     """Note the NEES of the motion over windows, of poses that say what two of them have in common."""
-    reference = recording.reference
-    known = np.isfinite(run.true_positions[frames]).all(axis=1) & reference.has_settled(run.timestamps[frames])
-    rows = np.flatnonzero(known & reference.counts_as_truth)
-    ends = list(window_ends(run.timestamps[frames[rows]], seconds))
+    ends = list(window_ends(log.given["timestamps"][frames], seconds))
     if not ends:
         return
-    first, last = rows[np.array(ends).T]
-    truth = Trajectory(run.true_positions[frames[rows]], run.true_orientations[frames[rows]])
-    errors = pose_errors("right", *motions(poses, first, last), *motions(truth, *np.array(ends).T))
+    first, last = np.array(ends).T
+    truth = Trajectory(log.given["true_positions"][frames], log.given["true_orientations"][frames])
+    errors = pose_errors("right", *motions(poses, first, last), *motions(truth, first, last))
     covariances = motion_covariances(poses, first, last)
     assert covariances is not None
-    for k, (i, j) in enumerate(zip(frames[first], frames[last], strict=True)):
-        start, end = recording.frames[i].truth, recording.frames[j].truth
-        assert start is not None
-        assert end is not None
-        covariances[k] += transformed(_into_body(start, end), reference.relative_covariance(start, end))
-    series[frames[last]] = nees(errors, covariances)
+    for k, (i, j) in enumerate(zip(first, last, strict=True)):
+        start, end = truth.pose(i), truth.pose(j)
+        covariances[k] += transformed(_into_body(start, end), recording.reference.relative_covariance(start, end))
+    log.note_series(frames[last], **{series_of(seconds): nees(errors, covariances)})
 
 
 def _into_body(start: Pose, end: Pose) -> FloatArray:

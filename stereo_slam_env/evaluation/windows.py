@@ -120,16 +120,16 @@ def _window_nees(moved: PoseBelief, start: Pose, moment: Moment, reference: Refe
     poses = (moved.position, moved.orientation, true.position, true.orientation)
     error = pose_errors("position-rotation", *(part[None] for part in poses))
     doubt = reference.relative_covariance(start, moment.truth)
-    floor = float("nan") if reference.is_exact else nees_floor(moved.covariance, doubt)
+    floor = float("nan") if reference.is_exact else float(nees_floor(moved.covariance, doubt))
     return float(nees(error, (moved.covariance + doubt)[None])[0]), floor
 
 
-def nees_floor(claimed: FloatArray, reference: FloatArray) -> float:
-    """Mean NEES of a consistent filter that claims one covariance, against a reference with another one (n, n).
+def nees_floor(claimed: FloatArray, reference: FloatArray) -> FloatArray:
+    """Mean NEES (...) of a consistent filter that claims (..., n, n), against references with errors of (..., n, n).
 
     n + tr(P^-1 C): what it would be if the errors of the reference were taken for its own.
     """
-    return float(len(claimed) + np.trace(np.linalg.solve(claimed, reference)))
+    return np.asarray(claimed.shape[-1] + np.trace(np.linalg.solve(claimed, reference), axis1=-2, axis2=-1))
 
 
 LENGTHS = (1.0, 3.0, 10.0, 30.0, 100.0)
