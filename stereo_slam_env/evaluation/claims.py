@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
@@ -15,8 +15,10 @@ from filters.checks.consistency import are_definite, chi_square_quantile
 from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray
 from filters.motions.motion_model import POSE_SIZE, POSITION, ROTATION
+from stereo_slam_env.evaluation import trajectory_metrics as metrics
 from stereo_slam_env.evaluation.bands import MeanInterval, mean_band, mean_interval
 from stereo_slam_env.evaluation.figures import readable
+from stereo_slam_env.evaluation.gauges import AlignedPair, AlignmentKind, aligned_pair, find_alignment
 from stereo_slam_env.recording.trajectory import Trajectory, transformed
 
 PARTS = {"pose": slice(0, POSE_SIZE), "position": POSITION, "rotation": ROTATION}
@@ -213,42 +215,34 @@ class ScoredClaims:
     """(K,) of each."""
 
 
-def score_claims(
-    estimate: Trajectory,
-    reference: Trajectory,
-    covariances: FloatArray | None,
-    as_claimed: FloatArray | None,
-    obstacles: Mapping[str, str],
-    of_a_pair: bool = False,
-) -> ScoredClaims:
-    """Score each part of the pose of paired trajectories in one world.
+def score_claims(pair: AlignedPair, obstacles: Mapping[str, str], of_a_pair: bool = False) -> ScoredClaims:
+    """Score what is claimed of each part of the pose.
 
-    `covariances` (K, 6, 6) are of the errors of both, in the definition of the estimate, carried through the alignment;
-    `as_claimed` are the same before; `obstacles` say why a part is not judged; `of_a_pair` as of `ClaimScore`.
+    `obstacles` say why a part is not judged; `of_a_pair` as of `ClaimScore`.
 
     Raises
     ------
     ValueError
         No covariance of the estimate is positive definite.
     """
-    if covariances is None or as_claimed is None:
+    estimate = pair.estimate
+    if pair.covariances is None or pair.as_claimed is None or estimate.covariances is None:
         return ScoredClaims({}, {}, {})
-    assert estimate.covariances is not None
     usable = are_definite(estimate.covariances)  # before what the reference claims is added, which would hide it
     if not usable.any():
         raise ValueError(
             f"none of the covariances of {estimate.name} is positive definite: correct them, or leave them out"
         )
-    errors = estimate.errors(reference.positions, reference.orientations)
+    errors, covariances, as_claimed = pair.errors[usable], pair.covariances[usable], pair.as_claimed[usable]
     claims: dict[str, ClaimScore] = {}
     series: dict[str, FloatArray] = {}
     scores: dict[str, FloatArray] = {}
     for name, numbers in claimed_numbers(estimate.rows(usable)).items():
         dof = numbers.shape[-2]
-        own_errors, own = rotations.turned(numbers, errors[usable]), transformed(numbers, covariances[usable])
+        own_errors, own = rotations.turned(numbers, errors), transformed(numbers, covariances)
         values, sharpness = np.full((2, len(usable)), np.nan)
         values[usable] = nees(own_errors, own)
-        before = nees_of(numbers, errors[usable], as_claimed[usable])
+        before = nees_of(numbers, errors, as_claimed)
         sharpness[usable] = 0.5 * (np.linalg.slogdet(own)[1] + dof * np.log(2.0 * np.pi))
         series[name], scores[name] = values, 0.5 * values + sharpness
         none = int(np.count_nonzero(~usable))
@@ -261,3 +255,66 @@ def score_claims(
             )
         claims[name] = claim
     return ScoredClaims(claims, series, scores)
+
+
+@dataclass(frozen=True)
+class GaugeScore:
+    """What a claim would be found to be under an alignment."""
+
+    alignment: AlignmentKind
+    """How the world would be aligned, by all poses but for "start"."""
+    nees: float
+    """Mean NEES of the pose, or of the position where that is all there is; `dof` is ideal."""
+    dof: int
+    """Numbers of an error: 6, or 3 of a position or in a plane."""
+    position_rmse_m: float
+    """Root mean square of the distance, m."""
+    fit: Fit
+    """The claim under it."""
+
+    @property
+    def error_ratio(self) -> float:
+        """Standard deviation of the errors over the claimed one, root mean square over the axes."""
+        return error_ratio(self.nees, self.dof)
+
+    @property
+    def verdict(self) -> str:
+        """The same in words."""
+        return verdict_of(self.nees, self.dof, mean_band(self.dof, 1))
+
+
+ANOTHER_SIZE = 2.0
+"""Ratio of errors to claims, per axis, between two alignments from which on the claim is another one."""
+
+
+def claims_differ(gauges: Sequence[GaugeScore]) -> bool:
+    """Whether a claim fits otherwise under another alignment, or is wrong by another size."""
+    sizes = [gauge.error_ratio for gauge in gauges if gauge.fit is not Fit.UNKNOWN]
+    otherwise = len({gauge.fit for gauge in gauges}) > 1
+    return otherwise or (bool(sizes) and max(sizes) > ANOTHER_SIZE * min(sizes))
+
+
+def score_gauges(estimate: Trajectory, reference: Trajectory, chosen: AlignedPair) -> tuple[GaugeScore, ...]:
+    """The claim on the pose under every alignment; without those of a world or a scale that the chosen one denies."""
+    if chosen.covariances is None:
+        return ()
+    kinds: list[AlignmentKind] = [*(["start"] if estimate.is_oriented else []), "gravity-yaw", "rigid"]  # type: ignore[list-item]
+    if chosen.alignment.kind == "none":
+        kinds.insert(0, "none")
+    elif chosen.alignment.kind == "sim3":
+        kinds.append("sim3")
+    everything, scores = np.ones(len(estimate), dtype=bool), []
+    for kind in kinds:
+        try:
+            alignment = find_alignment(kind, estimate, reference, everything, chosen.alignment.up)
+        except ValueError:
+            continue  # what the poses do not determine is no choice
+        pair = aligned_pair(estimate, reference, alignment)
+        pair = pair.rows(pair.scored)
+        assert pair.covariances is not None
+        numbers = next(iter(claimed_numbers(pair.estimate).values()))
+        values, dof = nees_of(numbers, pair.errors, pair.covariances), numbers.shape[-2]
+        mean = float(np.nanmean(values)) if np.isfinite(values).any() else float("nan")
+        error = metrics.ate_unaligned(pair.estimate.positions, pair.reference.positions)
+        scores.append(GaugeScore(kind, mean, dof, error, fit_of(mean, mean_band(dof, 1))))
+    return tuple(scores)

@@ -19,16 +19,7 @@ from filters.motions.motion_model import POSE_SIZE, POSITION, ROTATION
 from stereo_slam_env.evaluation import trajectory_metrics as metrics
 from stereo_slam_env.evaluation.body_frames import find_body_offset, seen_from, swapped_reading
 from stereo_slam_env.evaluation.claims import PARTS, claimed_numbers, nees_of
-from stereo_slam_env.evaluation.gauges import (
-    UP,
-    Alignment,
-    AlignmentKind,
-    claimed_through,
-    correlation_of,
-    find_alignment,
-    own_gauge,
-    turned_as,
-)
+from stereo_slam_env.evaluation.gauges import UP, AlignedPair, AlignmentKind, aligned_pair, find_alignment, own_gauge
 from stereo_slam_env.evaluation.results import ConsistencyFigure, FilterRun
 from stereo_slam_env.evaluation.synchronisation import PosePairs, find_time_offset, paired, share_at_risk, shifted
 from stereo_slam_env.evaluation.trial import estimate_of, reference_of
@@ -81,11 +72,11 @@ def gauge_of(estimate: Trajectory, reference: Trajectory) -> tuple[AlignmentKind
     how = own_gauge(estimate)
     if how != "none" or estimate.gauge is not None or estimate.covariances is None:
         return how, ""
-    first = estimate.rows(slice(0, 1))
-    truth = turned_as(reference.rows(slice(0, 1)), first)
+    first, truth = estimate.rows(slice(0, 1)), reference.rows(slice(0, 1))
+    turned = (truth if first.is_oriented else first).orientations
     assert first.covariances is not None
     numbers = next(iter(claimed_numbers(first).values()))
-    apart = nees_of(numbers, first.errors(truth.positions, truth.orientations), first.covariances)[0]
+    apart = nees_of(numbers, first.errors(truth.positions, turned), first.covariances)[0]
     if not apart > numbers.shape[-2] * _ELSEWHERE:
         return how, ""
     kind: AlignmentKind = "start" if estimate.is_oriented else "rigid"
@@ -130,17 +121,13 @@ def _turn_of_path(trajectory: Trajectory) -> float:
     return float(np.quantile(np.arccos(np.clip(ahead @ ahead[0], -1.0, 1.0)), 0.9))
 
 
-def explanation(
-    bands: Mapping[str, tuple[float, float]],
-    estimate: Trajectory,
-    reference: Trajectory,
-    covariances: FloatArray | None,
-) -> str:
-    """A reading of an aligned estimate under which its claim would be true where it seems too tight or too loose.
+def explanation(bands: Mapping[str, tuple[float, float]], pair: AlignedPair) -> str:
+    """A reading of the estimate under which its claim would be true where it seems too tight or too loose.
 
     Blocks of the covariances in the other order; a constant turn or lever arm of the body, seen in one world. `bands`
     are those of the mean NEES of "position" and "rotation". Empty text where there is none.
     """
+    estimate, covariances = pair.estimate, pair.covariances
     if (
         covariances is None
         or estimate.plane is not None
@@ -148,9 +135,8 @@ def explanation(
         or not _HALVES.keys() <= bands.keys()
     ):
         return ""
-    errors = estimate.errors(reference.positions, reference.orientations)
     usable = are_definite(covariances)
-    errors, R = errors[usable], rotations.matrix(estimate.orientations[usable])
+    errors, R = pair.errors[usable], rotations.matrix(estimate.orientations[usable])
     covariances, R_inverse = covariances[usable], R.swapaxes(1, 2)
     readings = [
         (_EXCHANGED, errors, transformed(_exchange(first, second), covariances), 1.0)
@@ -208,9 +194,9 @@ def _constant_offsets(tangent: Tangent, R: FloatArray, errors: FloatArray) -> It
         )
 
 
-def find_obstacles(pairs: PosePairs, whole: tuple[Trajectory, Trajectory], alignment: Alignment) -> Findings:
+def find_obstacles(pairs: PosePairs, whole: tuple[Trajectory, Trajectory], pair: AlignedPair) -> Findings:
     """What keeps paired trajectories from being compared; `whole` are the two before they were paired."""
-    aligned, truth = alignment.apply(pairs.estimate), pairs.reference
+    aligned, truth, kind = pair.estimate, pairs.reference, pair.alignment.kind
     path = metrics.path_length(truth.positions)
     obstacles = dict.fromkeys(("pose", "position", "rotation"), "")
     notes: list[str] = []
@@ -236,11 +222,11 @@ def find_obstacles(pairs: PosePairs, whole: tuple[Trajectory, Trajectory], align
             obstacles[part] = offset.words if is_hit else ""
     scale, _, _ = metrics.similarity(pairs.estimate.positions, truth.positions)
     scaled = metrics.ate_scaled(pairs.estimate.positions, truth.positions)
-    if scale > 0.0 and alignment.kind != "sim3" and scaled * _MUCH < rigid:
+    if scale > 0.0 and kind != "sim3" and scaled * _MUCH < rigid:
         why = f"the estimate has a scale of its own, {1.0 / scale:.3g} m for a metre: --align sim3 takes it off"
         obstacles = dict.fromkeys(obstacles, why)
         notes.append(why)
-    elif alignment.kind == "none" and rigid * _MUCH < error:
+    elif kind == "none" and rigid * _MUCH < error:
         notes.append(
             f"the error is {_length(rigid)} after a rigid alignment: where the estimate has a world of its own, "
             "--align start, gravity-yaw or rigid says so"
@@ -286,12 +272,12 @@ def _doubt_of(run: FilterRun, bands: Mapping[str, tuple[float, float]]) -> str:
     if fillers:
         return fillers[0].partition(":")[0]
     alignment = find_alignment("none", matched, reference, np.ones(len(matched), dtype=bool), UP["z"])
-    findings = find_obstacles(pairs, (estimate, truth), alignment)
+    pair = aligned_pair(matched, reference, alignment)
+    findings = find_obstacles(pairs, (estimate, truth), pair)
     if findings.diverged_at_s is not None:
         return ""
-    matched, reference = (one.rows(slice(1, None)) for one in (matched, reference))  # the first frame is given
-    _, covariances = claimed_through(matched, reference, alignment, correlation_of(matched))
-    why = next(filter(None, findings.obstacles.values()), "") or explanation(bands, matched, reference, covariances)
+    pair = pair.rows(slice(1, None))  # the first frame is given
+    why = next(filter(None, findings.obstacles.values()), "") or explanation(bands, pair)
     return why.partition(":")[0]  # the remedy behind it is that of files of trajectories
 
 

@@ -27,7 +27,7 @@ from filters.motions.motion_model import POSE_SIZE
 from stereo_slam_env.evaluation.body_frames import find_body_offset
 from stereo_slam_env.evaluation.comparability import find_obstacles
 from stereo_slam_env.evaluation.drift_model import DRIVERS, DriftModel, LengthCheck, basis
-from stereo_slam_env.evaluation.gauges import UP, find_alignment
+from stereo_slam_env.evaluation.gauges import UP, aligned_pair, find_alignment
 from stereo_slam_env.evaluation.synchronisation import MAX_GAP, PosePairs, paired
 from stereo_slam_env.evaluation.windows import LENGTHS, motions
 from stereo_slam_env.recording.trajectory import Trajectory, pose_errors
@@ -152,7 +152,8 @@ def _windows_of(
         reference = reference.of_body(T_bc.inverse())
     everything = np.ones(len(pairs.rows), dtype=bool)
     start = find_alignment("start", pairs.estimate, pairs.reference, everything, UP["z"])
-    why = find_obstacles(pairs, (estimate, reference), start).obstacles["pose"]
+    from_start = aligned_pair(pairs.estimate, pairs.reference, start)
+    why = find_obstacles(pairs, (estimate, reference), from_start).obstacles["pose"]
     if why and why != _small_offset(pairs):
         raise ValueError(f"nothing is learned from {estimate.name}: {why}")
     moved, truly = (motions(one, first, last) for one in (pairs.estimate, pairs.reference))

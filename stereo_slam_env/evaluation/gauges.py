@@ -6,13 +6,10 @@ gamma = sum_j W_j xi_j. The covariance of xi'_k is that of the claim carried thr
 Gallego and Scaramuzza, "On the comparison of gauge freedom handling in optimization-based visual-inertial state
 estimation", RA-L 2018); `docs/derivations/gauge.md` derives it. A file does not say how the errors of two poses are
 correlated, see `Correlation`.
-
-Scores of a claim under each alignment, with the covariances carried through it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -24,8 +21,6 @@ from filters.geometry import rotations
 from filters.geometry.arrays import BoolArray, FloatArray
 from filters.motions.motion_model import POSE_SIZE, POSITION, ROTATION
 from stereo_slam_env.evaluation import trajectory_metrics as metrics
-from stereo_slam_env.evaluation.bands import mean_band
-from stereo_slam_env.evaluation.claims import Fit, claimed_numbers, fit_of, nees_of, verdict_of
 from stereo_slam_env.recording.trajectory import Trajectory, tangent_jacobian, transformed
 
 AlignmentKind = Literal["none", "start", "gravity-yaw", "rigid", "sim3"]
@@ -214,61 +209,54 @@ _LEFT = 1e-9
 """A direction in which a carried covariance keeps a smaller share of what was claimed is fixed by the alignment."""
 
 
-@dataclass(frozen=True)
-class GaugeScore:
-    """What a claim would be found to be under an alignment."""
+@dataclass(frozen=True, eq=False)
+class AlignedPair:
+    """Paired trajectories in the world of the reference, and the covariances of the errors there."""
 
-    alignment: AlignmentKind
-    """How the world would be aligned, by all poses but for "start"."""
-    nees: float
-    """Mean NEES of the pose, or of the position where that is all there is; `dof` is ideal."""
-    dof: int
-    """Numbers of an error: 6, or 3 of a position or in a plane."""
-    position_rmse_m: float
-    """Root mean square of the distance, m."""
-    fit: Fit
-    """The claim under it."""
+    estimate: Trajectory
+    """(K poses)."""
+    reference: Trajectory
+    """(K poses), with the orientations of the estimate where one of the two has none to be compared."""
+    alignment: Alignment
+    """How they came there."""
+    correlation: Correlation
+    """How errors of two poses were taken to be correlated where the claim was carried through the alignment."""
+    as_claimed: FloatArray | None
+    """(K, 6, 6), of estimate and reference together, in the definition of the estimate; None: it claims nothing."""
+    covariances: FloatArray | None
+    """(K, 6, 6): the same, carried through the alignment."""
+    scored: BoolArray
+    """(K,): all but the poses that both have in common by the alignment, or from the start."""
 
     @property
-    def error_ratio(self) -> float:
-        """Standard deviation of the errors over the claimed one, root mean square over the axes."""
-        return float(np.sqrt(self.nees / self.dof))
+    def errors(self) -> FloatArray:
+        """Errors (K, 6) of the estimate, in its own definition."""
+        return self.estimate.errors(self.reference.positions, self.reference.orientations)
 
-    @property
-    def verdict(self) -> str:
-        """The same in words."""
-        return verdict_of(self.nees, self.dof, mean_band(self.dof, 1))
-
-
-ANOTHER_SIZE = 2.0
-"""Ratio of errors to claims, per axis, between two alignments from which on the claim is another one."""
-
-
-def claims_differ(gauges: Sequence[GaugeScore]) -> bool:
-    """Whether a claim fits otherwise under another alignment, or is wrong by another size."""
-    sizes = [gauge.error_ratio for gauge in gauges if gauge.fit is not Fit.UNKNOWN]
-    otherwise = len({gauge.fit for gauge in gauges}) > 1
-    return otherwise or (bool(sizes) and max(sizes) > ANOTHER_SIZE * min(sizes))
+    def rows(self, rows: BoolArray | slice) -> AlignedPair:
+        """The same of some poses."""
+        return replace(
+            self,
+            estimate=self.estimate.rows(rows),
+            reference=self.reference.rows(rows),
+            as_claimed=None if self.as_claimed is None else self.as_claimed[rows],
+            covariances=None if self.covariances is None else self.covariances[rows],
+            scored=self.scored[rows],
+        )
 
 
-def claimed_through(
-    aligned: Trajectory, reference: Trajectory, alignment: Alignment, correlation: Correlation
-) -> tuple[FloatArray | None, FloatArray | None]:
-    """Covariances of the errors of an aligned estimate against its reference: as claimed, and through the alignment."""
-    own = aligned.covariances
-    if own is None:
-        return None, None
-    through = carried(own, aligned, alignment, correlation)
-    if (doubt := reference.pose_covariances) is None:
-        return own, through
-    doubt = transformed(tangent_jacobian(aligned.tangent, aligned.positions, aligned.orientations), doubt)
-    return own + doubt, through + carried(doubt, aligned, alignment, correlation_of(reference))
-
-
-def scored_rows(
-    aligned: Trajectory, alignment: Alignment, as_claimed: FloatArray | None, covariances: FloatArray | None
-) -> BoolArray:
-    """Which poses are scored: not those that both have in common by the alignment, or from the start."""
+def aligned_pair(estimate: Trajectory, reference: Trajectory, alignment: Alignment) -> AlignedPair:
+    """Bring paired trajectories into one world, and what they claim with them."""
+    correlation, aligned = correlation_of(estimate), alignment.apply(estimate)
+    if not aligned.is_oriented:
+        reference = replace(reference, orientations=aligned.orientations)
+    as_claimed = covariances = aligned.covariances
+    if as_claimed is not None:
+        covariances = carried(as_claimed, aligned, alignment, correlation)
+        if (doubt := reference.pose_covariances) is not None:
+            doubt = transformed(tangent_jacobian(aligned.tangent, aligned.positions, aligned.orientations), doubt)
+            as_claimed = as_claimed + doubt
+            covariances = covariances + carried(doubt, aligned, alignment, correlation_of(reference))
     scored = np.ones(len(aligned), dtype=bool)
     if alignment.rows.sum() == 1:
         scored &= ~alignment.rows
@@ -277,46 +265,4 @@ def scored_rows(
         usable = are_definite(as_claimed)
         L = np.linalg.inv(np.linalg.cholesky(as_claimed[usable]))
         scored[usable] &= np.linalg.eigvalsh(transformed(L, covariances[usable]))[:, 0] > _LEFT
-    return scored
-
-
-def turned_as(reference: Trajectory, aligned: Trajectory) -> Trajectory:
-    """The reference, with the orientations of the aligned estimate where one of the two has none to be compared."""
-    return reference if aligned.is_oriented else replace(reference, orientations=aligned.orientations)
-
-
-def score_gauges(
-    estimate: Trajectory, reference: Trajectory, chosen: Alignment, correlation: Correlation
-) -> tuple[GaugeScore, ...]:
-    """The claim on the pose under every alignment; without those of a world or a scale that the chosen one denies."""
-    kinds: list[AlignmentKind] = [*(["start"] if estimate.is_oriented else []), "gravity-yaw", "rigid"]  # type: ignore[list-item]
-    if chosen.kind == "none":
-        kinds.insert(0, "none")
-    elif chosen.kind == "sim3":
-        kinds.append("sim3")
-    found = []
-    for kind in kinds:
-        try:
-            alignment = find_alignment(kind, estimate, reference, np.ones(len(estimate), dtype=bool), chosen.up)
-        except ValueError:
-            continue  # what the poses do not determine is no choice
-        aligned = alignment.apply(estimate)
-        truth = turned_as(reference, aligned)
-        as_claimed, covariances = claimed_through(aligned, truth, alignment, correlation)
-        assert as_claimed is not None
-        assert covariances is not None
-        scored = scored_rows(aligned, alignment, as_claimed, covariances)
-        errors = aligned.errors(truth.positions, truth.orientations)
-        numbers = next(iter(claimed_numbers(aligned.rows(scored)).values()))
-        values, dof = nees_of(numbers, errors[scored], covariances[scored]), numbers.shape[-2]
-        mean = float(np.nanmean(values)) if np.isfinite(values).any() else float("nan")
-        found.append(
-            GaugeScore(
-                alignment=kind,
-                nees=mean,
-                dof=dof,
-                position_rmse_m=metrics.ate_unaligned(aligned.positions[scored], reference.positions[scored]),
-                fit=fit_of(mean, mean_band(dof, 1)),
-            )
-        )
-    return tuple(found)
+    return AlignedPair(aligned, reference, alignment, correlation, as_claimed, covariances, scored)

@@ -19,21 +19,15 @@ from filters.geometry.arrays import BoolArray, FloatArray
 from stereo_slam_env.evaluation import trajectory_metrics as metrics
 from stereo_slam_env.evaluation.bands import MeanInterval, block_length, mean_interval, stationary_rows
 from stereo_slam_env.evaluation.body_frames import find_body_offset
-from stereo_slam_env.evaluation.claims import ClaimScore, score_claims
+from stereo_slam_env.evaluation.claims import ClaimScore, GaugeScore, claims_differ, score_claims, score_gauges
 from stereo_slam_env.evaluation.comparability import explanation, find_obstacles, gauge_of, without_fillers
 from stereo_slam_env.evaluation.gauges import (
     UP,
     AlignmentKind,
     Correlation,
-    GaugeScore,
-    claimed_through,
-    claims_differ,
-    correlation_of,
+    aligned_pair,
     find_alignment,
     is_zero_at_start,
-    score_gauges,
-    scored_rows,
-    turned_as,
 )
 from stereo_slam_env.evaluation.synchronisation import FEWEST, MAX_GAP, find_time_offset, paired, shifted
 from stereo_slam_env.evaluation.windows import LENGTHS, WindowScore, score_windows
@@ -315,32 +309,24 @@ def evaluate_trajectory(
         asked = "rigid"
     if align is None and said:
         notes.append(said)
-    correlation = correlation_of(matched)
     rows = _rows_within(truth, align_seconds)
     if not matched.is_oriented and np.count_nonzero(rows) < FEWEST and (align or asked) != "none":
         raise ValueError(f"align_seconds leaves {np.count_nonzero(rows)} positions to align by: give more seconds")
     alignment = find_alignment(align or asked, matched, truth, rows, UP[up])
-    found = find_obstacles(pairs, (estimate, reference), alignment)
-    times = np.arange(len(matched), dtype=np.float64)
-    if (stamps := truth.timestamps if truth.timestamps is not None else matched.timestamps) is not None:
-        times = stamps
-    aligned = alignment.apply(matched)
-    truth = turned_as(truth, aligned)
-    as_claimed, covariances = claimed_through(aligned, truth, alignment, correlation)
-    windows = [
-        score_windows(length, aligned, truth, times) for length in LENGTHS if stamps is not None and aligned.is_oriented
-    ]
-    scored = scored_rows(aligned, alignment, as_claimed, covariances)
-    own, truth = aligned.rows(scored), truth.rows(scored)
-    covariances = None if covariances is None else covariances[scored]
-    as_claimed = None if as_claimed is None else as_claimed[scored]
-    obstacles = found.verdicts
-    claims = score_claims(own, truth, covariances, as_claimed, obstacles, pair)
+    in_world = aligned_pair(matched, truth, alignment)
+    findings = find_obstacles(pairs, (estimate, reference), in_world)
+    stamps = truth.timestamps if truth.timestamps is not None else matched.timestamps
+    times = np.arange(len(matched), dtype=np.float64) if stamps is None else stamps
+    timed = stamps is not None and in_world.estimate.is_oriented
+    windows = [score_windows(s, in_world.estimate, in_world.reference, times) for s in LENGTHS if timed]
+    scored = in_world.rows(in_world.scored)
+    own, truth = scored.estimate, scored.reference
+    obstacles = findings.verdicts
+    claims = score_claims(scored, obstacles, pair)
     bands = {name: claim.band for name, claim in claims.claims.items()}
     doubted = pair or "pose" not in claims.claims or any(obstacles.values())
-    if not doubted and (why := explanation(bands, own, truth, covariances)):
-        obstacles = dict.fromkeys(obstacles, f"calibration, frames or truth: {why}")
-        claims = score_claims(own, truth, covariances, as_claimed, obstacles, pair)
+    if not doubted and (why := explanation(bands, scored)):
+        claims = score_claims(scored, dict.fromkeys(obstacles, f"calibration, frames or truth: {why}"), pair)
         notes.append(why)
     path = metrics.path_length(truth.positions)
     return TrajectoryScore(
@@ -349,7 +335,7 @@ def evaluate_trajectory(
         alignment=alignment.kind,
         aligned_by=int(alignment.rows.sum()),
         scale=alignment.scale,
-        correlation=correlation,
+        correlation=in_world.correlation,
         time_offset_s=offset,
         frames=len(own),
         unmatched=len(estimate) - len(pairs.rows),
@@ -359,14 +345,14 @@ def evaluate_trajectory(
         rotation_rmse_deg=_rotation_rmse_deg(own.orientations, truth.orientations) if own.is_oriented else None,
         ate_rigid_m=metrics.ate_rigid(own.positions, truth.positions),
         end_drift_percent=metrics.end_drift_percent(own.positions, truth.positions) if path > 0 else None,
-        diverged_at_s=found.diverged_at_s,
+        diverged_at_s=findings.diverged_at_s,
         claims=claims.claims,
-        gauges=score_gauges(matched, pairs.reference, alignment, correlation) if claims.claims else (),
+        gauges=score_gauges(matched, pairs.reference, in_world),
         gauge_is_open=align is None and not pair and matched.gauge is None and not is_zero_at_start(matched),
         windows=tuple(window for window in windows if window is not None),
-        notes=(*notes, *found.notes),
-        times=times[scored],
-        poses=replace(own, covariances=covariances),
+        notes=(*notes, *findings.notes),
+        times=times[in_world.scored],
+        poses=replace(own, covariances=scored.covariances),
         reference_poses=truth,
         nees=claims.nees,
         log_scores=claims.log_scores,
