@@ -8,8 +8,6 @@ JSON: format version, name, camera, noise that lasts, source, and what the truth
 from __future__ import annotations
 
 import dataclasses
-import io
-import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -33,7 +31,7 @@ from filters.contract.validation import at_most, covariance_matrix, first_line, 
 from filters.geometry.arrays import FloatArray
 from stereo_slam_env.files.folders import write_atomically
 from stereo_slam_env.files.opening import NotOpened
-from stereo_slam_env.files.readers import read_arrays
+from stereo_slam_env.files.record_files import DAMAGE, Arrays, NoRecord, OtherFormat, packed, unpacked
 from stereo_slam_env.recording.filter_setup import FilterSetup
 from stereo_slam_env.recording.recording import (
     GIVEN_TRUTH,
@@ -61,8 +59,6 @@ _START = {"position": (3,), "orientation": (4,), "linear_velocity": (3,), "angul
 _KINDS = {"numbers": "fiu", "integers": "iu", "truth values": "b"}
 _MOST, _MOST_SQUARE, _MOST_PIXELS, _UNIT = 1e12, 1e24, 100_000, 1e-6
 """Largest number (m, px, s), (co)variance, and image that a recording can hold; how far from 1 a unit may be."""
-
-Arrays = dict[str, NDArray[Any]]
 
 
 def save_recording(path: str | Path, recording: Recording) -> None:
@@ -96,25 +92,20 @@ def packed_recording(recording: Recording) -> bytes:
                 raise ValueError(
                     f"frame {k} has a {type(given).__name__}, not a {kind.__name__} itself: what it adds would be lost"
                 )
-    camera = {name: _plain(value) for name, value in dataclasses.asdict(recording.camera).items()}
     about = {
-        "format": FORMAT,
         "name": recording.name,
-        "camera": camera,
+        "camera": {name: _plain(value) for name, value in dataclasses.asdict(recording.camera).items()},
         "source": dict(recording.source),
         "truth_from": dataclasses.asdict(recording.truth_from),
         **({"coloured_noise": recording.noise.parts} if isinstance(recording.noise, ColouredNoise) else {}),
     }
     if recording.stated_setup is not None:
         about["filter_setup"] = recording.stated_setup.as_dict()
+    arrays = _arrays_of(recording)
     try:
-        header = json.dumps(about, allow_nan=False)
+        return packed(FORMAT, about, arrays)
     except (TypeError, ValueError) as error:
         raise ValueError(f"recording.source must consist of JSON values: {error}") from error
-    arrays: dict[str, Any] = {"about": np.array(header), **_arrays_of(recording)}
-    stream = io.BytesIO()
-    np.savez(stream, **arrays)
-    return stream.getvalue()
 
 
 def unpacked_recording(content: bytes) -> Recording:
@@ -145,26 +136,18 @@ def load_recording(path: str | Path) -> Recording:
 
 def _read(source: str | Path | bytes, path: str | Path) -> Recording:
     try:
-        arrays: Arrays = read_arrays(source)
+        return _recording_of(*unpacked(source, FORMAT))
     except FileNotFoundError as error:
         raise ValueError(f"{path} does not exist: give a recording made by save_recording") from error
     except NotOpened:
         raise
-    except ValueError as error:
-        raise _damaged(path, error) from error
-    if "about" not in arrays:
-        raise ValueError(f"{path} is not a recording: give a file made by save_recording")
-    try:
-        about = json.loads(str(arrays["about"]))
-        found = about["format"]
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
+    except NoRecord as error:
         raise ValueError(f"{path} is not a recording: give a file made by save_recording") from error
-    if found != FORMAT:
-        raise ValueError(f"{path} is a recording of format {found}, this version reads {FORMAT}: record it again")
-    try:
-        return _recording_of(about, arrays)
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise _damaged(path, error) from error
+    except OtherFormat as error:
+        raise ValueError(f"{path} is a recording of {error}: record it again") from error
+    except DAMAGE as error:
+        reason = f"lacks {first_line(error)}" if isinstance(error, KeyError) else first_line(error)
+        raise ValueError(f"{path} is damaged ({reason}): copy or record it again") from error
 
 
 def _arrays_of(recording: Recording) -> Arrays:
@@ -369,10 +352,3 @@ def _shaped(arrays: Arrays, name: str, shape: tuple[int, ...], of: str = "number
 
 def _plain(value: Any) -> Any:
     return value.item() if isinstance(value, np.generic) else value
-
-
-def _damaged(path: str | Path, error: BaseException) -> ValueError:
-    reason = first_line(error)
-    if isinstance(error, KeyError):
-        reason = f"lacks {reason}"
-    return ValueError(f"{path} is damaged ({reason}): copy or record it again")

@@ -38,6 +38,7 @@ from stereo_slam_env.evaluation.trial import reference_of as reference_of_run
 from stereo_slam_env.files.folders import is_occupied
 from stereo_slam_env.files.opening import NotOpened
 from stereo_slam_env.files.readers import read_arrays, read_json
+from stereo_slam_env.files.record_files import DAMAGE, packed, unpacked
 from stereo_slam_env.recording.archive import reference_of
 from stereo_slam_env.recording.trajectory import Trajectory
 from stereo_slam_env.recording.trajectory_files import save_trajectory
@@ -143,7 +144,6 @@ FORMAT = 4
 _TEXT = ("filter_name", "recording_name", "options", "not_given", "seed", "failure")
 _PARTS = ("counts", "traces", "memory_mb", "landmark_statistics", "truth_from", "final_map")
 _SERIES = tuple(f.name for f in dataclasses.fields(FilterRun) if f.name not in (*_TEXT, *_PARTS))
-_DAMAGE = (MemoryError, OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError)
 _TRACE_SERIES = ("frames", "depth", "sigma", "true_depth", "measured_depth")
 _SEGMENT_SERIES = tuple(f.name for f in dataclasses.fields(SegmentErrors))
 _SHAPES = {
@@ -186,7 +186,6 @@ def packed_run(
     ]
     arrays["numbers"] = np.concatenate(numbers).astype(np.float64)  # one array is read far faster than many
     about = {
-        "format": FORMAT,
         "figures": None if score is None else dict(score.figures),
         "segments": None if score is None else len(score.segments),
         "series": None if whole else names,
@@ -197,10 +196,7 @@ def packed_run(
         "truth_from": dataclasses.asdict(run.truth_from),
         "provenance": dict(provenance),
     }
-    arrays["about"] = np.array(json.dumps(about, allow_nan=False))
-    stream = io.BytesIO()
-    np.savez_compressed(stream, **arrays)
-    return stream.getvalue()
+    return packed(FORMAT, about, arrays, compress=True)
 
 
 def _whole(run: FilterRun) -> dict[str, Any]:
@@ -228,15 +224,14 @@ def load_bound(path: Path, *, inside: Path | None = None) -> tuple[Bound | None,
 def load_provenance(path: Path, *, inside: Path | None = None) -> tuple[dict[str, Any], bool]:
     """The provenance alone, without reading the series, and whether the run is whole; raises as `load_run`."""
     with damage_named(path):
-        about = _checked(read_arrays(path, ["about"], inside=inside))
+        about, _ = unpacked(path, FORMAT, (), inside=inside)
         return about["provenance"], about["series"] is None
 
 
 def load_run(path: Path, *, inside: Path | None = None) -> StoredRun:
     """Read a run; a `ValueError` names a file that is damaged, of another format, or outside."""
     with damage_named(path):
-        arrays: dict[str, Any] = read_arrays(path, inside=inside)
-        about = _checked(arrays)
+        about, arrays = unpacked(path, FORMAT, inside=inside)
         whole, segments = about["series"] is None, about["segments"]
         numbers = _Numbers(arrays["numbers"])
         memory = float(numbers.next(())[()])
@@ -300,14 +295,7 @@ def damage_named(path: Path) -> Iterator[None]:
         yield
     except (FileNotFoundError, NotOpened):
         raise
-    except _DAMAGE as error:
+    except DAMAGE as error:
         raise ValueError(
             f"{path} is damaged ({first_line(error)}): delete it and run the same command again"
         ) from error
-
-
-def _checked(arrays: Mapping[str, Any]) -> dict[str, Any]:
-    about: dict[str, Any] = json.loads(str(arrays["about"]))
-    if about["format"] != FORMAT:
-        raise ValueError(f"format {about['format']}, this version reads {FORMAT}")
-    return about
