@@ -114,7 +114,12 @@ def evaluate(
         for k, path in enumerate(estimates)
     ]
     verdict = scores[0].against(scores[1]) if against is not None else None
-    runs = score_runs(scores) if len(scores) > 1 and against is None else None
+    runs, by_itself = None, ""
+    if len(scores) > 1 and against is None:
+        try:
+            runs = score_runs(scores)
+        except ValueError as error:  # errors stand side by side without a claim, too
+            by_itself = f"each is judged by itself: {error}" if any(score.claims for score in scores) else ""
     figures = {
         "schema": SCHEMA,
         "scores": [score.as_dict() for score in scores],
@@ -129,6 +134,8 @@ def evaluate(
         show_trajectory_scores(console(), scores)
         if verdict is not None:
             typer.echo(verdict.words)
+        if by_itself:
+            typer.echo(by_itself)
     if out is not None:
         own_files(out, ["score.json", "report.html"])
         write_json(out / "score.json", figures)

@@ -391,7 +391,6 @@ def test_what_replay_writes_is_read_by_evaluate_with_the_same_nees(command, tmp_
         (("truth.tum", "truth.tum", "--body", "b", "--body-estimated"), "leave one of them out"),
         (("truth.tum", "truth.tum", "--up", "w"), "up must be one of x, y, z, got 'w'"),
         (("truth.tum", "truth.tum", "--pair"), "pair needs covariances in both files"),
-        (("truth.tum", "truth.tum", "truth.tum"), "runs are judged together from two on, 0 of 2 can be"),
         (("truth.tum", "truth.tum", "truth.tum", "--against", "truth.tum"), "--against compares one estimate with"),
         (("truth.tum", "truth.tum", "--out", "score.json"), "--out must be a folder, got score.json: for the figures"),
     ],
@@ -403,6 +402,24 @@ def test_evaluate_says_in_one_line_what_is_wrong(command, tmp_path, monkeypatch,
     assert (code, out) == (2, "")
     assert complaint in err
     assert err.count("\n") == 1
+
+
+def test_estimates_without_a_claim_stand_side_by_side(command, tmp_path):
+    truth = wave(tmp_path, "truth.tum")
+    estimates = [wave(tmp_path, f"{name}.tum", seed, 0.01) for seed, name in enumerate(("mine", "yours", "theirs"))]
+    code, out, _ = command("evaluate", *estimates, truth)
+    assert code == 0
+    assert all(f"{name}: position error" in out for name in ("mine", "yours", "theirs"))
+    assert "judged by itself" not in out
+    sse.save_trajectory(tmp_path / "sure.square", with_claim(sse.load_trajectory(estimates[0])))
+    code, out, _ = command("evaluate", tmp_path / "sure.square", *estimates[1:], truth)
+    assert code == 0
+    assert "each is judged by itself: runs are judged together from two on, 1 of 3 can be" in out
+
+
+def with_claim(trajectory):
+    """The trajectory with a claim of 0.1 m and 0.1 rad."""
+    return replace(trajectory, covariances=np.broadcast_to(0.01 * np.eye(6), (len(trajectory), 6, 6)))
 
 
 def wave(folder, name, seed=0, size=0.0):
