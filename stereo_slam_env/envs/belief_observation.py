@@ -72,17 +72,14 @@ class BeliefObservationRows(RowsWrapper):
         self._map_shown = True
 
     def want(self, keys: Collection[str]) -> None:
-        """See `Rows`."""
         self._map_shown = any(key.startswith(("belief_landmark", "belief_mask")) for key in keys)
         self.rows.want(keys)
 
     def begin(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
-        """See `Rows`."""
         self.rows.begin(chosen, seeds, options)
         self.beliefs.use_frames(self.world, chosen, chosen)
 
     def advance(self, actions: Any, going: BoolArray) -> Step:
-        """See `Rows`."""
         nobody = np.zeros(self.count, dtype=np.bool_)
         total, terminated, truncated, still = np.zeros(self.count), nobody, nobody, going
         for _ in range(self._hold):
@@ -95,7 +92,6 @@ class BeliefObservationRows(RowsWrapper):
         return total, terminated, truncated
 
     def look(self) -> tuple[Arrays, Arrays]:
-        """See `Rows`."""
         observation, info = self.rows.look()
         beliefs = self.beliefs
         poses = beliefs.poses

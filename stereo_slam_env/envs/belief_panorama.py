@@ -57,24 +57,22 @@ class BeliefPanoramaRows(RowsWrapper):
         self._panorama_shown = True
 
     def want(self, keys: Collection[str]) -> None:
-        """See `Rows`; without `panorama` no map is read."""
+        """Without `panorama` no map is read."""
         self._panorama_shown = "panorama" in keys
         self.rows.want(keys)
 
     def begin(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
-        """See `Rows`; no sector has been in view yet."""
+        """No sector has been in view yet."""
         self.rows.begin(chosen, seeds, options)
         self._last_seen[chosen] = -np.inf
         self._look_around(chosen)
 
     def advance(self, actions: Any, going: BoolArray) -> Step:
-        """See `Rows`."""
         step = self.rows.advance(actions, going)
         self._look_around(going)
         return step
 
     def look(self) -> tuple[Arrays, Arrays]:
-        """See `Rows`."""
         observation, info = self.rows.look()
         sigmas = np.sqrt(np.einsum("bii->bi", self._beliefs.pose_covariances)).clip(0.0, _LARGEST_SIGMA)
         added = {"belief_sigmas": sigmas.astype(np.float32)}

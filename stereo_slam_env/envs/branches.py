@@ -64,7 +64,7 @@ class BranchChoiceRows(RowsWrapper):
         """Share of the map, the same as the filter claims it, and what the first has brought in the last decision."""
 
     def begin(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
-        """See `Rows`; the car stands in the middle of its first road."""
+        """The car stands in the middle of its first road."""
         self.rows.begin(chosen, seeds, options)
         for b in np.flatnonzero(chosen).tolist():
             streets = self._streets(b)
@@ -75,7 +75,7 @@ class BranchChoiceRows(RowsWrapper):
         self._gained[chosen] = 0.0
 
     def advance(self, actions: Any, going: BoolArray) -> Step:
-        """See `Rows`; drive on to the middle of the road that is chosen."""
+        """Drive on to the middle of the road that is chosen."""
         goals, failed = np.zeros(self.count, dtype=np.int64), np.zeros(self.count, dtype=np.bool_)
         there: dict[int, Place] = {}
         for b in np.flatnonzero(going).tolist():
@@ -98,7 +98,6 @@ class BranchChoiceRows(RowsWrapper):
         return np.where(going, self._gained, 0.0), over, np.zeros(self.count, dtype=np.bool_)
 
     def look(self) -> tuple[Arrays, Arrays]:
-        """See `Rows`."""
         observation, info = self.rows.look()
         credit, roads = self._credit.copy(), np.array([int(driven.sum()) for driven in self._driven])
         added = {"branches": np.stack([self._ahead(b) for b in range(self.count)])}

@@ -88,7 +88,7 @@ class DriveChoicesRows(RowsWrapper):
         self.action_space = spaces.Discrete(len(pan))
 
     def advance(self, actions: Any, going: BoolArray) -> Step:
-        """See `Rows`; drive as was chosen until the choice ends, or the episode."""
+        """Drive as was chosen until the choice ends, or the episode."""
         chosen = np.asarray(actions)
         total, over, late, still = np.zeros(self.count), ~going, np.zeros_like(going), going
         for _ in range(self._hold):
@@ -159,13 +159,13 @@ class RouteByEstimateRows(RowsWrapper):
         self._nearest, self._progress = np.zeros(rows.count, dtype=np.int64), np.zeros(rows.count)
 
     def begin(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
-        """See `Rows`; the start is known, so the estimate is not late yet."""
+        """The start is known, so the estimate is not late yet."""
         self.rows.begin(chosen, seeds, options)
         self._poses[:, chosen] = self._bodies()[chosen]
         self._nearest[chosen], self._progress[chosen] = 0, 0.0
 
     def advance(self, actions: Any, going: BoolArray) -> Step:
-        """See `Rows`; drive, and find the place on the route by the estimate."""
+        """Drive, and find the place on the route by the estimate."""
         step = self.rows.advance(actions, going)
         self._poses[1:, going] = self._poses[:-1, going]
         self._poses[0, going] = self._bodies()[going]
@@ -188,7 +188,6 @@ class RouteByEstimateRows(RowsWrapper):
         return bodies
 
     def look(self) -> tuple[Arrays, Arrays]:
-        """See `Rows`."""
         observation, info = self.rows.look()
         progress = self._progress[:, None].astype(np.float32)
         return {**observation, "route": self.route_shown(), "progress": progress}, info

@@ -126,7 +126,7 @@ class CoreRows(Rows):
     # --- episodes ---------------------------------------------------------------------------------------------------
 
     def begin(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
-        """See `Rows`; `options={"scene": "keep"}` keeps the scene of the last episode of a row."""
+        """`options={"scene": "keep"}` keeps the scene of the last episode of a row."""
         keep = keeps_scene(options)
         if any(seed is not None for seed in seeds):
             self._pool = []  # episodes depend on their seeds alone
@@ -148,7 +148,7 @@ class CoreRows(Rows):
         self._take_pictures(rows)
 
     def advance(self, actions: Any, going: BoolArray) -> Step:
-        """See `Rows`; actions are within -1..1."""
+        """Actions are within -1..1."""
         simulator, sensed = self.simulator, self.simulator.sensed
         simulator.step(np.ascontiguousarray(actions, dtype=np.float64), going)
         if self._pictures:
@@ -159,7 +159,6 @@ class CoreRows(Rows):
         return np.where(going, sensed.reward, 0.0), terminated, np.zeros(self.count, dtype=np.bool_)
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """See `Rows`."""
         if self._sees_images:
             self._image_sensors = [self._image_sensor(b) for b in range(self.count)]
         super().restore(state)
@@ -202,7 +201,6 @@ class CoreRows(Rows):
     # --- what is said of them ---------------------------------------------------------------------------------------
 
     def look(self) -> tuple[Arrays, Arrays]:
-        """See `Rows`."""
         options, fleet, sensed, shown = self.options, self.simulator.fleet, self.simulator.sensed, self.simulator.show()
         observation: Arrays = {"uvd": shown.uvd, "ids": shown.ids, "mask": shown.mask, "odometry": shown.odometry}
         if not options.observe_ids:
@@ -248,37 +246,30 @@ class CoreRows(Rows):
         }
 
     def inner(self, name: str) -> Any:
-        """See `Rows`."""
         return getattr(self, name)
 
     def route_of(self, b: int) -> Route:
-        """See `World`."""
         return self.simulator.route(b)
 
     def reroute(self, b: int, route: Route) -> None:
-        """See `World`."""
         self.simulator.reroute(b, route)
 
     def body(self, b: int) -> Pose:
-        """See `World`."""
         return self.simulator.body(b)
 
     def frame(self, b: int) -> Frame:
-        """See `World`."""
         return self.simulator.frame(b, self._seen[b])
 
     def start(self, b: int) -> Start:
-        """See `World`."""
         return self.simulator.start(b)
 
     def generator(self, b: int) -> np.random.Generator:
-        """See `World`."""
         generator = self.generators[b]
         assert generator is not None
         return generator
 
     def landmark_truth(self, b: int) -> LandmarkTruth:
-        """See `World`: those of the scene; where landmarks are seen in images those found so far."""
+        """Landmarks of the scene; where they are seen in images, those found so far."""
         sensor, scene = self._image_sensors[b], self.simulator.scenes[b]
         if sensor is not None:
             return sensor.landmarks
@@ -286,29 +277,23 @@ class CoreRows(Rows):
         return LandmarkTruth(np.arange(len(scene.landmarks)), scene.landmarks)
 
     def angles(self) -> FloatArray:
-        """See `World`."""
         return self.simulator.fleet.angles
 
     def times(self) -> FloatArray:
-        """See `World`."""
         return np.asarray(self.simulator.fleet.step * FRAME_PERIOD, dtype=np.float64)
 
     def true_positions(self) -> FloatArray:
-        """See `World`."""
         return self.simulator.fleet.pose[:, :3].copy()
 
     def told(self, name: str) -> FloatArray:
-        """See `World`."""
         if name == "distance":
             return self.simulator.fleet.distance.copy()
         return np.array(self.simulator.sensed.terms[self._weights[name.removeprefix("reward_")]], dtype=np.float64)
 
     def shown(self, key: str) -> NDArray[Any]:
-        """See `World`."""
         return np.asarray(getattr(self.simulator.show(), key))
 
     def measured(self, which: BoolArray) -> Measured:
-        """See `World`."""
         sensed = self.simulator.sensed
         there = (np.arange(sensed.ids.shape[1]) < sensed.number[:, None]) & which[:, None]
         return Measured(

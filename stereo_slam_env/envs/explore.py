@@ -67,7 +67,7 @@ class CoverageRows(RowsWrapper):
         """Coverage and metres driven, and what they have brought in the last step."""
 
     def begin(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
-        """See `Rows`; nothing is mapped yet."""
+        """Nothing is mapped yet."""
         self.rows.begin(chosen, seeds, options)
         for b in np.flatnonzero(chosen).tolist():
             places = self.world.landmark_truth(b).positions
@@ -77,7 +77,7 @@ class CoverageRows(RowsWrapper):
         self._terms[chosen] = 0.0
 
     def advance(self, actions: Any, going: BoolArray) -> Step:
-        """See `Rows`; drive, look, and be paid for what is new on the map."""
+        """Drive, look, and be paid for what is new on the map."""
         stops = going & (actions[:, STOP] > _STOP_ABOVE)
         rewards, terminated, truncated = self.rows.advance(np.delete(actions, STOP, axis=1), going)
         now = self._looked(going)
@@ -87,7 +87,6 @@ class CoverageRows(RowsWrapper):
         return rewards + paid, terminated | stops, truncated
 
     def look(self) -> tuple[Arrays, Arrays]:
-        """See `Rows`."""
         observation, info = self.rows.look()
         coverage, driven = self._now.T
         success = (coverage >= self._goal) & ~np.asarray(info["failed"])

@@ -237,11 +237,9 @@ class _Lockstep(FilterRows):
 
     @property
     def filters(self) -> FilterBatch:
-        """See `FilterRows`."""
         return self._batch
 
     def report(self, b: int) -> UpdateReport:
-        """See `FilterRows`."""
         reports = self._reports[b]
         if reports is None:
             raise RuntimeError("there is no belief yet: reset the environment first")
@@ -252,7 +250,6 @@ class _Lockstep(FilterRows):
 
     @property
     def map_sizes(self) -> IntArray:
-        """See `FilterRows`."""
         counts: IntArray = self._batch.engine.storage.counts[:, 0].copy()
         return counts
 
@@ -260,7 +257,6 @@ class _Lockstep(FilterRows):
         return self._batch.relative_landmarks()
 
     def world_maps(self) -> WorldLandmarks:
-        """See `FilterRows`."""
         return self._batch.world_landmarks()
 
     def _reset(self, b: int, start: Start) -> None:
@@ -298,11 +294,9 @@ class _OneByOne(FilterRows):
 
     @property
     def filters(self) -> list[StereoFilter]:
-        """See `FilterRows`."""
         return [loop.slam for loop in self._loops]
 
     def report(self, b: int) -> UpdateReport:
-        """See `FilterRows`."""
         report = self._reports[b]
         if report is None:
             raise RuntimeError("there is no belief yet: reset the environment first")
@@ -315,7 +309,6 @@ class _OneByOne(FilterRows):
 
     @property
     def map_sizes(self) -> IntArray:
-        """See `FilterRows`."""
         return np.array([len(loop.slam.landmarks.ids) for loop in self._loops])
 
     def _read_maps(self) -> RelativeLandmarks:

@@ -76,7 +76,7 @@ class LoopClosureRows(RowsWrapper):
         self._learnt, self._path = np.zeros(rows.count), np.zeros(rows.count)
 
     def begin(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
-        """See `Rows`; draw a place and a price, and drive there."""
+        """Draw a place and a price, and drive there."""
         self.rows.begin(chosen, seeds, options)
         first = np.zeros(self.count, dtype=np.int64)  # step of the first decision
         for b in np.flatnonzero(chosen).tolist():
@@ -91,7 +91,7 @@ class LoopClosureRows(RowsWrapper):
         self._driven[chosen] = self.world.told("distance")[chosen]
 
     def advance(self, actions: Any, going: BoolArray) -> Step:
-        """See `Rows`; stop, or drive on for a second."""
+        """Stop, or drive on for a second."""
         stops = going & (np.asarray(actions) == STOP)
         still, learnt = going & ~stops, np.zeros(self.count)
         over = stops.copy()
@@ -111,7 +111,6 @@ class LoopClosureRows(RowsWrapper):
         return learnt + path, over, np.zeros(self.count, dtype=np.bool_)
 
     def look(self) -> tuple[Arrays, Arrays]:
-        """See `Rows`."""
         observation, info = self.rows.look()
         ahead = self._closing - self._driven_by_script()
         added = {"ahead": ahead[:, None].astype(np.float32), "price": self._price[:, None].astype(np.float32)}

@@ -64,7 +64,7 @@ class InformationGainRows(RowsWrapper):
         self._credited, self._gain = np.zeros(rows.count), np.zeros(rows.count)
 
     def begin(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
-        """See `Rows`; nothing is gained yet."""
+        """Nothing is gained yet."""
         self.rows.begin(chosen, seeds, options)
         if "reference" in self._potentials:
             camera, noise = self.needed("camera"), self.needed("noise")
@@ -80,7 +80,7 @@ class InformationGainRows(RowsWrapper):
         self._credited[chosen], self._gain[chosen] = self._potentials[self._paid][chosen], 0.0
 
     def advance(self, actions: Any, going: BoolArray) -> Step:
-        """See `Rows`; the reward is the information gained."""
+        """The reward is the information gained."""
         rewards, terminated, truncated = self.rows.advance(actions, going)
         for name, now in self._now(going).items():
             before = self._potentials[name]
@@ -94,7 +94,6 @@ class InformationGainRows(RowsWrapper):
         return rewards + gained if self._keep_reward else gained, terminated, truncated
 
     def look(self) -> tuple[Arrays, Arrays]:
-        """See `Rows`."""
         observation, info = self.rows.look()
         added = {"reward_information": self._gain.copy(), "information_potential": self._credited.copy()}
         if self._both:
@@ -243,19 +242,17 @@ class TrueErrorRows(RowsWrapper):
         self._squares = np.zeros(rows.count)
 
     def begin(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
-        """See `Rows`."""
         self.rows.begin(chosen, seeds, options)
         self._squares = np.where(chosen, self._now(), self._squares)
 
     def advance(self, actions: Any, going: BoolArray) -> Step:
-        """See `Rows`; the reward is the error after the step."""
+        """The reward is the error after the step."""
         rewards, terminated, truncated = self.rows.advance(actions, going)
         self._squares = np.where(going, self._now(), self._squares)
         paid = np.where(going, -self._weight * self._squares, 0.0)
         return rewards + paid if self._keep_reward else paid, terminated, truncated
 
     def look(self) -> tuple[Arrays, Arrays]:
-        """See `Rows`."""
         observation, info = self.rows.look()
         return observation, {**info, "reward_error": -self._weight * self._squares}
 

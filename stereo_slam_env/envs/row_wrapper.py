@@ -115,7 +115,6 @@ class SelectedKeysRows(RowsWrapper):
         rows.want(self._keys)
 
     def look(self) -> tuple[Arrays, Arrays]:
-        """See `Rows`."""
         observation, info = self.rows.look()
         return {key: observation[key] for key in self._keys}, info
 
@@ -154,7 +153,6 @@ class DirectionOfGazeRows(RowsWrapper):
         self.action_space = spaces.Discrete(pans)
 
     def advance(self, actions: Any, going: BoolArray) -> Step:
-        """See `Rows`."""
         return self.rows.advance(self._actions[np.asarray(actions)], going)
 
 

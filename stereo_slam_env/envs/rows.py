@@ -141,36 +141,29 @@ class RowsWrapper(Rows):
         self.observation_space, self.action_space = rows.observation_space, rows.action_space
 
     def begin(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
-        """See `Rows`."""
         self.rows.begin(chosen, seeds, options)
 
     def advance(self, actions: Any, going: BoolArray) -> Step:
-        """See `Rows`."""
         return self.rows.advance(actions, going)
 
     def look(self) -> tuple[Arrays, Arrays]:
-        """See `Rows`."""
         return self.rows.look()
 
     def inner(self, name: str) -> Any:
-        """See `Rows`."""
         return getattr(self, name) if hasattr(self, name) else self.rows.inner(name)
 
     def want(self, keys: Collection[str]) -> None:
-        """See `Rows`."""
         self.rows.want(keys)
 
     def snapshot(self) -> State:
-        """See `Rows`; what is inside is part of it."""
+        """What is inside is part of it."""
         return {**super().snapshot(), "rows": self.rows.snapshot()}
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """See `Rows`."""
         self.rows.restore(state["rows"])
         super().restore(state)
 
     def close(self) -> None:
-        """See `Rows`."""
         self.rows.close()
 
     def needed(self, name: str) -> Any:
@@ -206,12 +199,10 @@ class TimeLimitRows(RowsWrapper):
         self._steps = np.zeros(rows.count, dtype=np.int64)
 
     def begin(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
-        """See `Rows`."""
         self.rows.begin(chosen, seeds, options)
         self._steps[chosen] = 0
 
     def advance(self, actions: Any, going: BoolArray) -> Step:
-        """See `Rows`."""
         rewards, terminated, truncated = self.rows.advance(actions, going)
         self._steps[going] += 1
         return rewards, terminated, truncated | (going & (self._steps >= self.max_episode_steps))
@@ -229,17 +220,15 @@ class OneRow(Rows):
         self._looked = False
 
     def begin(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
-        """See `Rows`."""
         self._said, self._looked = self.env.reset(seed=seeds[0], options=dict(options) or None), False
 
     def advance(self, actions: Any, going: BoolArray) -> Step:
-        """See `Rows`."""
         observation, reward, terminated, truncated, info = self.env.step(actions[0])
         self._said, self._looked = (observation, info), False
         return np.array([float(reward)]), np.array([bool(terminated)]), np.array([bool(truncated)])
 
     def look(self) -> tuple[Arrays, Arrays]:
-        """See `Rows`; whatever is in `info` is passed on as it is."""
+        """Whatever is in `info` is passed on as it is."""
         observation, info = deepcopy(self._said) if self._looked else self._said  # nothing is handed out twice
         self._looked = True
         batched: Any = np.asarray(observation)[None]
@@ -248,78 +237,64 @@ class OneRow(Rows):
         return batched, {key: [value] for key, value in info.items()}
 
     def inner(self, name: str) -> Any:
-        """See `Rows`."""
         return self.env.get_wrapper_attr(name)
 
     def snapshot(self) -> State:
-        """See `Rows`; the environment is part of it."""
+        """The environment is part of it."""
         return {**super().snapshot(), "env": state_of(self.env)}
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """See `Rows`."""
         put_state(self.env, state["env"])
         super().restore(state)
 
     def frame(self, b: int) -> Frame:
-        """See `World`."""
         frame: Frame = self.inner("frame")
         return frame
 
     def start(self, b: int) -> Start:
-        """See `World`."""
         start: Start = self.inner("start")
         return start
 
     def route_of(self, b: int) -> Route:
-        """See `World`."""
         route: Route = self.inner("route")
         return route
 
     def reroute(self, b: int, route: Route) -> None:
-        """See `World`."""
         self.inner("reroute")(route)
 
     def body(self, b: int) -> Pose:
-        """See `World`."""
         body: Pose = self.inner("body")
         return body
 
     def generator(self, b: int) -> np.random.Generator:
-        """See `World`."""
         return self.env.np_random
 
     def landmark_truth(self, b: int) -> LandmarkTruth:
-        """See `World`."""
         truth: LandmarkTruth = self.inner("landmark_truth")()
         return truth
 
     def angles(self) -> FloatArray:
-        """See `World`."""
         if self.env.has_wrapper_attr("head_angles"):
             return np.asarray(self.inner("head_angles"), dtype=np.float64)[None]
         return np.asarray(self._said[0].get("head", np.zeros(2)), dtype=np.float64)[None]
 
     def times(self) -> FloatArray:
-        """See `World`."""
         return np.array([self.frame(0).timestamp])
 
     def told(self, name: str) -> FloatArray:
-        """See `World`."""
         return np.array([self._said[1][name]], dtype=np.float64)
 
     def shown(self, key: str) -> NDArray[Any]:
-        """See `World`."""
         return np.asarray(self._said[0][key])[None]
 
     def true_positions(self) -> FloatArray:
-        """See `World`; a `ValueError` where a frame has no truth."""
+        """Raise a `ValueError` where a frame has no truth."""
         truth = self.frame(0).truth
         if truth is None:
             raise ValueError("the environment must have the truth: its frames have truth = None")
         return truth.position[None]
 
     def measured(self, which: BoolArray) -> Measured:
-        """See `World`."""
         frame = self.frame(0)
         seen, odometry = frame.observation.ordered(), frame.odometry
         right = np.zeros(len(seen)) if seen.v_right is None else seen.v_right

@@ -162,12 +162,10 @@ class _OpenLoop:
     """Looks where `_angles` says after each number of steps."""
 
     def reset(self, env: gym.Env[Any, Any], rng: np.random.Generator) -> None:
-        """See `Policy.reset`."""
         self._limits = np.array(require_head(env).max_angles)
         self._env, self._rng, self._step = env, rng, -1
 
     def act(self, observation: Mapping[str, Any]) -> Action:
-        """See `Policy.act`."""
         self._step += 1
         return look_towards(self._env, self._angles())
 
@@ -325,12 +323,10 @@ class NetworkPolicy:
         self._hold = int(self.network.about.get("task", {}).get("hold", 1))
 
     def reset(self, env: gym.Env[Any, Any], rng: np.random.Generator) -> None:
-        """See `Policy.reset`."""
         require_head(env)
         self._env, self._step = env, 0
 
     def act(self, observation: Mapping[str, Any]) -> Action:
-        """See `Policy.act`."""
         if self._step % self._hold == 0:
             missing = [key for key in self.network.keys if key not in observation]
             if missing:

@@ -219,14 +219,12 @@ class MostUncertain:
         self._patience = whole_number("patience", patience, 1)
 
     def reset(self, env: gym.Env[Any, Any], rng: np.random.Generator) -> None:
-        """See `Policy.reset`."""
         self._env, self._outlook, self._step = env, Outlook(env), 0
         self._target = np.zeros(2)
         self._wanted = -1
         self._in_vain = np.zeros(0, dtype=np.int64)
 
     def act(self, observation: Mapping[str, Any]) -> Action:
-        """See `Policy.act`."""
         outlook = self._outlook
         belief: Belief = self._env.get_wrapper_attr("belief")
         body = outlook.head.body_pose(outlook.pose, outlook.angles)
@@ -259,18 +257,15 @@ class _Planning:
         self._preferences, self._replan, self._steps = preferences, replan, steps
 
     def reset(self, env: gym.Env[Any, Any], rng: np.random.Generator) -> None:
-        """See `Policy.reset`."""
         self._env, self._planner = env, Planner(env, self._preferences)
         self._target, self._decided = self._planner.outlook.angles, -self._replan
 
     def act(self, observation: Mapping[str, Any]) -> Action:
-        """See `Policy.act`."""
         action: Action = self.act_together([self], [observation])[0]
         return action
 
     @staticmethod
     def act_together(policies: Sequence[_Planning], observations: Sequence[Mapping[str, Any]]) -> Action:
-        """See `ActsTogether`."""
         deciding: dict[Any, list[_Planning]] = {}
         for policy in policies:
             policy._planner.look()

@@ -96,7 +96,6 @@ class RegisteredTask:
         return self.environment in REFERENCE_RETURNS and self.arguments == self._stated.get("arguments", {})
 
     def evaluate(self, network: Network | None, seeds: Sequence[int], threads: int = 1) -> EpisodeOutcome:
-        """See `training.evaluate`."""
         vector = self.make_vector(len(seeds), threads=threads)
         actions = np.zeros(vector.action_space.shape or (), dtype=vector.action_space.dtype)
         returns, success, steps = (np.zeros(len(seeds)) for _ in range(3))

@@ -122,7 +122,7 @@ class GLRenderer:
 
     @staticmethod
     def image_quality(supersample: int = 1) -> ImageQuality:
-        """See `StereoRenderer`; from the slide of tracks (docs/front_end.md)."""
+        """From the slide of tracks (docs/front_end.md)."""
         return ImageQuality(blur=1.0 if supersample == 1 else 0.4)
 
     def build(self, scene: Scene) -> None:
@@ -149,7 +149,7 @@ class GLRenderer:
             self._sky["zenith"].value = zenith
 
     def render_pair(self, pose: Pose, time: float = 0.0) -> StereoImages:
-        """See `StereoRenderer`; a RuntimeError where there is no scene yet, or the renderer is closed."""
+        """Raise a RuntimeError where there is no scene yet, or the renderer is closed."""
         position = self._frame.to_scene(pose.position)
         R_sc = self._frame.rotation_to_scene(rotations.matrix(pose.orientation))
         view = ViewVolume.of(self.camera, position, R_sc, NEAR, FAR)

@@ -60,7 +60,7 @@ class TinyRenderer:
 
     @staticmethod
     def image_quality(supersample: int = 1) -> ImageQuality:
-        """See `StereoRenderer`. The nearest texel is taken: sharp, and up to half a texel off."""
+        """The nearest texel is taken: sharp, and up to half a texel off."""
         return ImageQuality(blur=0.0, texture_sigma=0.25)
 
     def build(self, scene: Scene) -> None:
@@ -72,7 +72,6 @@ class TinyRenderer:
         """Nothing: the world is its owner's to close."""
 
     def render_pair(self, pose: Pose, time: float = 0.0) -> StereoImages:
-        """See `StereoRenderer`."""
         self._world.set_time(time)
         R_wc = rotations.matrix(pose.orientation)
         left, buffer = self._draw(pose.position, R_wc)

@@ -33,7 +33,6 @@ class OfMeasurements(Checked):
     """Base of corruptions that change the measurements of each frame by themselves."""
 
     def applied_to(self, recording: Recording, rng: np.random.Generator) -> Recording:
-        """See `Corruption`."""
         return recording.with_observations(
             self.changed(frame.observation, recording.camera, rng) for frame in recording.frames
         )
@@ -69,7 +68,7 @@ class Outliers(OfMeasurements):
     sigma: float | None = checked(_positive_if_given, default=None)
 
     def changed(self, seen: StereoObservation, camera: StereoCamera, rng: np.random.Generator) -> StereoObservation:
-        """See `OfMeasurements`; the row of the right image, where measured, moves along."""
+        """The row of the right image, where measured, moves along."""
         hit, drawn = rng.random(len(seen)) < self.share, rng.random((len(seen), 3))
         errors = rng.standard_normal((len(seen), 3))
         if self.sigma is None:
@@ -93,7 +92,6 @@ class WrongIds(OfMeasurements):
     probability: float = checked(probability)
 
     def changed(self, seen: StereoObservation, camera: StereoCamera, rng: np.random.Generator) -> StereoObservation:
-        """See `OfMeasurements`."""
         starting = np.flatnonzero(rng.random(len(seen)) < self.probability)
         if len(seen) < 2 or not len(starting):
             return seen
@@ -121,7 +119,6 @@ class MissedDetections(OfMeasurements):
     probability: float = checked(probability)
 
     def changed(self, seen: StereoObservation, camera: StereoCamera, rng: np.random.Generator) -> StereoObservation:
-        """See `OfMeasurements`."""
         return seen.select(rng.random(len(seen)) >= self.probability)
 
 
@@ -138,7 +135,6 @@ class BiasedDisparity(OfMeasurements):
     bias: float = checked(finite_number)
 
     def changed(self, seen: StereoObservation, camera: StereoCamera, rng: np.random.Generator) -> StereoObservation:
-        """See `OfMeasurements`."""
         return _moved(seen, seen.uvd + np.array([0.0, 0.0, self.bias]))
 
 
@@ -157,7 +153,7 @@ class WrongCalibration(OfMeasurements):
     principal_point_percent: float = checked(finite_number, default=0.0)
 
     def changed(self, seen: StereoObservation, camera: StereoCamera, rng: np.random.Generator) -> StereoObservation:
-        """See `OfMeasurements`; rays and depths stay, so noise scales with the focal length."""
+        """Rays and depths stay, so noise scales with the focal length."""
         longer, wider = 1.0 + self.focal_percent / 100.0, 1.0 + self.baseline_percent / 100.0
         centre = np.array([camera.cx, camera.cy])
         moved_centre = centre * (1.0 + self.principal_point_percent / 100.0)
@@ -179,12 +175,11 @@ class MisscaledNoise(OfMeasurements):
     factor: float = checked(positive)
 
     def applied_to(self, recording: Recording, rng: np.random.Generator) -> Recording:
-        """See `Corruption`; nothing is random."""
+        """Nothing is random."""
         noise = StereoNoise(self.factor**2 * recording.noise.R)
         return replace(super().applied_to(recording, rng), noise=noise)
 
     def changed(self, seen: StereoObservation, camera: StereoCamera, rng: np.random.Generator) -> StereoObservation:
-        """See `OfMeasurements`."""
         return seen if seen.R is None else replace(seen, R=self.factor**2 * seen.R)
 
 
@@ -204,7 +199,7 @@ class MovingLandmarks(Checked):
     speed: float = checked(partial(positive, allow_zero=True))
 
     def applied_to(self, recording: Recording, rng: np.random.Generator) -> Recording:
-        """See `Corruption`; the noise of a measurement stays, and a landmark that leaves the images is not measured.
+        """The noise of a measurement stays, and a landmark that leaves the images is not measured.
 
         Those that move have no truth any more: the truth is that of the static world.
         """

@@ -56,7 +56,6 @@ class Blackouts(Checked):
     seconds: float = checked(positive)
 
     def applied_to(self, recording: Recording, rng: np.random.Generator) -> Recording:
-        """See `Corruption`."""
         times = np.array([frame.timestamp for frame in recording.frames])
         begins = rng.random(len(times)) < self.probability
         last_begin = np.maximum.accumulate(np.where(begins, times, -np.inf))
@@ -80,7 +79,6 @@ class DroppedFrames(Checked):
     probability: float = checked(probability)
 
     def applied_to(self, recording: Recording, rng: np.random.Generator) -> Recording:
-        """See `Corruption`."""
         arrives = rng.random(len(recording)) >= self.probability
         arrives[:1] = True
         kept = np.flatnonzero(arrives).tolist()
@@ -101,7 +99,7 @@ class DuplicatedFrames(Checked):
     probability: float = checked(probability)
 
     def applied_to(self, recording: Recording, rng: np.random.Generator) -> Recording:
-        """See `Corruption`; time, odometry and truth go on."""
+        """Time, odometry and truth go on."""
         fresh = rng.random(len(recording)) >= self.probability
         fresh[:1] = True
         shown = np.maximum.accumulate(np.where(fresh, np.arange(len(recording)), 0))
@@ -121,7 +119,7 @@ class Latency(Checked):
     frames: int = checked(partial(whole_number, low=0))
 
     def applied_to(self, recording: Recording, rng: np.random.Generator) -> Recording:
-        """See `Corruption`; nothing is random. Before the first measurements arrive there are none."""
+        """Nothing is random. Before the first measurements arrive there are none."""
         seen = [frame.observation for frame in recording.frames]
         none = [_nothing(observation) for observation in seen[: self.frames]]
         return recording.with_observations([*none, *seen[: len(seen) - len(none)]])
@@ -276,7 +274,7 @@ class IndependentPixels:
         self.largest_error = 10.0 * self.sigma
 
     def corrupt(self, uvd: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-        """See `PixelNoise.corrupt`; `v_right` is measured."""
+        """`v_right` is measured."""
         u_left, v_left, u_right, v_right = self._errors(rng, (4, len(uvd)))
         return uvd + np.stack([u_left, v_left, u_left - u_right], axis=1), uvd[:, 1] + v_right
 
@@ -293,7 +291,7 @@ class IndependentUvd:
         self.largest_error = 10.0 * self.sigma
 
     def corrupt(self, uvd: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, None]:
-        """See `PixelNoise.corrupt`; there is no `v_right`."""
+        """There is no `v_right`."""
         return uvd + self.sigma * rng.standard_normal((len(uvd), 3)), None
 
 
@@ -342,7 +340,7 @@ class QuantisedPixels(IndependentPixels):
         self.largest_error += 1.0
 
     def corrupt(self, uvd: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-        """See `PixelNoise.corrupt`; `v_right` is measured."""
+        """`v_right` is measured."""
         measured, v_right = super().corrupt(uvd, rng)
         u_left, v_left, u_right = np.rint([measured[:, 0], measured[:, 1], measured[:, 0] - measured[:, 2]])
         return np.stack([u_left, v_left, u_left - u_right], axis=1), np.rint(v_right)

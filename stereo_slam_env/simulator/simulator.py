@@ -90,7 +90,7 @@ class Simulator(Kept):
         self._workers: ThreadPoolExecutor | None = None
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """See `Kept`; PyBullet's worlds follow."""
+        """PyBullet's worlds follow."""
         before = self.scenes
         super().restore(state)
         for b, scene in enumerate(self.scenes):
