@@ -152,7 +152,7 @@ class Linearisation:
     """The fifth part of a filter: a line through what the sensor measures near the state."""
 
     def sigma_points(self, size: int) -> tuple[float, ...]:
-        """Of `size` numbers: distance from the centre, its weights in mean and covariance, weight of each other one.
+        """Sigma points of `size` numbers: distance from the centre, its weights (mean, covariance), that of the others.
 
         None of them: the line is that of the Jacobians.
         """
@@ -184,7 +184,7 @@ class Unscented(Linearisation):
         require_core("filterpy")
 
     def sigma_points(self, size: int) -> tuple[float, ...]:
-        """Those of Merwe with kappa = 3 - size."""
+        """Sigma points of Merwe with kappa = 3 - size."""
         # Half of the time that `import filters` would take, for those who never ask for this.
         from filterpy.kalman import MerweScaledSigmaPoints
 

@@ -24,7 +24,7 @@ _TOLERATED, _LOST = 0.5, 0.9
 
 
 class Cause(Enum):
-    """Why an alarm is raised."""
+    """Reason of an alarm."""
 
     INNOVATIONS = "innovations larger than claimed"
     REFUSED = "most known landmarks refused"

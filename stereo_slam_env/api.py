@@ -150,7 +150,7 @@ class Comparison:
 
     @cached_property
     def verdict(self) -> Verdict:
-        """Which filter is best, by how much, and whether that is shown; its `headline` is a few sentences."""
+        """Verdict: the best filter, by how much, and whether that is shown; its `headline` is a few sentences."""
         return judge(self.summaries, self.figures)
 
     @property

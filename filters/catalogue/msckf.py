@@ -134,7 +134,7 @@ def _constrain(
 
 
 def _compressed(H: Array, nu: Array) -> tuple[Array, Array]:
-    """As many rows as H has rank, which say the same; rotated rows of white noise are white noise.
+    """Compress a measurement to as many rows as H has rank; rotated rows of white noise are white noise.
 
     Tracks say nothing of where all clones are together: H has a null space, and what rounding leaves of its rows would
     take some of the noise for an innovation.

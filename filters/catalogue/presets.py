@@ -151,7 +151,7 @@ class ColouredNoiseEKF(StereoEKF):
         return self._in_doubt(super().pose, self._start)
 
     def relative_pose(self, name: str) -> PoseBelief:
-        """As of `StereoEKF`, with the doubt about the way from the clone."""
+        """Relative pose as of `StereoEKF`, with the doubt about the way from the clone."""
         return self._in_doubt(super().relative_pose(name), Pose())
 
     def joint_covariance(self, ids: Sequence[int] | IntArray | None = None) -> FloatArray:
@@ -172,7 +172,7 @@ class ColouredNoiseEKF(StereoEKF):
         self._start = Pose(start.position, start.orientation)
 
     def _in_doubt(self, pose: PoseBelief, start: Pose) -> PoseBelief:
-        """What constants that no image shows add to the covariance of a pose T that was T_0 once.
+        """Covariance that constants, which no image shows, add to that of a pose T that was T_0 once.
 
         A scale of 1 + s makes an error s (t - t_0), and a camera that is turned in its body by x, which makes of the
         motion M = T_0^-1 T = (p, R) the motion Exp(x)^-1 M Exp(x), one of R_0 [p]x x and (I - R^T) x.

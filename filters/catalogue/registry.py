@@ -131,7 +131,7 @@ def _plugins() -> dict[str, EntryPoint]:
 
 
 def load_factory(kind: str, entry_point: EntryPoint) -> Any:
-    """What an entry point names, of any kind of plug-in; raises a `ValueError` that names the kind and the plug-in."""
+    """Load a plug-in of any kind by its entry point; raises a `ValueError` that names the kind and the plug-in."""
     try:
         factory = entry_point.load()
     except KeyboardInterrupt:
@@ -243,7 +243,7 @@ def make_with_common_options(
 
 
 def _why_not(made: StereoFilter, key: str, value: object) -> str | None:
-    """Why this filter has another value than the common one; None where it has the same."""
+    """Reason why this filter has another value than the common one; None where it has the same."""
     if isinstance(made, StereoEKF):
         own = getattr(made.options, key)
         return None if own == (make_part(key, value) if key in SLOTS else value) else f"it has its own, {_shown(own)}"

@@ -57,7 +57,7 @@ def chi_square_quantile(probability: float, dof: int) -> float:
 
 
 def are_definite(covariances: FloatArray) -> BoolArray:
-    """Which of (..., n, n) are finite, symmetric and positive definite, whatever the units of their rows; (...)."""
+    """Mask (...) of matrices (..., n, n) that are finite, symmetric and positive definite, whatever their units."""
     usable = np.asarray(np.isfinite(covariances).all(axis=(-2, -1)))
     usable[usable] = _asymmetry(covariances[usable]) <= ROUNDING
     open_ones = usable & ~_are_clearly_definite(covariances)
@@ -66,7 +66,7 @@ def are_definite(covariances: FloatArray) -> BoolArray:
 
 
 def _are_clearly_definite(covariances: FloatArray) -> BoolArray:
-    """Which of (..., 3, 3) are definite beyond doubt, by the determinant of their correlation, (...).
+    """Mask (...) of matrices (..., 3, 3) that are definite beyond doubt, by the determinant of their correlation.
 
     There are many of them, and eigenvalues take long. Those of a correlation add up to 3, so that the smallest is at
     least det / 2.25. Of matrices of another size none is told.
@@ -82,7 +82,7 @@ def _are_clearly_definite(covariances: FloatArray) -> BoolArray:
 
 
 def fault_of(covariance: FloatArray, *, definite: bool = True) -> str | None:
-    """What keeps (n, n) from being a covariance, or an example of (K, n, n), in words; None where nothing does.
+    """Fault that keeps (n, n) from being a covariance, or an example of (K, n, n), in words; None where nothing does.
 
     With `definite` False, a semi-definite one will do, such as that of a velocity that odometry without errors states.
     """

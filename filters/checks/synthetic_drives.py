@@ -199,7 +199,7 @@ class WindingDrive:
 
 
 def _heading(times: ArrayLike) -> FloatArray:
-    """Of the winding road at these times, rad."""
+    """Heading of the winding road at these times, rad."""
     headings: FloatArray = _HEADING * np.sin(2.0 * np.pi * np.asarray(times) / _HEADING_PERIOD)
     return headings
 

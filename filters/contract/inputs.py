@@ -141,7 +141,7 @@ class InertialUnit:
 
     @cached_property
     def rows(self) -> FloatArray:
-        """As kernels take it, (3, 7): place and densities; orientation; walks; zeros behind."""
+        """Numbers (3, 7) that kernels take: place and densities; orientation; walks; zeros behind."""
         rows = np.zeros((3, 7))
         rows[0, :5] = *self.position, self.gyro_density, self.accelerometer_density
         rows[1, :4], rows[2, :2] = self.orientation, (self.gyro_walk, self.accelerometer_walk)
@@ -150,7 +150,7 @@ class InertialUnit:
 
 @dataclass(frozen=True, eq=False)
 class InertialSamples:
-    """What an inertial unit measured over the step that ends now.
+    """Measurements of an inertial unit over the step that ends now.
 
     A sample is the mean over the interval from the sample before, or from the beginning of the step, to its time. The
     last one also stands for what is left of the step.
@@ -191,7 +191,7 @@ class InertialSamples:
 
     @property
     def rows(self) -> FloatArray:
-        """As kernels take them, (3 + K, 7): rows of the unit; then time, rates and forces of each sample."""
+        """Numbers (3 + K, 7) that kernels take: rows of the unit; then time, rates and forces of each sample."""
         return np.vstack([self.unit.rows, np.column_stack([self.times, self.angular_rates, self.specific_forces])])
 
     def check_step(self, dt: float) -> None:
@@ -303,5 +303,5 @@ class BodyVelocity:
 
     @property
     def rows(self) -> FloatArray:
-        """As kernels take them, (7, 6): the velocities; their covariance."""
+        """Numbers (7, 6) that kernels take: the velocities; their covariance."""
         return np.vstack([np.concatenate([self.linear, self.angular]), self.covariance])

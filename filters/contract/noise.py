@@ -220,7 +220,7 @@ class ColouredNoise(StereoNoise):
 
     @property
     def parts(self) -> dict[str, Any]:
-        """What there is besides R, JSON-able, as the constructor takes it."""
+        """Parts of the noise besides R, JSON-able, as the constructor takes it."""
         white = None if self.white is None else self.white.tolist()
         drift = None if self.drift is None else dataclasses.asdict(self.drift)
         lasting: dict[str, Any] = {} if self.lasting_time is None else {"lasting_time": self.lasting_time}

@@ -313,7 +313,7 @@ class FilterBatch(Sequence[StereoEKF]):
         odometry: Sequence[BodyVelocity | None] | None,
         inertial: Sequence[InertialSamples | None] | None,
     ) -> Odometry | None:
-        """What the motion takes of each filter's step; None: there is nothing at all."""
+        """Input of the motion for each filter's step; None: there is nothing at all."""
         velocities = [None] * len(self) if odometry is None else list(odometry)
         samples = [None] * len(self) if inertial is None else list(inertial)
         self._check_length("odometry", velocities)

@@ -88,7 +88,7 @@ class Engine:
         self._plan = Packed(recipe.plan)
 
     def __getstate__(self) -> dict[str, Any]:
-        """What a copy needs: it packs arrays of its own."""
+        """State that a copy needs: it packs arrays of its own."""
         own = ("recipe", "count", "threads", "storage")
         return {name: getattr(self, name) for name in own}
 
@@ -108,7 +108,7 @@ class Engine:
 
     @property
     def frame(self) -> FrameArrays:
-        """What the frame brings."""
+        """Input of the frame."""
         frame: FrameArrays = self._frame.value
         return frame
 

@@ -68,7 +68,7 @@ class Odometry:
 
 @dataclass(frozen=True, eq=False)
 class FrameOutcome:
-    """What became of the measurements."""
+    """Report of what became of the measurements."""
 
     fates: IntArray
     """(M,): `frame.USED`, BEHIND, GATED, FAILED, STARTED or REJECTED."""
@@ -81,7 +81,7 @@ class FrameOutcome:
 
 
 class ValuePlaces:
-    """Where in x (values,) each variable is.
+    """Place of each variable in x (values,).
 
     Attributes
     ----------

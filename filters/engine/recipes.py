@@ -1,4 +1,4 @@
-"""From options to code: the recipe of a filter in plain numbers, and the compiled functions that it needs."""
+"""Translation of options to code: the recipe of a filter in plain numbers, and the compiled functions that it needs."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from filters.kernels.sigma_points import fit
 
 
 def recipe_of(camera: StereoCamera, options: Options) -> Recipe:
-    """What a filter does, in plain numbers and functions."""
+    """Recipe of a filter, in plain numbers and functions."""
     layout, model, sensor, motion = options.layout, options.landmark, options.measurement, options.motion
     landmark, seen, driven, error = functions_of(model), functions_of(sensor), functions_of(motion), options.error
     sigma_points = options.update.sigma_points(layout.measured + 3 * model.anchored + model.size)

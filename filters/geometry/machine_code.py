@@ -49,7 +49,7 @@ class Compiled:
 
     @property
     def _numba_type_(self) -> Any:
-        """What Numba takes it for where a kernel names it."""
+        """Type that Numba takes it for where a kernel names it."""
         return self._dispatcher._numba_type_
 
 

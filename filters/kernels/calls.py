@@ -219,7 +219,7 @@ class Unit:
 
     @property
     def address(self) -> Any:
-        """Where this process has its machine code; the function itself where kernels are plain Python."""
+        """Address of its machine code in this process; the function itself where kernels are plain Python."""
         address: Any = self.function if PLAIN else self._compiled.address
         return address
 

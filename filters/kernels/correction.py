@@ -115,7 +115,7 @@ def absorb(calls: Calls, P: FloatArray, n: int, s: Scratch, rows: int) -> float:
 
 @kernel
 def explained(plan: Plan, s: Scratch, m: int, k: int) -> float:
-    """What delta says of one row of a measurement, H delta."""
+    """Product of one row of a measurement's H with delta."""
     H, delta, measured = s.H[m, k], s.delta, plan.measured
     total = 0.0
     for c in range(measured):

@@ -1,4 +1,4 @@
-"""What Python calls between frames: clones, landmarks that leave, corrections, steps of variables; and maps to read."""
+"""Entries for Python between frames: clones, landmarks that leave, corrections, steps of variables, and maps."""
 
 from __future__ import annotations
 

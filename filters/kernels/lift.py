@@ -243,7 +243,7 @@ def _entry(variable: Variable) -> tuple[str, int]:
 
 
 def how_it_runs(part: Any) -> str:
-    """How a landmark, a sensor or a motion runs in a filter, as a report says it; nothing for other parts."""
+    """Form in which a landmark, a sensor or a motion runs in a filter, as a report says it; nothing for other parts."""
     if not isinstance(part, LandmarkModel | MeasurementModel | MotionModel):
         return ""
     if not part.in_machine_code:

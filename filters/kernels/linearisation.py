@@ -86,7 +86,7 @@ def sense(calls: Calls, plan: Plan, s: Scratch, points: FloatArray, count: int) 
 
 @kernel
 def from_camera(plan: Plan, x: FloatArray, blocks: FloatArray, anchor: int) -> tuple[float, float, float]:
-    """From the camera to the anchor, or to the origin of W."""
+    """Vector from the camera to the anchor, or to the origin of W."""
     if anchor < 0:
         return -x[0], -x[1], -x[2]
     return blocks[anchor, 0] - x[0], blocks[anchor, 1] - x[1], blocks[anchor, 2] - x[2]

@@ -37,7 +37,7 @@ class Keyed(Compiled):
         self._key = key
 
     def __reduce__(self) -> Any:
-        """What the key of machine code is made of."""
+        """Parts that the key of machine code is made of."""
         return _again, self._key
 
 

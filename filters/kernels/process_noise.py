@@ -118,7 +118,7 @@ def _put_columns(B: FloatArray, first: int, column: int, nine: Nine, sign: float
 
 @kernel
 def _image_motion(calls: Calls, plan: Plan, S: Storage, b: int, s: Scratch, before: FloatArray) -> tuple[float, float]:
-    """How far the landmarks move on the sphere of bearings since the camera was at `before`, and their distance.
+    """Distance by which landmarks move on the sphere of bearings since the camera was at `before`, and their distance.
 
     `TURN_WEIGHT` times the turn + mean |step x p| / |p|^2, rad; 1 / mean (1 / |p|), at most `FARTHEST`, m.
     """

@@ -58,7 +58,7 @@ class Functions:
     """Function that has made them, and its arguments: by these a copy in another process is made."""
 
     def __reduce__(self) -> Any:
-        """How to make them again."""
+        """Arguments that make them again."""
         return self.made_by[0], self.made_by[1:]
 
     def __eq__(self, other: object) -> bool:
@@ -155,7 +155,7 @@ class Plan(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Recipe:
-    """What a filter does."""
+    """Recipe of a filter: parts, sizes and options that its kernels need."""
 
     plan: Plan = Plan()  # noqa: RUF009
     """As the kernels read it."""

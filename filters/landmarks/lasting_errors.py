@@ -57,7 +57,7 @@ class LastingErrors(InverseDepth):
 
     @property
     def prior(self) -> FloatArray:  # type: ignore[override]
-        """Of the errors."""
+        """Prior covariance of the errors."""
         return np.array(self.covariance)
 
     @property
@@ -71,11 +71,11 @@ class LastingErrors(InverseDepth):
         return h[0], h[1], h[2], h[3], y[3], y[4], y[5]
 
     def start_from(self, h: Numbers) -> Numbers:
-        """As inverse depth, and the errors."""
+        """Start of inverse depth, with the errors."""
         y = _start_from(self, h)
         return y[0], y[1], y[2], h[4], h[5], h[6]
 
     def turned_by(self, y: Numbers, theta: Numbers, c: Numbers) -> Numbers:
-        """As inverse depth; the errors are added."""
+        """Turn the ray as inverse depth does, and add the errors."""
         ray = _turned_by(self, y, theta, c)
         return ray[0], ray[1], ray[2], y[3] + c[3], y[4] + c[4], y[5] + c[5]

@@ -52,7 +52,7 @@ class SensorJacobians:
 
 @dataclass(frozen=True)
 class StageRows:
-    """What a stage uses of the numbers of the sensor: z = T times them."""
+    """Numbers of the sensor that a stage uses: z = T times them."""
 
     T: tuple[tuple[float, ...], ...]
     """One for each row."""
@@ -153,7 +153,7 @@ class MeasurementModel:
         return (record(*(tuple(values[name]) for name in names)),)
 
     def rows(self, with_right: bool) -> tuple[StageRows, ...]:
-        """What the stages use of the sensor's numbers where `v_right` is not measured, and where it is.
+        """Rows of the sensor's numbers that the stages use where `v_right` is not measured, and where it is.
 
         The default is one stage with all numbers; the error of `v_right` is independent of the others and has the
         variance of v. Where it is missing, the other three are used.
@@ -192,7 +192,7 @@ class MeasurementModel:
         )
 
     def in_front(self, points_c: FloatArray) -> BoolArray:
-        """Which homogeneous points (M, seen_size) the sensor can see at all."""
+        """Mask of homogeneous points (M, seen_size) that the sensor can see at all."""
         return columns_of(lambda h: (self.can_see(h),), points_c)[:, 0].astype(np.bool_)
 
     def jacobians(self, camera: StereoCamera, points_c: FloatArray, values: Values) -> SensorJacobians:

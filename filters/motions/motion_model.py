@@ -276,7 +276,7 @@ class MotionModel:
 def input_of(
     motion: MotionModel, slam: StereoFilter, odometry: BodyVelocity | None, inertial: InertialSamples | None
 ) -> StepInput | None:
-    """Of what is known of a step, what the motion takes; the filter says once that it makes no use of samples."""
+    """Input that the motion takes of a step; the filter says once that it makes no use of samples."""
     given = inertial if motion.takes is InertialSamples else odometry
     if inertial is not None and given is not inertial:
         slam.say_unused("inertial")

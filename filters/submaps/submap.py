@@ -170,7 +170,7 @@ class Submap:
         return replace(self, own=self.own[stays], gain=self.gain[rows], covariance=self.covariance[np.ix_(rows, rows)])
 
     def own_among(self, blocks: IntArray) -> IntArray:
-        """Those of `blocks` that are own ones."""
+        """Own ones among `blocks`."""
         return blocks[self._among(self.own)[blocks]]
 
     def _rows(self, blocks: IntArray) -> IntArray:
@@ -180,7 +180,7 @@ class Submap:
         return rows
 
     def _among(self, blocks: IntArray) -> BoolArray:
-        """Of all blocks, whether they are among `blocks`; (B,)."""
+        """Mask (B,) of all blocks: those among `blocks`."""
         marked = np.zeros(len(self.values), dtype=bool)
         marked[blocks] = True
         return marked

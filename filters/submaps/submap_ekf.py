@@ -48,7 +48,7 @@ class SubmapChain:
         return self._ids.copy()
 
     def at_rest(self, ids: IntArray) -> BoolArray:
-        """Which landmarks are at rest; (M,)."""
+        """Mask (M,) of landmarks at rest."""
         return self._homes_of(ids) >= 0
 
     def rest(self, active: JointState, gone: BoolArray) -> None:

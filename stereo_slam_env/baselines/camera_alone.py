@@ -132,14 +132,14 @@ class CameraFilter(StereoFilter):
         """Use the frame, whose ids ascend."""
 
     def forecast(self, ids: Sequence[int] | IntArray | None = None) -> Forecast:
-        """Nothing to forecast: there is no map."""
+        """Forecast without landmarks: there is no map."""
         wanted = unique_ids("ids", np.asarray([] if ids is None else ids))
         if len(wanted):
             raise ValueError(f"ids must be in the map, and this filter has none, got {wanted[:5].tolist()}")
         return Forecast(wanted, np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros(0, dtype=bool))
 
     def forget(self, ids: Sequence[int] | IntArray) -> None:
-        """Nothing to forget: there is no map."""
+        """Ignore the call: there is no map."""
         unique_ids("ids", np.asarray(ids))
 
     @property

@@ -79,7 +79,7 @@ class FixedLagGraph(SmoothingGraph):
         return twin
 
     def add_sightings(self, seen: Sightings, located: Mapping[int, tuple[int, FloatArray]]) -> Sightings:
-        """As the full graph does; what has waited until its pose left the window is dropped."""
+        """Add what the full graph adds; what has waited until its pose left the window is dropped."""
         return super().add_sightings(seen.select(seen.pose >= self.last - self._lag), located)
 
     def solve(self) -> None:

@@ -59,7 +59,7 @@ class Sightings:
         return cls(*(np.concatenate([getattr(part, f.name) for part in parts]) for f in fields(cls)))
 
     def select(self, index: BoolArray) -> Sightings:
-        """Those at `index`."""
+        """Measurements at `index`."""
         return Sightings(self.pose[index], self.track[index], self.uvd[index], self.R[index])
 
 

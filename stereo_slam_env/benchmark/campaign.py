@@ -292,7 +292,7 @@ class Missing(NamedTuple):
 
 @dataclass
 class _Work:
-    """What is done, and what has been."""
+    """Missing trials of a campaign, and the progress in them."""
 
     cells: Sequence[RunDirectory]
     backend: Backend

@@ -137,7 +137,7 @@ def _require_of_study(cell: Mapping[str, Any], scenario: Scenario) -> None:
 
 
 def missing_in(cell: Mapping[str, Any], scenario: Scenario) -> Iterator[str]:
-    """What a reader would look for in vain in a cell, in sentences."""
+    """Sentences on what a cell lacks."""
     name = cell["name"]
     kinds = {one["reference"] for one in cell["recordings"]}
     if kinds & {"none", "odometry"}:

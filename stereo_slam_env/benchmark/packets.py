@@ -169,7 +169,7 @@ def read_packet(path: Path) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Verified:
-    """What the repetition of a part of a packet showed."""
+    """Result of the repetition of a part of a packet."""
 
     cells: tuple[str, ...]
     """Cells that were run again."""

@@ -102,7 +102,7 @@ def train(
 
 
 def _task(environment: str, arguments: dict[str, Any], looks: dict[str, Any]) -> Any:
-    """What is learnt in an environment."""
+    """Policy that is learnt in an environment."""
     import gymnasium as gym
 
     from filters.contract.validation import require_known

@@ -55,7 +55,7 @@ class Recalibrated:
 
     @property
     def skipped(self) -> Mapping[str, int]:
-        """As of the sequence."""
+        """Pairs that the sequence left out."""
         return self._sequence.skipped
 
     def __len__(self) -> int:
@@ -104,7 +104,7 @@ class WithTruth:
 
     @property
     def skipped(self) -> Mapping[str, int]:
-        """As of the sequence, and pairs before the first true pose."""
+        """Pairs that the sequence left out, and those before the first true pose."""
         outside = {"before the first true pose": self._outside} if self._outside else {}
         return {**self._sequence.skipped, **outside}
 

@@ -103,7 +103,7 @@ class StereoOptions:
 
     @classmethod
     def checked(cls, given: Mapping[str, Any]) -> Self:
-        """From keyword arguments; an unknown name is refused with the nearest known one."""
+        """Read keyword arguments; an unknown name is refused with the nearest known one."""
         known = [field.name for field in fields(cls)]
         for name in given:
             if name not in known:

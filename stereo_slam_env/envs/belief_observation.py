@@ -28,7 +28,7 @@ LARGEST_COVARIANCE = 1e6
 
 
 class BeliefObservationRows(RowsWrapper):
-    """What `BeliefObservation` does, on rows; see there."""
+    """Rows of `BeliefObservation`."""
 
     changes = ("beliefs",)
 

@@ -34,7 +34,7 @@ _LARGEST_SIGMA = 1e3
 
 
 class BeliefPanoramaRows(RowsWrapper):
-    """What `BeliefPanorama` does, on rows; see there."""
+    """Rows of `BeliefPanorama`."""
 
     changes = ("_last_seen", "_in_view", "_times")
 

@@ -36,7 +36,7 @@ _UNPAID = {f"{term}_weight": 0.0 for term in ("progress", "tracking", "collision
 
 
 class BranchChoiceRows(RowsWrapper):
-    """What `BranchChoice` does, on rows; see there."""
+    """Rows of `BranchChoice`."""
 
     changes = ("_places", "_driven", "_sigmas", "_choices", "_credit", "_claimed", "_gained")
     training: ClassVar[Mapping[str, Any]] = {**FEW_DECISIONS, "decisions": 8_192, "evaluate_every": 4_096}
@@ -134,7 +134,7 @@ class BranchChoiceRows(RowsWrapper):
         return float(np.sqrt(np.trace(self._beliefs.pose_covariances[b, :3, :3])))
 
     def _ahead(self, b: int) -> FloatArray:
-        """What is known of the roads to the left, straight on and to the right, (3, 5)."""
+        """Knowledge of the roads to the left, straight on and to the right, (3, 5)."""
         place, streets, driven = self._places[b], self._streets(b), self._driven[b]
         assert place is not None
         known, start = np.zeros((3, len(_MOST)), dtype=np.float32), np.zeros(streets.count, dtype=np.bool_)

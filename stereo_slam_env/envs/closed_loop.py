@@ -71,7 +71,7 @@ def follow_route(
 
 
 class DriveChoicesRows(RowsWrapper):
-    """What `DriveChoices` does, on rows; see there."""
+    """Rows of `DriveChoices`."""
 
     def __init__(self, rows: Rows, speeds: Sequence[float], pans: Sequence[float], hold: int, stop: int) -> None:
         super().__init__(rows)
@@ -144,7 +144,7 @@ _SLOW = 5.0
 
 
 class RouteByEstimateRows(RowsWrapper):
-    """What `RouteByEstimate` does, on rows; see there."""
+    """Rows of `RouteByEstimate`."""
 
     changes = ("_poses", "_nearest", "_progress")
     training: ClassVar[Mapping[str, Any]] = {**STEERING, "decisions": 393_216}

@@ -329,7 +329,7 @@ class CoreRows(Rows):
         )
 
     def image_sensor(self, b: int) -> ImageSensor:
-        """What measures in the images of a row; a `RuntimeError` where nothing does."""
+        """Front end that measures in the images of a row; a `RuntimeError` where nothing does."""
         sensor = self._image_sensors[b]
         if sensor is None or self._seen[b] is None:
             raise RuntimeError("nothing is seen in images: use sensor='images' and reset the environment first")

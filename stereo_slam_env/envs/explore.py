@@ -34,7 +34,7 @@ _PERIOD, _PAN = 4.0, 0.7
 
 
 class CoverageRows(RowsWrapper):
-    """What `Coverage` does, on rows; see there."""
+    """Rows of `Coverage`."""
 
     changes = ("_in_reach", "_mapped", "_claimed", "_shown", "_now", "_terms")
     training: ClassVar[Mapping[str, Any]] = {
@@ -67,7 +67,7 @@ class CoverageRows(RowsWrapper):
         """Coverage and metres driven, and what they have brought in the last step."""
 
     def begin(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
-        """Nothing is mapped yet."""
+        """Start with an empty map."""
         self.rows.begin(chosen, seeds, options)
         for b in np.flatnonzero(chosen).tolist():
             places = self.world.landmark_truth(b).positions
@@ -116,7 +116,7 @@ class CoverageRows(RowsWrapper):
         return now
 
     def _by_the_road(self, b: int, positions: FloatArray) -> BoolArray:
-        """Which positions (N, 3) are no farther from the route than the sensor sees; (N,)."""
+        """Mask (N,) of positions (N, 3) no farther from the route than the sensor sees."""
         road = self.world.route_of(b).positions[:, [0, 2]]
         away: FloatArray = np.linalg.norm(positions[:, None, [0, 2]] - road, axis=-1)
         return np.asarray(away.min(axis=1, initial=np.inf) <= self._farthest)

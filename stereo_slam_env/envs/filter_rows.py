@@ -70,7 +70,7 @@ class Belief:
 
     @cached_property
     def joint_covariance(self) -> FloatArray:
-        """Of the pose and the positions (W) of `ids`, (6 + 3 N, 6 + 3 N), see `StereoFilter.joint_covariance`."""
+        """Joint covariance of pose and positions (W), (6 + 3 N, 6 + 3 N), as `StereoFilter.joint_covariance`."""
         return self.slam.joint_covariance(self.ids)
 
     @cached_property

@@ -119,7 +119,7 @@ def drive_gaze_vector(**arguments: Any) -> RowsVectorEnv:
 
 
 def vector_of(task: Callable[..., Any]) -> Callable[..., RowsVectorEnv]:
-    """What `make_vec` calls for a task: a function that makes one environment, or rows where it is given `many`.
+    """Entry of `make_vec` for a task: a function that makes one environment, or rows where it is given `many`.
 
     `num_envs`, `autoreset_mode`, `scenes` and `threads` are those of `stereo_vector`, `max_episode_steps` counts the
     steps of the task; other arguments are the task's.

@@ -37,7 +37,7 @@ _BEYOND, _KNOWN_AGAIN = 5.0, -48.0
 
 
 class LoopClosureRows(RowsWrapper):
-    """What `LoopClosure` does, on rows; see there."""
+    """Rows of `LoopClosure`."""
 
     changes = ("_closing", "_steps", "_price", "_driven", "_total", "_learnt", "_path")
     training: ClassVar[Mapping[str, Any]] = {

@@ -24,7 +24,7 @@ BeliefOf = Literal["filter", "reference"]
 
 
 class InformationGainRows(RowsWrapper):
-    """What `InformationGain` does, on rows; see there."""
+    """Rows of `InformationGain`."""
 
     changes = ("_recent", "references", "_potentials", "_gains", "_credited", "_gain")
 
@@ -64,7 +64,7 @@ class InformationGainRows(RowsWrapper):
         self._credited, self._gain = np.zeros(rows.count), np.zeros(rows.count)
 
     def begin(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
-        """Nothing is gained yet."""
+        """Start without a gain."""
         self.rows.begin(chosen, seeds, options)
         if "reference" in self._potentials:
             camera, noise = self.needed("camera"), self.needed("noise")
@@ -231,7 +231,7 @@ class InformationGain(RowWrapper):
 
 
 class TrueErrorRows(RowsWrapper):
-    """What `TrueError` does, on rows; see there."""
+    """Rows of `TrueError`."""
 
     changes = ("_squares",)
 

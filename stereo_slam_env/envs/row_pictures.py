@@ -73,7 +73,7 @@ class Pictures(Kept):
         return self._images
 
     def on_moving_body(self, points_w: FloatArray) -> BoolArray:
-        """Which points (N, 3) are on a body that moves."""
+        """Mask of points (N, 3) on a body that moves."""
         return self._moving.on_body(self._frame.to_scene(points_w), self._time)
 
     def close(self) -> None:

@@ -105,7 +105,7 @@ def _made_again(kind: type[RowWrapper], env: gym.Env[Any, Any], arguments: dict[
 
 
 class SelectedKeysRows(RowsWrapper):
-    """What `SelectedKeys` does, on rows."""
+    """Rows of `SelectedKeys`."""
 
     def __init__(self, rows: Rows, keys: Sequence[str]) -> None:
         super().__init__(rows)
@@ -142,7 +142,7 @@ class SelectedKeys(RowWrapper):
 
 
 class DirectionOfGazeRows(RowsWrapper):
-    """What `DirectionOfGaze` does, on rows."""
+    """Rows of `DirectionOfGaze`."""
 
     def __init__(self, rows: Rows, pans: int) -> None:
         super().__init__(rows)

@@ -56,7 +56,7 @@ class Measured:
 
 
 class World(Protocol):
-    """What wrappers may ask of the environments of rows."""
+    """Interface of environments on rows, as wrappers use it."""
 
     def measured(self, which: BoolArray) -> Measured:
         """Measurements of the frames of some rows (B,); of the others there are none."""
@@ -80,7 +80,7 @@ class World(Protocol):
         """The frame in full precision."""
 
     def start(self, b: int) -> Start:
-        """What a filter is told of the start of the episode."""
+        """Start of the episode, as filters are given it."""
 
     def route_of(self, b: int) -> Route:
         """The nominal drive."""
@@ -124,10 +124,10 @@ class Rows(Kept, ABC):
 
     @abstractmethod
     def inner(self, name: str) -> Any:
-        """What all rows have in common, by the name that single environments have for it; or an `AttributeError`."""
+        """Attribute of all rows, by the name that single environments have for it; or an `AttributeError`."""
 
     def want(self, keys: Collection[str]) -> None:
-        """From now on only these keys of the observation are used; others may be left out."""
+        """Use only these keys of the observation; others may be left out."""
 
     def close(self) -> None:
         """Give back what was taken; may be called twice."""
@@ -156,7 +156,7 @@ class RowsWrapper(Rows):
         self.rows.want(keys)
 
     def snapshot(self) -> State:
-        """What is inside is part of it."""
+        """State of a row, that of the rows inside included."""
         return {**super().snapshot(), "rows": self.rows.snapshot()}
 
     def restore(self, state: Mapping[str, Any]) -> None:
@@ -167,7 +167,7 @@ class RowsWrapper(Rows):
         self.rows.close()
 
     def needed(self, name: str) -> Any:
-        """What the rows inside must have; a `ValueError` says what would offer it."""
+        """Demand attributes of the rows inside; a `ValueError` says what would offer it."""
         try:
             return self.rows.inner(name)
         except AttributeError:

@@ -30,7 +30,7 @@ _ALL = np.ones(1, dtype=np.bool_)
 
 
 def row_of(arrays: Any, b: int) -> Any:
-    """What belongs to row b, of each key where there are keys."""
+    """Part that belongs to row b, of each key where there are keys."""
     if isinstance(arrays, dict):
         return {key: row_of(value, b) for key, value in arrays.items()}
     value = arrays[b]

@@ -49,7 +49,7 @@ class BodyOffset:
 
     @property
     def words(self) -> str:
-        """What is found, in a sentence; empty where nothing is."""
+        """Sentence on the offset; empty where there is none."""
         if not (self.turned or self.apart):
             return ""
         phi = rotations.log(self.T_bc.R_wc)
@@ -155,7 +155,7 @@ def _of_relative_motions(
 
 
 def swapped_reading(estimate: Trajectory, reference: Trajectory) -> str:
-    """Which other reading of paired files fits five times better, in a sentence; empty where none does."""
+    """Reading of paired files that fits five times better, in a sentence; empty where none does."""
     plain = _misfit(estimate, reference)
     for words, swapped in _READINGS.items():
         other = _misfit(swapped(estimate), reference)

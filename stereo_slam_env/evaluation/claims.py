@@ -75,7 +75,7 @@ class ClaimScore:
 
     @property
     def verdict(self) -> str:
-        """What one run can tell of the claim, in words."""
+        """Verdict of one run on the claim, in words."""
         if self.obstacle:
             return self.obstacle
         if self.unusable:
@@ -185,7 +185,7 @@ def energy_scores(errors: FloatArray, covariances: FloatArray) -> FloatArray:
 
 
 def claimed_numbers(trajectory: Trajectory) -> dict[str, FloatArray]:
-    """What each claim is of, as matrices (n, 6), or (K, n, 6), that take the error of a pose to its numbers.
+    """Numbers that each claim is of, as matrices (n, 6), or (K, n, 6), that take the error of a pose to its numbers.
 
     Of positions without orientations there is no claim but that on the position.
     """
@@ -205,7 +205,7 @@ def nees_of(numbers: FloatArray, errors: FloatArray, covariances: FloatArray) ->
 
 @dataclass(frozen=True, eq=False)
 class ScoredClaims:
-    """What a trajectory claims of its pose, position and rotation, scored."""
+    """Scores of what a trajectory claims of its pose, position and rotation."""
 
     claims: Mapping[str, ClaimScore]
     """By name; empty where nothing is claimed."""
@@ -259,7 +259,7 @@ def score_claims(pair: AlignedPair, obstacles: Mapping[str, str], of_a_pair: boo
 
 @dataclass(frozen=True)
 class GaugeScore:
-    """What a claim would be found to be under an alignment."""
+    """Score of a claim under one alignment."""
 
     alignment: AlignmentKind
     """How the world would be aligned, by all poses but for "start"."""

@@ -51,7 +51,7 @@ _RUNS = 3
 
 @dataclass(frozen=True)
 class Findings:
-    """What was found before the claim was judged."""
+    """Findings before the claim is judged."""
 
     diverged_at_s: float | None
     """Time from the first pair after which the estimate is no trajectory of this drive; None where it is one."""
@@ -195,7 +195,7 @@ def _constant_offsets(tangent: Tangent, R: FloatArray, errors: FloatArray) -> It
 
 
 def find_obstacles(pairs: PosePairs, whole: tuple[Trajectory, Trajectory], pair: AlignedPair) -> Findings:
-    """What keeps paired trajectories from being compared; `whole` are the two before they were paired."""
+    """Look for what keeps paired trajectories from being compared; `whole` are the two before they were paired."""
     aligned, truth, kind = pair.estimate, pairs.reference, pair.alignment.kind
     path = metrics.path_length(truth.positions)
     obstacles = dict.fromkeys(("pose", "position", "rotation"), "")
@@ -282,7 +282,7 @@ def _doubt_of(run: FilterRun, bands: Mapping[str, tuple[float, float]]) -> str:
 
 
 def _diverged_at(aligned: Trajectory, reference: Trajectory, path: float) -> float | None:
-    """When an estimate left the drive, s from its first pose; None where it did not.
+    """Time at which an estimate left the drive, s from its first pose; None where it did not.
 
     Its distance from its own start becomes wrong by more than the whole path, which no world and no body of its own can
     do; or it goes well over the first half of the path, and from some piece of it on to the end each is wrong by more
@@ -308,7 +308,7 @@ def _diverged_at(aligned: Trajectory, reference: Trajectory, path: float) -> flo
 
 
 def _of_clocks(whole: tuple[Trajectory, Trajectory], rigid: float) -> str:
-    """How the clocks differ, where that explains most of the error, in a sentence; empty where it does not."""
+    """Difference of the clocks where that explains most of the error, in a sentence; empty where it does not."""
     try:
         offset = find_time_offset(*whole)
         matched = paired(shifted(whole[0], offset), whole[1], interpolate=True)

@@ -134,7 +134,7 @@ class _Drive:
         return dt
 
     def arrive(self, k: int) -> StereoObservation:
-        """What is seen in frame k, after the prediction."""
+        """Information of frame k, after the prediction."""
         return self.belief.arrive(self._frame(k), self._landmarks)
 
     def note(self, k: int, covariance: FloatArray) -> None:
@@ -273,7 +273,7 @@ class ReferenceBelief:
 
 
 def _are_in(ids: IntArray, known: IntArray) -> BoolArray:
-    """Which ids are among some that are sorted."""
+    """Mask of ids that are among some sorted ones."""
     if not len(known):
         return np.zeros(len(ids), dtype=np.bool_)
     found: BoolArray = known[np.minimum(np.searchsorted(known, ids), len(known) - 1)] == ids

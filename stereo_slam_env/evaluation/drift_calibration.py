@@ -217,7 +217,7 @@ def _scores(variances: FloatArray, drive: _Windows) -> FloatArray:
 
 
 def _pooled_quantile(drives: Sequence[_Windows], scores: Sequence[FloatArray]) -> float:
-    """Where the distribution of the scores, in which drives and lengths weigh alike, reaches `COVERED`."""
+    """Quantile `COVERED` of the scores, in which drives and lengths weigh alike."""
     values = np.concatenate(scores)
     shares = np.concatenate([drive.weights / drive.weights.sum() for drive in drives])
     order = np.argsort(values)

@@ -33,7 +33,7 @@ _PARTS = ("white", *DRIVERS, "lasting")
 
 @dataclass(frozen=True, eq=False)
 class LengthCheck:
-    """How the drives of a calibration, each left out of the fit, are covered over windows of one length."""
+    """Coverage of the drives of a calibration, each left out of the fit, over windows of one length."""
 
     seconds: float
     """Length of the windows, s."""
@@ -49,7 +49,7 @@ class LengthCheck:
 
 @dataclass(frozen=True, eq=False)
 class DriftModel:
-    """How the covariance of a motion grows; `calibrate` makes it, `claim` uses it."""
+    """Model of how the covariance of a motion grows; `calibrate` makes it, `claim` uses it."""
 
     variances: FloatArray
     """(6, 6): white, m^2 and rad^2; walk per m, per s, per rad and per inverse track; lasting, of the drift per m. By
@@ -170,7 +170,7 @@ def claim(trajectory: Trajectory, model: DriftModel) -> Trajectory:
 
 
 def basis(trajectory: Trajectory, first: IntArray, last: IntArray) -> Iterator[FloatArray]:
-    """What each variance of a model adds to the covariances (W, 6, 6) of motions, in the order of the numbers.
+    """Contributions of the variances of a model to the covariances (W, 6, 6) of motions, in the order of the numbers.
 
     The errors are Log(T^^-1 T), right, of the motions from `first` (W,) to `last` (W,) of the trajectory.
     """
@@ -193,7 +193,7 @@ def basis(trajectory: Trajectory, first: IntArray, last: IntArray) -> Iterator[F
 
 
 def drivers(trajectory: Trajectory) -> FloatArray:
-    """What the steps of a trajectory add to the drivers (4, K): m, s, rad, 1 / tracks; 0 at the first pose."""
+    """Contributions of the steps of a trajectory to the drivers (4, K): m, s, rad, 1 / tracks; 0 at the first pose."""
     times = _require_times(trajectory)
     R = rotations.matrix(trajectory.orientations)
     turns = np.linalg.norm(rotations.log(R[:-1].swapaxes(1, 2) @ R[1:]), axis=1)

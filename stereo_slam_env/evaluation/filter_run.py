@@ -258,7 +258,7 @@ class RunLog:
         self._maps.append(one)
 
     def fault(self) -> str | None:
-        """What kept a belief of the frames so far from being one, if anything did."""
+        """Fault that kept a belief of the frames so far from being one, if any."""
         if self._fault is None:
             try:
                 self._check()

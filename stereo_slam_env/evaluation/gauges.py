@@ -181,7 +181,7 @@ def correlation_of(trajectory: Trajectory) -> Correlation:
 
 
 def _moved_and_weights(points: FloatArray, alignment: Alignment) -> tuple[FloatArray, FloatArray]:
-    """How the free numbers of an alignment move each pose, A (K, 6, g), and errors move them, W (K, g, 6).
+    """Jacobians of poses by the free numbers of an alignment, A (K, 6, g), and of these by errors, W (K, g, 6).
 
     `points` (K, 3) are the positions from the centre.
     """

@@ -259,7 +259,7 @@ def _interpolated(estimate: Trajectory, reference: Trajectory) -> PosePairs:
 
 
 def _apart(common: int, a: FloatArray, b: FloatArray, max_gap: float) -> str:
-    """Why too few poses belong together, and what to do."""
+    """Reason why too few poses belong together, and what to do."""
     said = f"estimate and reference have {common} poses in common, more than {FEWEST} are needed: "
     ours, theirs = float(np.ptp(a)), float(np.ptp(b))
     for unit, name in ((1e9, "nanoseconds"), (1e6, "microseconds"), (1e3, "milliseconds")):

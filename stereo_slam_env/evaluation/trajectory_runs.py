@@ -16,7 +16,7 @@ from stereo_slam_env.evaluation.trajectory_score import TrajectoryScore
 
 @dataclass(frozen=True, eq=False)
 class RunsClaim:
-    """What runs claim of the pose, the position or the rotation, taken together."""
+    """Claim of several runs on the pose, the position or the rotation, taken together."""
 
     dof: int
     """Numbers of an error."""
@@ -35,7 +35,7 @@ class RunsClaim:
 
     @property
     def verdict(self) -> str:
-        """What the runs tell of the claim, in words."""
+        """Verdict of the runs on the claim, in words."""
         return verdict_of(self.mean, self.dof, self.band, f"{len(self.each)} runs")
 
     @property
@@ -140,7 +140,7 @@ def score_runs(scores: Sequence[TrajectoryScore]) -> RunsScore:
 
 
 def _unfit(score: TrajectoryScore) -> str:
-    """Why a run has no part in the mean; empty where it has."""
+    """Reason why a run has no part in the mean; empty where it has."""
     if score.claim is None:
         return "it claims no covariance"
     if score.unusable:

@@ -48,7 +48,7 @@ WINDOW_SERIES = tuple(series_of(seconds) + kind for seconds in WINDOWS for kind 
 
 @runtime_checkable
 class Cloning(Protocol):
-    """What a filter needs for its windows to be scored, as `filters.StereoEKF` has it."""
+    """Interface of a filter for its windows to be scored, as `filters.StereoEKF` has it."""
 
     def clone_pose(self, name: str) -> None:
         """Keep the present pose under a name."""

@@ -175,7 +175,7 @@ def parse_table(
 
 
 def finite_rows(table: FloatArray) -> BoolArray:
-    """Which rows of (K, columns) hold neither NaN nor infinity."""
+    """Mask (K,) of rows that hold neither NaN nor infinity."""
     return np.asarray(np.isfinite(table).all(axis=1), dtype=np.bool_)
 
 

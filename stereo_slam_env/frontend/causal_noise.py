@@ -52,14 +52,14 @@ class CausalNoiseEKF(ColouredNoiseEKF):
         super().__init__(camera, nothing_known, **options)
 
     def reset(self, start: Start = AT_ORIGIN) -> None:
-        """As of `StereoEKF`; nothing is known of the tracks."""
+        """Reset as `StereoEKF` does; nothing is known of the tracks."""
         super().reset(start)
         self._tracks = TrackStatistics(self.camera)
         self._last: tuple[StereoObservation, np.ndarray, np.ndarray] | None = None
         self._raised, self._frame = 1.0, 0
 
     def update(self, observation: StereoObservation) -> UpdateReport:
-        """As of `StereoEKF`, then learn from the frame."""
+        """Update as `StereoEKF` does, then learn from the frame."""
         brings_R = isinstance(observation, StereoObservation) and observation.R is not None
         k = self._frame
         learns = self._tracks.frames < AT_FIRST or k % PERIOD < LEARNING

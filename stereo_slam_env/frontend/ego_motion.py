@@ -90,13 +90,13 @@ class Pairs:
 
     @classmethod
     def between(cls, first: StereoObservation, second: StereoObservation, noise: StereoNoise) -> Pairs:
-        """What both observations have measured; `noise` where they bring no R of their own."""
+        """Measurements of points in both observations; `noise` where they bring no R of their own."""
         _, i, j = np.intersect1d(first.ids, second.ids, assume_unique=True, return_indices=True)
         R_first, R_second = first.covariances(noise)[i], second.covariances(noise)[j]
         return cls(first.uvd[i], second.uvd[j], R_first, R_second)
 
     def select(self, index: IntArray | BoolArray) -> Pairs:
-        """Those at `index`."""
+        """Pairs at `index`."""
         return Pairs(self.first[index], self.second[index], self.R_first[index], self.R_second[index])
 
     def __len__(self) -> int:

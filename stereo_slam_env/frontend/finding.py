@@ -120,7 +120,7 @@ def _refined(image: Image, found: FloatArray) -> FloatArray:
 
 
 def _apart(corners: FloatArray, taken: FloatArray, min_distance: float) -> BoolArray:
-    """Those that are near neither a landmark nor a better corner."""
+    """Corners that are near neither a landmark nor a better corner."""
     points = np.concatenate([taken, corners])
     squared = sum((corners[:, axis, None] - points[:, axis]) ** 2 for axis in (0, 1))
     before = np.arange(len(points)) < len(taken) + np.arange(len(corners))[:, None]
@@ -233,7 +233,7 @@ class PairFinder:
         return rows.disparity + offset, rows.variance, rows.accepted
 
     def inside(self, uv: FloatArray) -> BoolArray:
-        """Which pixels (M, 2) are off the edge of the left image by the margin."""
+        """Mask of pixels (M, 2) that are off the edge of the left image by the margin."""
         margin = self.settings.margin
         high = [self.camera.width - 1 - margin, self.camera.height - 1 - margin]
         return np.asarray(((uv >= margin) & (uv <= high)).all(axis=1))

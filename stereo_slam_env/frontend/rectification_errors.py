@@ -156,7 +156,7 @@ def _of_pair(left: GreyImage, right: GreyImage) -> tuple[FloatArray, FloatArray,
 def _matched(
     one: GreyImage, other: GreyImage, uv: FloatArray, low: FloatArray, high: FloatArray
 ) -> tuple[FloatArray, BoolArray]:
-    """Where the surroundings of `uv` (N, 2) are in the other image, within a box about it, and whether that is sure."""
+    """Matches of the surroundings of `uv` (N, 2) in the other image, within a box, and whether they are sure."""
     if not len(uv):
         return uv, np.zeros(0, dtype=bool)
     templates, nearest = cut_patches(one, uv, PATCH), np.rint(uv)

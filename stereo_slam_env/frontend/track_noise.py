@@ -67,7 +67,7 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, eq=False)
 class TrackNoise:
-    """How the errors of tracks are distributed over time."""
+    """Distribution of the errors of tracks over time."""
 
     step: FloatArray
     """(3,): standard deviation of a residual of (u, v, d), px; zero without residuals."""
@@ -96,12 +96,12 @@ class TrackNoise:
 
     @property
     def ignorance(self) -> float:
-        """Of what can be known of how errors last, the part that is not, 0 to 1: 1 without tracks."""
+        """Uncertainty of how errors last, 0 to 1: 1 without tracks."""
         return float(np.sqrt(1.0 - 1.0 / (1.0 + self.lasting_share_error**2)))
 
     @property
     def known_to_last(self) -> float:
-        """Of the errors, the share that is known to last, 0 to 1: that of the walk, with a prior of 0 ± 1."""
+        """Share of the errors that is known to last, 0 to 1: that of the walk, with a prior of 0 ± 1."""
         return float(np.clip(self.lasting_share / (1.0 + self.lasting_share_error**2), 0.0, 1.0))
 
 
@@ -303,7 +303,7 @@ def bring_R(recording: Recording) -> bool:
 
 
 def stated_noise(found: TrackNoise, R: StereoNoise, brings_R: bool, stranger: bool) -> ColouredNoise:
-    """What tracks say of their noise, where `R` was assumed for white noise; see `with_measured_noise`."""
+    """Measure the noise of tracks, where `R` was assumed for white noise; see `with_measured_noise`."""
     if brings_R:
         noise = ColouredNoise(R.R, drift=LandmarkDrift(share=DRIFT_SHARE))
     else:

@@ -58,7 +58,7 @@ _ALIKE = chi_square_quantile(0.99, 3)
 def moving_together(
     camera: StereoCamera, before: FloatArray, now: FloatArray, R_before: FloatArray, R_now: FloatArray, step: Step
 ) -> BoolArray:
-    """Which of N landmarks that disagree with the scene move like at least `NEIGHBOURS` others beside them; (N,).
+    """Mask (N,) of landmarks which disagree with the scene and move like at least `NEIGHBOURS` others beside them.
 
     `before` and `now` are their (u, v, d) (N, 3) px, d > 0, in both pairs, with covariances (N, 3, 3) px^2, and `step`
     is the motion of the camera.
@@ -78,7 +78,7 @@ def moving_together(
 
 
 def beside_moving(camera: StereoCamera, uvd: FloatArray, moving_uvd: FloatArray) -> BoolArray:
-    """Which measurements (N, 3) may lie on the bodies of moving landmarks (M, 3)."""
+    """Mask of measurements (N, 3) that may lie on the bodies of moving landmarks (M, 3)."""
     if len(moving_uvd) == 0 or len(uvd) == 0:
         return np.zeros(len(uvd), dtype=bool)
     reach = _BODY_SIZE * camera.fx / camera.disparity_constant * moving_uvd[:, 2]  # px at the depth of the body
@@ -268,7 +268,7 @@ class StereoTracker:
         return tracks.select(kept), searched, tracks.ids[gone]
 
     def _expected(self, finder: PairFinder, tracks: Tracks, dt: float, forecast: Forecast | None) -> Expectation:
-        """By the filter's forecast, else by constant velocity, else by optical flow."""
+        """Predict by the filter's forecast, else by constant velocity, else by optical flow."""
         step = None
         if forecast is not None:
             rows = sure_rows(tracks, forecast, self.settings)

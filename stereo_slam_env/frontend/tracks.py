@@ -110,7 +110,7 @@ class Tracks:
         return len(self.ids)
 
     def select(self, index: BoolArray | IntArray | slice) -> Tracks:
-        """Those at `index`."""
+        """Tracks at `index`."""
         return Tracks(*(getattr(self, about.name)[index] for about in fields(self)))
 
     def joined(self, other: Tracks) -> Tracks:

@@ -170,7 +170,7 @@ class ClaimFinding:
 
 @dataclass(frozen=True)
 class Sentence:
-    """Something the paper says that can be checked: an entry of `claims.json`."""
+    """Statement of the paper that can be checked: an entry of `claims.json`."""
 
     key: str  # a short, unique name
     section: str  # of the paper
@@ -193,7 +193,7 @@ class Claim:
 
     @property
     def verdict(self) -> ClaimVerdict:
-        """By the rule of this module."""
+        """Judge by the rule of this module."""
         found = {finding.verdict for finding in self.findings}
         if {ClaimVerdict.HOLDS, ClaimVerdict.DOES_NOT_HOLD} <= found:
             return ClaimVerdict.HOLDS_ONLY_IF

@@ -139,7 +139,7 @@ Actions = Callable[[Any, BoolArray], Any]
 
 @dataclass(frozen=True, eq=False)
 class TrueFigures:
-    """What came out of B episodes, by the truth beside the claim; each (B,)."""
+    """Results of B episodes, by the truth beside the claim; each (B,)."""
 
     final_position_error_m: FloatArray
     """True position error at the end."""
@@ -176,7 +176,7 @@ class RowOfVector:
         self._rows, self._b = vector.rows, b
 
     def get_wrapper_attr(self, name: str) -> Any:
-        """What the single environment has under that name; an `AttributeError` where there is none."""
+        """Attribute of the single environment; an `AttributeError` where there is none."""
         rows, b = self._rows, self._b
         if name == "slam":
             return rows.inner("beliefs").filters[b]

@@ -81,7 +81,7 @@ def settings_for(task: Task, **given: Any) -> PPOSettings:
 
 
 def merit(row: Mapping[str, float]) -> float:
-    """What a network is chosen by: the least true error of the position in the end, else the largest return."""
+    """Score that a network is chosen by: the least true error of the position in the end, else the largest return."""
     return -row["final_position_error_m"] if "final_position_error_m" in row else row["validation_return"]
 
 

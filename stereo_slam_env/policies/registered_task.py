@@ -61,7 +61,7 @@ class RegisteredTask:
 
     @cached_property
     def _stated(self) -> Mapping[str, Any]:
-        """What `metadata["training"]` has."""
+        """Content of `metadata["training"]`."""
         vector = _vector(self.environment, 1, {}, AutoresetMode.NEXT_STEP, 1)
         vector.close()
         stated: Mapping[str, Any] = vector.metadata.get("training", {})
@@ -118,7 +118,7 @@ class RegisteredTask:
         return EpisodeOutcome(float(returns.mean()), float(success.mean()), float(steps.mean()))
 
     def words(self, results: EpisodeOutcome) -> str:
-        """What a progress bar says of results."""
+        """Text of a progress bar on results."""
         said = f"return {results.validation_return:.2f}"
         if np.isfinite(results.success):
             said += f", success {results.success:.0%}"

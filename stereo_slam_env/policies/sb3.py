@@ -134,7 +134,7 @@ def _rows(observation: Any, which: BoolArray) -> list[Any]:
 
 
 def _row(batch: Any, b: int) -> Any:
-    """Of an array, or of a dictionary or a tuple of them, what belongs to environment b."""
+    """Part of environment b of an array, or of a dictionary or a tuple of them."""
     if isinstance(batch, dict):
         return {key: _row(value, b) for key, value in batch.items()}
     if isinstance(batch, tuple):

@@ -43,7 +43,7 @@ class DriftParts:
 
 @dataclass(frozen=True, eq=False)
 class Drift:
-    """What the error of each of K poses has alone, and what of it lasts, in the definition of their covariances."""
+    """Errors of K poses: the part of each alone and that which lasts, in the definition of their covariances."""
 
     own: FloatArray
     """(K, 6, 6): covariance of what a pose has alone."""
@@ -53,11 +53,11 @@ class Drift:
     """The numbers that they follow from, along the poses as they are; None where those have been moved since."""
 
     def rows(self, index: BoolArray | IntArray | slice) -> Drift:
-        """That of some poses."""
+        """Drift of some poses."""
         return Drift(self.own[index], self.lasting[index], self.parts)
 
     def through(self, J: FloatArray) -> Drift:
-        """That of the errors J e, with J (6, 6) or (K, 6, 6)."""
+        """Drift of the errors J e, with J (6, 6) or (K, 6, 6)."""
         return Drift(J @ self.own @ J.swapaxes(-1, -2), J @ self.lasting, None)
 
 
@@ -219,7 +219,7 @@ class Reference:
         return not (self.position_jitter or self.rotation_jitter or self.misalignment)
 
     def has_settled(self, timestamps: FloatArray | float) -> BoolArray:
-        """Which of these times, s, are to be scored."""
+        """Mask of the times, s, that are to be scored."""
         return np.asarray(timestamps) >= (-np.inf if self.settled_at is None else self.settled_at)
 
     def relative_covariance(self, first: Pose, last: Pose) -> FloatArray:
@@ -369,7 +369,7 @@ class ImageSequence(Protocol):
 
     @property
     def skipped(self) -> Mapping[str, int]:
-        """Why pairs were left out, and how many; known after they have been iterated over."""
+        """Reasons why pairs were left out, and how many; known after they have been iterated over."""
 
     def __len__(self) -> int:
         """Number of pairs."""

@@ -155,7 +155,7 @@ _WRITERS = {".tum": _write_tum, ".kitti": _write_kitti, ".square": _write_square
 
 
 def _turned(trajectory: Trajectory, *, into_body: bool) -> Trajectory:
-    """With the displacement of the position turned from W into the body frame, as files have it, or back."""
+    """Turn the displacement of the position from W into the body frame, as files have it, or back."""
     if trajectory.covariances is None:
         return trajectory
     J = tangent_jacobian("right", trajectory.positions, trajectory.orientations)
@@ -177,7 +177,7 @@ def _header(path: Path, text: str) -> dict[str, str]:
 
 
 def _about(path: Path, header: Mapping[str, str]) -> dict[str, Any]:
-    """What the header says beyond the numbers, with the names of the columns."""
+    """Header beyond the numbers, with the names of the columns."""
 
     def one_of(key: str, known: Mapping[str, Any], usual: str) -> Any:
         value = header.get(key, usual)

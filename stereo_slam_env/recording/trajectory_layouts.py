@@ -325,7 +325,7 @@ def _asked(count: int) -> str:
 
 
 def _known(names: Sequence[str]) -> dict[str, int]:
-    """Which column has what, by the names of the columns; the last one where two have the same."""
+    """Meaning of the columns by their names; the last one where two have the same."""
     return {key: i for key, how in _NAMES.items() for i, name in enumerate(names) if re.fullmatch(how, name)}
 
 

@@ -122,7 +122,7 @@ class GLRenderer:
 
     @staticmethod
     def image_quality(supersample: int = 1) -> ImageQuality:
-        """From the slide of tracks (docs/front_end.md)."""
+        """Blur of the images, measured by the slide of tracks (docs/front_end.md)."""
         return ImageQuality(blur=1.0 if supersample == 1 else 0.4)
 
     def build(self, scene: Scene) -> None:

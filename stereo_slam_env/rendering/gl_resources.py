@@ -80,7 +80,7 @@ class ViewVolume:
         return cls(normals, offsets_c + normals @ position, position)
 
     def touches(self, centers: FloatArray, half_sizes: FloatArray) -> BoolArray:
-        """Which upright boxes (..., 3) may reach into it; (...)."""
+        """Mask (...) of upright boxes (..., 3) that may reach into it."""
         reach = centers @ self.normals.T + half_sizes @ np.abs(self.normals.T)
         return np.asarray((reach >= self.offsets).all(axis=-1))
 
@@ -176,7 +176,7 @@ class MeshBuffer:
         self._count = content.triangles.size
 
     def select(self, view: ViewVolume) -> None:
-        """From now on, draw what may be seen in `view` only."""
+        """Draw only what may be seen in `view`."""
         triangles = self.content.front_to_back(view)
         self._count = triangles.size
         self._indices.orphan()
@@ -266,17 +266,17 @@ class FrameBuffer:
             self._centres = context.framebuffer([], self._parts[-1])
 
     def clear(self) -> None:
-        """Nothing anywhere."""
+        """Clear what was drawn."""
         for buffer in {self._drawn, self._centres}:
             buffer.clear(depth=1.0)
 
     def draw_view(self, index: int) -> None:
-        """From now on, draw the left (0) or the right (1) view."""
+        """Select the left (0) or the right (1) view as what is drawn into."""
         self._drawn.use()
         self._drawn.viewport = (0, index * self._fine[1], *self._fine)
 
     def draw_depth(self) -> None:
-        """From now on, draw the depth of the left view."""
+        """Select the depth of the left view as what is drawn into."""
         self._centres.use()
         self._centres.viewport = (0, 0, *self._size)
 

@@ -51,7 +51,7 @@ def even_sides(picture: Image) -> Image:
 
 
 def disparity_colors(disparities: FloatArray) -> NDArray[np.uint8]:
-    """From blue (far) to red (near), even in the logarithm of the disparity; (M,) px -> (M, 3) RGB."""
+    """Colours from blue (far) to red (near), even in the logarithm of the disparity; (M,) px -> (M, 3) RGB."""
     bounds = np.log([_FAR_DISPARITY, _NEAR_DISPARITY])
     level = (np.log(np.maximum(disparities, 1e-3)) - bounds[0]) / (bounds[1] - bounds[0])
     grey = np.rint(255 * (0.08 + 0.84 * np.clip(level, 0.0, 1.0))).astype(np.uint8).reshape(-1, 1)
@@ -148,7 +148,7 @@ def inset_gaze(
     axes = np.stack([np.array([ahead[1], -ahead[0]]), -ahead])  # to the right and backwards: as the picture's axes
 
     def pixel(points: FloatArray) -> NDArray[np.int32]:
-        """Of points (N, 2) relative to the car, to the right and backwards, m."""
+        """Pixels of points (N, 2) relative to the car, to the right and backwards, m."""
         offset = points * zoom + 0.5 * size - 0.5
         return fixed_point(offset)
 

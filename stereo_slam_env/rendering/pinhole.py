@@ -30,7 +30,7 @@ class StereoImages:
 
 @dataclass(frozen=True)
 class ImageQuality:
-    """What a vision front end has to know of the images of a back end."""
+    """Properties of a back end's images that a vision front end has to know."""
 
     blur: float
     """Variance of the point spread along an axis, px^2: that of texture filter and sampling."""

@@ -193,7 +193,7 @@ def _standard_normal(bits: np.random.BitGenerator, shape: tuple[int, ...]) -> ND
 
 @cache
 def _quantiles() -> NDArray[np.float32]:
-    """Of a normal distribution, in the middles of 256 equal shares; their variance is one half."""
+    """Quantiles of a normal distribution, in the middles of 256 equal shares; their variance is one half."""
     quantiles = ndtri((np.arange(256) + 0.5) / 256)
     return np.asarray(quantiles * np.sqrt(0.5 / np.mean(quantiles**2)), dtype=np.float32)
 

@@ -69,7 +69,7 @@ class TinyRenderer:
         self._world.dress(scene)
 
     def close(self) -> None:
-        """Nothing: the world is its owner's to close."""
+        """Leave the world open: its owner closes it."""
 
     def render_pair(self, pose: Pose, time: float = 0.0) -> StereoImages:
         self._world.set_time(time)

@@ -38,7 +38,7 @@ class OfMeasurements(Checked):
         )
 
     def changed(self, seen: StereoObservation, camera: StereoCamera, rng: np.random.Generator) -> StereoObservation:
-        """What is measured in a frame instead of `seen`, everything random from `rng`."""
+        """Measurements of a frame instead of `seen`, everything random from `rng`."""
         raise NotImplementedError
 
 

@@ -42,7 +42,7 @@ from stereo_slam_env.sensing.corrupted_measurements import (
 
 @dataclass(frozen=True)
 class Blackouts(Checked):
-    """For a while nothing at all is measured: glare, a dark tunnel, a blank wall.
+    """Gaps in which nothing at all is measured: glare, a dark tunnel, a blank wall.
 
     Parameters
     ----------
@@ -296,7 +296,7 @@ class IndependentUvd:
 
 
 class HeavyTailedPixels(IndependentPixels):
-    """As `IndependentPixels`, but each coordinate has the error of a correlation matcher: sharp, with rare mismatches.
+    """Independent errors of a correlation matcher in each coordinate: sharp, with rare mismatches.
 
     The shape is that of `matching_errors`, scaled so that its standard deviation is `sigma`; R is then that of
     `IndependentPixels`, so that only the shape differs: at 1 px, 60 % of the errors have 0.03 px, 36 % 0.19 px, and 4 %
@@ -329,7 +329,7 @@ def matching_errors(rng: np.random.Generator, shape: tuple[int, ...]) -> FloatAr
 
 
 class QuantisedPixels(IndependentPixels):
-    """As `IndependentPixels`, and then all four coordinates are rounded to whole pixels, so that d is whole, too.
+    """Independent errors in four coordinates, which are then rounded to whole pixels, so that d is whole, too.
 
     Rounding adds 1/12 px^2 to each, independent of the rest as long as landmarks fall anywhere between pixels.
     """

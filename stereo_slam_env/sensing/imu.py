@@ -93,7 +93,7 @@ class Imu:
 
     @property
     def unit(self) -> InertialUnit:
-        """What filters are told of it."""
+        """Data sheet as filters are given it."""
         sheet = self._sheet
         walks = sheet.gyro_walk, sheet.accelerometer_walk
         position, orientation = np.array(self.position), np.array(self.orientation)
@@ -101,7 +101,7 @@ class Imu:
 
     @property
     def name(self) -> str:
-        """Of its data sheet; "own" where that has none."""
+        """Name of its data sheet; "own" where that has none."""
         return next((name for name, sheet in DATA_SHEETS.items() if sheet == self.sheet), "own")
 
     @property
@@ -172,7 +172,7 @@ class UnitErrors:
         self._walks = np.repeat([sheet.gyro_walk, sheet.accelerometer_walk], 3)
 
     def added(self, means: FloatArray, dt: float) -> FloatArray:
-        """What is measured of exact means (n, 6) over a step of `dt` seconds; afterwards the biases walk."""
+        """Measurements of exact means (n, 6) over a step of `dt` seconds; afterwards the biases walk."""
         numbers = (means.reshape(-1, 2, 3) @ self._turn.T).reshape(-1, 6)
         numbers = self._scales * numbers + self.bias
         numbers += self._densities / np.sqrt(dt / len(means)) * self._rng.standard_normal(numbers.shape)

@@ -275,7 +275,7 @@ def _camera_info(
 
 
 def _opencv(path: Path, table: dict[str, Any], size: Size | None) -> Calibration:
-    """Of OpenCV's stereo calibration (M1, D1, M2, D2, R, T), and ORB-SLAM's settings, raw or rectified."""
+    """Rig of OpenCV's stereo calibration (M1, D1, M2, D2, R, T), and ORB-SLAM's settings, raw or rectified."""
     of_image = ("image_size", "imageSize", "size", "resolution")
     for width, height in (("Camera.width", "Camera.height"), ("LEFT.width", "LEFT.height")):
         if size is None and width in table and height in table:

@@ -84,7 +84,7 @@ def camera_of(rig: Rig, default: str = "reference") -> StereoCamera:
 
 
 def calibration_of(rig: Rig, default: str = "reference") -> Calibration:
-    """What a rig says of its images: a rig of rectified ones, or how raw ones are rectified; as of `camera_of`.
+    """Images of a rig: a rig of rectified ones, or how raw ones are rectified; as of `camera_of`.
 
     Beside a calibration of raw images only the baseline may be another one.
     """

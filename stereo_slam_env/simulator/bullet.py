@@ -59,7 +59,7 @@ class BulletAnswers:
             world.close()
 
     def _seen(self, rules: Rules, fleet: Fleet, b: int, pose: Pose, landmarks: IntArray) -> BoolArray:
-        """Which landmarks of a row both cameras see from `pose`."""
+        """Mask of the landmarks of a row that both cameras see from `pose`."""
         right = pose.position + rules.camera[5] * pose.R_wc[:, 0]
         cameras = self._frame.to_scene(np.array([pose.position, right]))
         return self.worlds[b].visible(cameras, self._frame.to_scene(fleet.landmarks[b, :, landmarks]))

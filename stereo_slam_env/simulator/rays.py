@@ -69,7 +69,7 @@ def solid_rows(solids: Iterable[Primitive]) -> FloatArray:
 
 
 def visible(obstacles: Obstacles, cameras: FloatArray, points: FloatArray) -> BoolArray:
-    """Which points (N, 3) on surfaces are seen from one camera or two (C, 3); as `PhysicsWorld.visible`."""
+    """Mask of points (N, 3) on surfaces that are seen from one camera or two (C, 3); as `PhysicsWorld.visible`."""
     return np.asarray(_visible(obstacles, traversal(), cameras[[0, -1]], points), dtype=np.bool_)
 
 
@@ -243,7 +243,7 @@ def _hits_cylinder(solid: FloatArray, x: float, y: float, z: float, dx: float, d
 
 @entry
 def _hits_triangle(solid: FloatArray, x: float, y: float, z: float, dx: float, dy: float, dz: float) -> bool:
-    """By Moeller and Trumbore, from either side."""
+    """Intersect by Moeller and Trumbore, from either side."""
     ax, ay, az, bx, by, bz = solid[3], solid[4], solid[5], solid[6], solid[7], solid[8]
     px, py, pz = dy * bz - dz * by, dz * bx - dx * bz, dx * by - dy * bx
     volume = ax * px + ay * py + az * pz
@@ -275,7 +275,7 @@ def hits(solid: FloatArray, at: Three, way: Three) -> bool:
 
 @kernel
 def way_to(at: Three, to: Three) -> Three:
-    """From a camera to just before a point."""
+    """Ray from a camera to just before a point."""
     dx, dy, dz = to[0] - at[0], to[1] - at[1], to[2] - at[2]
     share = 1.0 - SURFACE_GAP / math.sqrt(dx * dx + dy * dy + dz * dz)
     return share * dx, share * dy, share * dz

@@ -257,7 +257,7 @@ class Shown(NamedTuple):
 
 
 def show(rules: Rules, fleet: Fleet, sensed: Sensed) -> Shown:
-    """What all rows show now."""
+    """Pack the frame of all rows for the observation."""
     count, most, single = len(fleet.step), rules.most, np.float32
     shown = Shown(
         uvd=np.empty((count, most, 3), dtype=single),

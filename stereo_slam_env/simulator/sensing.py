@@ -65,7 +65,7 @@ def _drawn(generator: np.random.Generator, stream: int, count: int) -> FloatArra
 
 @kernel(fastmath={"contract", "nnan"})
 def mark_in_view(rules: Rules, landmarks: FloatArray, count: int, pose: FloatArray, inside: NDArray[np.uint8]) -> None:
-    """Which landmarks (3, N) are within range and inside both images; without branches, for vector instructions."""
+    """Mask of landmarks (3, N) within range and inside both images; without branches, for vector instructions."""
     fx, fy, cx, cy, scale, _, width, height = rules.camera
     nearest, farthest, margin = rules.limits
     left, right, top, bottom = cx - margin, width - 1.0 - margin - cx, cy - margin, height - 1.0 - margin - cy
@@ -89,7 +89,7 @@ def mark_in_view(rules: Rules, landmarks: FloatArray, count: int, pose: FloatArr
 
 
 class RowView(NamedTuple):
-    """What is around the cameras of one row, in the scene frame, as the solids are."""
+    """Surroundings of the cameras of one row, in the scene frame, as the solids are."""
 
     exact: bool
     seen: BoolArray
@@ -107,7 +107,7 @@ class RowView(NamedTuple):
 
 @kernel
 def view_of(rules: Rules, fleet: Fleet, b: int) -> RowView:
-    """What is around the cameras of a row."""
+    """Solids around the cameras of a row."""
     pose, baseline, height = fleet.pose[b], rules.camera[5], rules.camera_height
     R = rotation_of(pose)
     left = (pose[2], -pose[0], height - pose[1])

@@ -143,7 +143,7 @@ class Simulator(Kept):
         self._run_parts(JUDGE)
 
     def show(self) -> Shown:
-        """What all rows show, in new arrays."""
+        """Frame of all rows, in new arrays."""
         return show(self.rules, self.fleet, self.sensed)
 
     @property
@@ -195,7 +195,7 @@ class Simulator(Kept):
         return InertialSamples(times, numbers[:, :3].copy(), numbers[:, 3:].copy(), self._imu.unit)
 
     def start(self, b: int) -> Start:
-        """What a filter is told of the start of a row: the pose, and the velocity with an error of the covariance."""
+        """Start of a row as filters are given it: the pose, and the velocity with an error of the covariance."""
         velocity = self._first_velocities[b] + self._start_errors[b]
         return Start(linear_velocity=velocity[:3], angular_velocity=velocity[3:], covariance=np.diag(START_SIGMAS**2))
 

@@ -36,7 +36,7 @@ RIDE_STEPS, RIDE_WAVES = 20, 7
 
 
 class Rules(NamedTuple):
-    """What is the same for all rows."""
+    """Rules, the same for all rows."""
 
     dt: float
     camera: tuple[float, ...]
@@ -156,7 +156,7 @@ class Fleet(NamedTuple):
 
 
 class Sensed(NamedTuple):
-    """What a frame of B rows brings, in full precision."""
+    """Frame of B rows, in full precision."""
 
     ids: IntArray
     """Landmarks that are tracked, ascending; (B, N), -1 in padding."""
@@ -344,7 +344,7 @@ State = dict[str, Any]
 
 
 class Kept:
-    """Something whose state is the attributes `changes`; all others are as its arguments made them."""
+    """Object whose state is the attributes `changes`; all others are as its arguments made them."""
 
     changes: ClassVar[tuple[str, ...]] = ()
 
@@ -376,7 +376,7 @@ def _copied(value: Any) -> Any:
 
 
 def _restored(now: Any, state: Any) -> Any:
-    """What an attribute that is `now` becomes."""
+    """Value that an attribute of value `now` becomes."""
     if isinstance(now, Kept):
         now.restore(state)
         return now

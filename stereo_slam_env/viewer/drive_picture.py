@@ -281,7 +281,7 @@ class DrivePicture:
 
 
 def _reach(drive: Drive, history: Sequence[Moment]) -> float:
-    """How far ahead the close view goes, m: as far as most measured points are, the same in all pictures of a drive."""
+    """Reach of the close view ahead, m: as far as most measured points are, the same in all pictures of a drive."""
     disparities = np.concatenate([moment.observation.uvd[:, 2] for moment in history])
     near = np.quantile(disparities, 1.0 - _SEEN) if len(disparities) else 0.0
     camera = drive.camera

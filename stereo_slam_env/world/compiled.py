@@ -203,7 +203,7 @@ def sample_facing(
     highest: float,
     rng: np.random.Generator,
 ) -> FloatArray:
-    """Those of `sample` that are below `highest` and turned to the nearest point of a road; (M, 3).
+    """Points of `sample` that are below `highest` and turned to the nearest point of a road; (M, 3).
 
     `points` and `circles` of the roads are those of `nearest`, `cells` with their `corner` those of `RoadNetwork`.
     """
@@ -246,7 +246,7 @@ def _sample(shape: FloatArray, rng: np.random.Generator, points: FloatArray, nor
 
 @kernel
 def _convex_limits(points: FloatArray) -> FloatArray:
-    """Of each point: up to which distance from it the squares of distances are convex along its neighbours, m.
+    """Distance of each point up to which the squares of distances are convex along its neighbours, m.
 
     The second difference of |p - q_k|^2 is |q_k+1 - q_k|^2 + |q_k - q_k-1|^2 - 2 (p - q_k) . (q_k+1 - 2 q_k + q_k-1).
     """

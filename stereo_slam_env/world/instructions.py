@@ -58,7 +58,7 @@ def _entered_boxes_plainly(
 
 @_or_plainly(_entered_boxes_plainly)
 def entered_boxes(typing_context: Any, bounds: Any, node: Any, starts: Any, inverses: Any) -> tuple[Any, Any]:
-    """Which of the eight branches of a node two rays enter, as 16 bits: one vector operation a line.
+    """Branches of the eight of a node that two rays enter, as 16 bits: one vector operation a line.
 
     `starts` and `inverses`, of the ways, are (x, y, z) of the first ray and then of the second, in single precision.
     """

@@ -307,7 +307,7 @@ def obj_mesh(
 
 
 def _placed_links(robot: Element, root: Placing) -> dict[str, Placing]:
-    """Where each link is."""
+    """Pose of each link."""
     if len(robot.findall("link")) > MOST_LINKS:
         raise ValueError(f"a robot of more than {MOST_LINKS} links is refused")
     joints = {joint.find("child").attrib["link"]: joint for joint in robot.iterfind("joint")}  # type: ignore[union-attr]

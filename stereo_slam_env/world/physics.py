@@ -119,7 +119,7 @@ class PhysicsWorld:
                 pybullet.resetBasePositionAndOrientation(part, place, turn, physicsClientId=self._connected)
 
     def visible(self, cameras: FloatArray, points: FloatArray) -> BoolArray:
-        """Which points (N, 3) on surfaces are seen from all `cameras` (C, 3), m; the ego car hides nothing."""
+        """Mask of points (N, 3) on surfaces that are seen from all `cameras` (C, 3), m; the ego car hides nothing."""
         rays = points - cameras[:, None]
         lengths = np.sqrt(np.einsum("eni,eni->en", rays, rays))
         ends = points - rays * (_SURFACE_GAP / lengths)[..., None]

@@ -83,7 +83,7 @@ class Road:
 
     @cached_property
     def places(self) -> FloatArray:
-        """Of each point: x, y, the unit vector to the left, and the yaw; (K, 5)."""
+        """Row of each point: x, y, the unit vector to the left, and the yaw; (K, 5)."""
         yaws = np.arctan2(self.tangents[:, 1], self.tangents[:, 0])
         return np.column_stack([self.points, self._lefts, yaws])
 
@@ -117,7 +117,7 @@ class Road:
         return self.stretches()
 
     def _repeats(self, other: Road, gap: float) -> BoolArray:
-        """Which points lie along `other`, on what is more than `gap` m before them."""
+        """Mask of points along `other`, on what is more than `gap` m before them."""
         repeated = np.zeros(len(self.points), dtype=bool)
         near = other.tree.query_ball_point(self.points, _SAME_PLACE)
         rows = np.repeat(np.arange(len(near)), [len(found) for found in near])

@@ -211,7 +211,7 @@ def random_grid(rng: np.random.Generator) -> Route:
 
 
 def through_streets(streets: StreetGrid, choices: Sequence[int]) -> Route:
-    """From the start of the streets by choices of a road at each junction to the middle of the last road."""
+    """Route from the start of the streets by choices of a road at each junction to the middle of the last road."""
     metres, turns = streets.steps(choices)
     return Route("random-grid", metres / FRAME_PERIOD, turns / FRAME_PERIOD, streets=streets)
 

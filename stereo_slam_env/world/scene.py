@@ -78,7 +78,7 @@ class TriangleMesh:
 
     @property
     def corners_and_edges(self) -> FloatArray:
-        """Of each triangle a corner and the edges to the others, (T, 9)."""
+        """Triangles, each as a corner and the edges to the others, (T, 9)."""
         corners = self.vertices[self.triangles]
         return np.concatenate([corners[:, 0], (corners[:, 1:] - corners[:, :1]).reshape(-1, 6)], axis=1)
 
@@ -123,7 +123,7 @@ class ShapeTable(Sequence[Primitive]):
 
     @cached_property
     def solids(self) -> ShapeTable:
-        """Those that are solid."""
+        """Solid bodies."""
         return self.where(self.solid)
 
     def where(self, mask: BoolArray) -> ShapeTable:

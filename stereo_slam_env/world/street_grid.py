@@ -27,7 +27,7 @@ _BLOCK = (38.0, 54.0)
 
 
 class Place(NamedTuple):
-    """On a road in the middle between two junctions: the one ahead, and the direction: 0 is +z, 1 +x, 2 -z, 3 -x."""
+    """Middle of a road between two junctions: the one ahead, and the direction: 0 is +z, 1 +x, 2 -z, 3 -x."""
 
     column: int
     row: int
@@ -53,7 +53,7 @@ class StreetGrid:
         return 2 * len(self.columns) * len(self.rows) - len(self.columns) - len(self.rows)
 
     def beyond(self, place: Place, choice: int) -> Place | None:
-        """Where a choice leads; None where there is no such road."""
+        """Road that a choice leads to; None where there is no such road."""
         heading = (place.heading + choice - STRAIGHT) % 4
         column, row = place.column + (0, 1, 0, -1)[heading], place.row + (1, 0, -1, 0)[heading]
         inside = 0 <= column < len(self.columns) and 0 <= row < len(self.rows)
@@ -76,13 +76,13 @@ class StreetGrid:
         return along_z + row * (len(self.columns) - 1) + column - (heading == 1)
 
     def length(self, place: Place) -> float:
-        """Of the road, from junction to junction, m."""
+        """Length of the road, from junction to junction, m."""
         lines, at = (self.rows, place.row) if place.heading % 2 == 0 else (self.columns, place.column)
         behind = at - 1 if place.heading < 2 else at + 1
         return float(abs(lines[at] - lines[behind]))
 
     def roads_to(self, place: Place, wanted: BoolArray) -> int:
-        """How many roads are driven after this one until one of those `wanted` (R,); 0: this is one."""
+        """Number of roads that are driven after this one until one of those `wanted` (R,); 0: this is one."""
         near, seen, count = [place], {place}, 0
         while near:
             if any(wanted[self.road(each)] for each in near):

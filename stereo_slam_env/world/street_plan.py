@@ -200,7 +200,7 @@ def parts(things: FloatArray) -> FloatArray:
 
 
 def of_kind(things: FloatArray, kind: int) -> BoolArray:
-    """Which primitives belong to things of a kind; (P,)."""
+    """Mask (P,) of primitives that belong to things of a kind."""
     return np.asarray(np.repeat(things[:, 0] == kind, _PARTS[things[:, 0].astype(np.int64)]))
 
 

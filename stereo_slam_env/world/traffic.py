@@ -167,7 +167,7 @@ class _Cast:
         _LOG.info("no room for another %s on this route", kind)
 
     def _seen(self, points: FloatArray, here: BoolArray) -> float:
-        """For how long a body at `points` (K, 2) is in front of the camera while the drive lasts, s."""
+        """Time during which a body at `points` (K, 2) is in front of the camera while the drive lasts, s."""
         away = points - self._eyes
         distance = np.linalg.norm(away, axis=1)
         ahead = away[:, 0] * np.cos(self._gaze) + away[:, 1] * np.sin(self._gaze)
@@ -250,7 +250,7 @@ class MovingPoints:
         self._boxes = [(vertices.min(axis=0) - _SKIN, vertices.max(axis=0) + _SKIN) for vertices in corners]
 
     def on_body(self, points_s: FloatArray, time: float) -> BoolArray:
-        """Which points (N, 3) of S, m, are on a body at `time` s; False for NaN."""
+        """Mask of points (N, 3) of S, m, that are on a body at `time` s; False for NaN."""
         inside = np.zeros(len(points_s), dtype=bool)
         for body, (low, high) in zip(self._bodies, self._boxes, strict=True):
             position, yaw = body.pose_at(time)

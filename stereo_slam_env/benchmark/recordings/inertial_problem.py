@@ -104,7 +104,7 @@ def _recorded(
     (origin,), R_0 = level(np.zeros(1))
 
     def path(t: FloatArray) -> tuple[FloatArray, Rotation]:
-        """In W, the first camera."""
+        """Path in W, the first camera."""
         at, R = level(t)
         return R_0.inv().apply(at - origin), R_0.inv() * R
 
@@ -192,7 +192,7 @@ class _Waves:
 
     @classmethod
     def drawn(cls, amplitudes: Sequence[float], frequencies: Sequence[float], rng: np.random.Generator) -> _Waves:
-        """With random phases, and amplitudes and frequencies up to a fifth off."""
+        """Draw waves with random phases, and amplitudes and frequencies up to a fifth off."""
         a, f = (np.array(values) * rng.uniform(0.8, 1.2, len(values)) for values in (amplitudes, frequencies))
         return cls(a, f, rng.uniform(0.0, 2.0 * np.pi, len(a)))
 

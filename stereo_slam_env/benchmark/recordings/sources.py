@@ -52,7 +52,7 @@ class StreetSource(Source, frozen=True, tag="street"):
 
     @property
     def at_once(self) -> bool:
-        """Where nothing is drawn and PyBullet is not asked."""
+        """Whether nothing is drawn and PyBullet is not asked."""
         return not self.takes_images and self.options.get("physics", "exact") == "exact"
 
     def records(

@@ -60,7 +60,7 @@ class WorkDied(ChildProcessError):
 
 
 class WorkTooSlow(TimeoutError):
-    """Nothing was heard from the process for too long, and it was ended."""
+    """The process gave no sign of life for too long, and was ended."""
 
 
 class WorkFailed(Exception):

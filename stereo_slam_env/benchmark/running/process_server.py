@@ -219,7 +219,7 @@ def _tell_what_is_compiled(send: Send) -> None:
 
     class Compiled(event.Listener):  # type: ignore[misc]
         def on_start(self, event: object) -> None:
-            """Nothing is known yet."""
+            """Wait for the end."""
 
         def on_end(self, event: object) -> None:
             send("compiled", None)

@@ -104,7 +104,7 @@ class RunComparison:
 
     @property
     def how(self) -> str:
-        """What a change is of: "run by run", or of two samples."""
+        """Basis of a change: "run by run", or two samples."""
         return how(paired=self.paired)
 
     @property
@@ -120,7 +120,7 @@ class RunComparison:
 
     @property
     def rest(self) -> tuple[str, ...]:
-        """What `as_rows` leaves out: a line for all cells (of a single scenario: filters) that came out alike."""
+        """Note on what `as_rows` leaves out: a line for all cells (or filters of one scenario) that came out alike."""
         alike: dict[str, list[str]] = {}
         for name in dict.fromkeys(change.cell or change.filter_name for change in self.changes):
             own = [change for change in self.changes if name == (change.cell or change.filter_name)]
@@ -197,12 +197,12 @@ def divergences_changed(after: BoolArray, before: BoolArray, *, paired: bool, co
 
 
 def how(*, paired: bool) -> str:
-    """What a change in percent is of, beside values over runs."""
+    """Basis of a change in percent, beside values over runs."""
     return "run by run" if paired else "of geometric means"
 
 
 def headline(changes: Sequence[Change], *, paired: bool) -> str:
-    """What changed significantly; where nothing did, whether it could have been seen."""
+    """Sentence on what changed significantly; where nothing did, whether it could have been seen."""
     sentences = []
     for finding in (Finding.WORSE, Finding.BETTER):
         shown = [f"{c.measure} of {c.filter_name}: {c.words}" for c in changes if c.finding is finding]
@@ -222,7 +222,7 @@ def headline(changes: Sequence[Change], *, paired: bool) -> str:
 
 
 def _outcome(changes: Sequence[Change]) -> str:
-    """Why none of these changes is shown."""
+    """Reason why none of these changes is shown."""
     others = [change for change in changes if change.measure != TIME.label]
     if all(change.tied for change in others):
         timed = "" if all(change.tied for change in changes) else " but perhaps the time"

@@ -270,7 +270,7 @@ def _other_settings(was: _Side, now: _Side) -> list[str]:
 
 
 def _other_code(was: _Side, now: _Side) -> list[str]:
-    """Whose code differs: of filters by others, and of this project."""
+    """Names whose code differs: of filters by others, and of this project."""
     common = [label for label in was.plugin_code if label in now.plugin_code]
     other = [label for label in common if was.plugin_code[label] != now.plugin_code[label]]
     ours = [next((about["versions"].get("code") for about in side.settings.values()), None) for side in (was, now)]

@@ -234,7 +234,7 @@ def _expanded(coefficients: FloatArray, term: Term, levels: Sequence[int]) -> Fl
 
 
 def _places(designs: dict[Term, FloatArray]) -> dict[Term, IntArray]:
-    """Which columns of all designs side by side belong to each term."""
+    """Columns that belong to each term, of all designs side by side."""
     ends = np.cumsum([design.shape[1] for design in designs.values()])
     return {
         term: np.arange(end - design.shape[1], end) for (term, design), end in zip(designs.items(), ends, strict=True)

@@ -153,7 +153,7 @@ def lost_words(summary: FilterSummary) -> str:
 
 
 def sureness(summary: FilterSummary) -> str:
-    """On how many runs a statement about consistency rests: "as far as one run can tell", "by the mean of 10 runs"."""
+    """Basis of a statement on consistency: "as far as one run can tell", "by the mean of 10 runs"."""
     figure = summary.consistency.get("pose")
     runs, frames = (summary.runs if figure is None else figure.runs), int(summary.figures.get("frames") or 0)
     of = f" of {frames} frames" if runs == 1 else f" of {frames} frames in all"
@@ -348,7 +348,7 @@ def _cost(best: FilterSummary, rivals: Sequence[FilterSummary]) -> str:
 
 
 def timed_words(summary: FilterSummary, before: str = "", after: str = "") -> str:
-    """On how many drives the filter was timed; nothing where that is all that it finished."""
+    """Number of drives on which the filter was timed, in words; empty where that is all that it finished."""
     if summary.timed in (None, summary.runs - len(summary.failures)):
         return ""
     return f"{before}timed on {summary.timed} of {summary.runs} drives{after}"

@@ -164,7 +164,7 @@ _LANDMARK_SHAPES = tuple(getattr(LandmarkStatistics(), name).shape for name in _
 
 @dataclass(frozen=True, eq=False)
 class StoredRun:
-    """What the file of a run holds."""
+    """Content of the file of a run."""
 
     run: FilterRun  # where it is not whole, without counts and traces, and the series of vectors are NaN
     provenance: dict[str, Any]
