@@ -75,7 +75,7 @@ class Moment:
 
     @cached_property
     def landmarks(self) -> LandmarkBelief:
-        """The map."""
+        """Belief of the landmarks in the map."""
         return self.slam.landmarks
 
     @cached_property

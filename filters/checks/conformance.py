@@ -80,7 +80,7 @@ class Make:
     """Camera and noise that the filter is handed, and is driven with; None: it brings its own."""
 
     def __call__(self) -> StereoFilter:
-        """A new filter."""
+        """New filter of the factory."""
         return self.factory() if self.rig is None else self.factory(*self.rig)
 
     def drive(self, seed: int = 0, start: Start = START, steps: Sequence[float] = (DT,)) -> StraightDrive:

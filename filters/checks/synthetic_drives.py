@@ -89,7 +89,7 @@ class StraightDrive:
 
     @cached_property
     def R_wc(self) -> FloatArray:
-        """Its rotation matrix."""
+        """Rotation matrix R_wc of the camera."""
         return rotations.matrix(self.orientation)
 
     @property
@@ -107,7 +107,7 @@ class StraightDrive:
         return np.array([0.0, 0.0, SPEED * math.fsum(self.step(k) for k in range(1, frame + 1))])
 
     def position(self, frame: int) -> FloatArray:
-        """True r^WC, m."""
+        """True position r^WC of the camera, m."""
         position: FloatArray = self.start.position + self.R_wc @ self.driven(frame)
         return position
 

@@ -38,7 +38,7 @@ class VelocityBelief:
 
 @dataclass(frozen=True, eq=False)
 class LandmarkBelief:
-    """The map."""
+    """Belief of the landmarks in the map."""
 
     ids: IntArray
     """(N,): landmarks in the map."""

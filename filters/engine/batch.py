@@ -298,7 +298,7 @@ class FilterBatch(Sequence[StereoEKF]):
             raise ValueError(f"{name} must have one entry for each of the {len(self)} filters, got {len(given)}")
 
     def _steps(self, dt: ArrayLike) -> FloatArray:
-        """Time steps (B,)."""
+        """Time steps (B,) of the filters, s."""
         steps = np.asarray(dt, dtype=np.float64)
         if steps.ndim == 0:
             return np.full(len(self), time_step(steps))

@@ -159,11 +159,11 @@ class Additive:
     """The correction is added."""
 
     def retract(self, value: FloatArray, delta: FloatArray) -> FloatArray:
-        """x + delta."""
+        """Vector after a change: x + delta."""
         return value + delta
 
     def local(self, value: FloatArray, other: FloatArray) -> FloatArray:
-        """The difference."""
+        """Difference of two vectors, other - x."""
         return other - value
 
 
@@ -200,11 +200,11 @@ class RotationVector:
     """SO(3) error state: q x q(delta)."""
 
     def retract(self, value: FloatArray, delta: FloatArray) -> FloatArray:
-        """q x q(delta)."""
+        """Quaternion after a turn: q x q(delta)."""
         return rotations.multiply(value, rotations.exp_quaternion(delta))
 
     def local(self, value: FloatArray, other: FloatArray) -> FloatArray:
-        """Log(R^T R_other)."""
+        """Turn between orientations: Log(R^T R_other)."""
         return rotations.log(rotations.matrix(value).swapaxes(-1, -2) @ rotations.matrix(other))
 
 

@@ -13,7 +13,7 @@ from filters.geometry.rotations import Nine, Three
 
 @compiled
 def cross(a: Any, b: Any) -> Any:
-    """a x b."""
+    """Cross product a x b."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
@@ -59,7 +59,7 @@ def plus(a: Any, b: Any, scale: Any) -> Any:
 
 @compiled
 def scaled(scale: Any, v: Any) -> Any:
-    """scale v."""
+    """Product of a number and a vector."""
     return scale * v[0], scale * v[1], scale * v[2]
 
 

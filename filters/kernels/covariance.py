@@ -54,7 +54,7 @@ def orientation(x: FloatArray) -> Nine:
 
 @kernel
 def clear(matrix: FloatArray) -> None:
-    """All zero."""
+    """Set all entries to zero."""
     for i in range(matrix.shape[0]):
         for j in range(matrix.shape[1]):
             matrix[i, j] = 0.0
@@ -62,7 +62,7 @@ def clear(matrix: FloatArray) -> None:
 
 @kernel
 def identity(F: FloatArray) -> None:
-    """F = I."""
+    """Set F to the identity."""
     for i in range(len(F)):
         for j in range(len(F)):
             F[i, j] = 1.0 if i == j else 0.0

@@ -117,7 +117,7 @@ def _no_noise(k: int) -> Any:
 
 
 def _odometry(odometry: Any, row: Any, first: Any, zeros: Any) -> Any:
-    """Velocities of odometry."""
+    """Linear and angular velocity of an odometry."""
     return variables(odometry[0], 3, first, TOGETHER), variables(odometry[0, 3:], 3, first + 3, TOGETHER)
 
 

@@ -62,7 +62,7 @@ class LastingErrors(InverseDepth):
 
     @property
     def memory(self) -> float:  # type: ignore[override]
-        """The time constant."""
+        """Time constant of the errors, s."""
         return self.time
 
     def point_of(self, y: Numbers) -> Numbers:

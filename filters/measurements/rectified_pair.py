@@ -214,7 +214,7 @@ class CalibratedPair(MeasurementModel):
         )
 
     def unproject(self, camera: Any, uvd: Numbers, values: Any = _EXACT) -> Numbers:
-        """The exact inverse."""
+        """Homogeneous point of a measurement: the exact inverse."""
         o, focal, scale, turn, t, q = _errors(self.present, values.calibration)
         fx, fy = (1.0 + focal) * camera.fx, (1.0 + focal) * camera.fy
         x, y = (uvd[0] - camera.cx) / fx, (uvd[1] - camera.cy) / fy

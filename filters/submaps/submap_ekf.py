@@ -39,7 +39,7 @@ class SubmapChain:
 
     @property
     def submaps(self) -> tuple[Submap, ...]:
-        """Oldest first."""
+        """Submaps in order, the oldest first."""
         return tuple(self._submaps)
 
     @property

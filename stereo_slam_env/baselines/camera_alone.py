@@ -158,7 +158,7 @@ class CameraFilter(StereoFilter):
 
     @property
     def landmarks(self) -> LandmarkBelief:
-        """An empty map."""
+        """Belief of a map that is always empty."""
         none = np.zeros(0)
         return LandmarkBelief(np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros((0, 3, 3)), none, none.copy())
 

@@ -285,7 +285,7 @@ def _help_without_command(context: typer.Context) -> None:
 
 
 def show_json(data: Mapping[str, Any]) -> None:
-    """Print JSON."""
+    """Print plain data as JSON."""
     from stereo_slam_env.files.folders import json_text
 
     typer.echo(json_text(data), nl=False)

@@ -154,7 +154,7 @@ class StereoOptions:
 
 @dataclass(frozen=True)
 class DriveOptions(StereoOptions):
-    """Arguments of `StereoDriveEnv`."""
+    """Arguments of the environment `StereoDriveEnv`."""
 
     route: str | None = None  # type: ignore[assignment]
     policy: DrivenBy = "agent"
@@ -211,12 +211,12 @@ class HeadOptions(StereoOptions):
 
 @dataclass(frozen=True)
 class GazeOptions(HeadOptions):
-    """Arguments of `StereoGazeEnv`."""
+    """Arguments of the environment `StereoGazeEnv`."""
 
 
 @dataclass(frozen=True)
 class DriveGazeOptions(HeadOptions, DriveOptions):
-    """Arguments of `StereoDriveGazeEnv`."""
+    """Arguments of the environment `StereoDriveGazeEnv`."""
 
     route: str | None = None  # type: ignore[assignment]
 

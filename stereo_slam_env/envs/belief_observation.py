@@ -28,7 +28,7 @@ LARGEST_COVARIANCE = 1e6
 
 
 class BeliefObservationRows(RowsWrapper):
-    """Rows of `BeliefObservation`."""
+    """Implementation of `BeliefObservation` on rows."""
 
     changes = ("beliefs",)
 

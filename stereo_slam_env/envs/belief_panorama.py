@@ -34,7 +34,7 @@ _LARGEST_SIGMA = 1e3
 
 
 class BeliefPanoramaRows(RowsWrapper):
-    """Rows of `BeliefPanorama`."""
+    """Implementation of `BeliefPanorama` on rows."""
 
     changes = ("_last_seen", "_in_view", "_times")
 

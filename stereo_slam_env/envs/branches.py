@@ -36,7 +36,7 @@ _UNPAID = {f"{term}_weight": 0.0 for term in ("progress", "tracking", "collision
 
 
 class BranchChoiceRows(RowsWrapper):
-    """Rows of `BranchChoice`."""
+    """Implementation of `BranchChoice` on rows."""
 
     changes = ("_places", "_driven", "_sigmas", "_choices", "_credit", "_claimed", "_gained")
     training: ClassVar[Mapping[str, Any]] = {**FEW_DECISIONS, "decisions": 8_192, "evaluate_every": 4_096}

@@ -71,7 +71,7 @@ def follow_route(
 
 
 class DriveChoicesRows(RowsWrapper):
-    """Rows of `DriveChoices`."""
+    """Implementation of `DriveChoices` on rows."""
 
     def __init__(self, rows: Rows, speeds: Sequence[float], pans: Sequence[float], hold: int, stop: int) -> None:
         super().__init__(rows)
@@ -144,7 +144,7 @@ _SLOW = 5.0
 
 
 class RouteByEstimateRows(RowsWrapper):
-    """Rows of `RouteByEstimate`."""
+    """Implementation of `RouteByEstimate` on rows."""
 
     changes = ("_poses", "_nearest", "_progress")
     training: ClassVar[Mapping[str, Any]] = {**STEERING, "decisions": 393_216}

@@ -34,7 +34,7 @@ _PERIOD, _PAN = 4.0, 0.7
 
 
 class CoverageRows(RowsWrapper):
-    """Rows of `Coverage`."""
+    """Implementation of `Coverage` on rows."""
 
     changes = ("_in_reach", "_mapped", "_claimed", "_shown", "_now", "_terms")
     training: ClassVar[Mapping[str, Any]] = {

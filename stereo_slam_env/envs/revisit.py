@@ -37,7 +37,7 @@ _BEYOND, _KNOWN_AGAIN = 5.0, -48.0
 
 
 class LoopClosureRows(RowsWrapper):
-    """Rows of `LoopClosure`."""
+    """Implementation of `LoopClosure` on rows."""
 
     changes = ("_closing", "_steps", "_price", "_driven", "_total", "_learnt", "_path")
     training: ClassVar[Mapping[str, Any]] = {

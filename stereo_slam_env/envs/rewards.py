@@ -24,7 +24,7 @@ BeliefOf = Literal["filter", "reference"]
 
 
 class InformationGainRows(RowsWrapper):
-    """Rows of `InformationGain`."""
+    """Implementation of `InformationGain` on rows."""
 
     changes = ("_recent", "references", "_potentials", "_gains", "_credited", "_gain")
 
@@ -231,7 +231,7 @@ class InformationGain(RowWrapper):
 
 
 class TrueErrorRows(RowsWrapper):
-    """Rows of `TrueError`."""
+    """Implementation of `TrueError` on rows."""
 
     changes = ("_squares",)
 

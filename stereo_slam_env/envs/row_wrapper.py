@@ -105,7 +105,7 @@ def _made_again(kind: type[RowWrapper], env: gym.Env[Any, Any], arguments: dict[
 
 
 class SelectedKeysRows(RowsWrapper):
-    """Rows of `SelectedKeys`."""
+    """Implementation of `SelectedKeys` on rows."""
 
     def __init__(self, rows: Rows, keys: Sequence[str]) -> None:
         super().__init__(rows)
@@ -142,7 +142,7 @@ class SelectedKeys(RowWrapper):
 
 
 class DirectionOfGazeRows(RowsWrapper):
-    """Rows of `DirectionOfGaze`."""
+    """Implementation of `DirectionOfGaze` on rows."""
 
     def __init__(self, rows: Rows, pans: int) -> None:
         super().__init__(rows)

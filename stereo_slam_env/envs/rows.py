@@ -83,7 +83,7 @@ class World(Protocol):
         """Start of the episode, as filters are given it."""
 
     def route_of(self, b: int) -> Route:
-        """The nominal drive."""
+        """Nominal drive of a row, without errors."""
 
     def reroute(self, b: int, route: Route) -> None:
         """Follow another nominal drive from now on, whose steps are the same up to this frame."""

@@ -60,7 +60,7 @@ class StereoEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle, Kept):
 
     @property
     def camera(self) -> StereoCamera:
-        """The stereo camera."""
+        """Stereo camera of the rig."""
         return self._rows.camera
 
     @property
@@ -75,7 +75,7 @@ class StereoEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle, Kept):
 
     @property
     def route(self) -> Route:
-        """The nominal drive."""
+        """Nominal drive of the episode, without errors."""
         return self._rows.route
 
     def reroute(self, route: Route) -> None:

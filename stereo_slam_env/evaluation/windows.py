@@ -54,7 +54,7 @@ class Cloning(Protocol):
         """Keep the present pose under a name."""
 
     def forget_clone(self, name: str) -> None:
-        """Let it go."""
+        """Drop the clone of that name."""
 
     def relative_pose(self, name: str) -> PoseBelief:
         """The present pose as seen from it."""

@@ -243,7 +243,7 @@ class RobustStep:
 
     @property
     def step(self) -> Step:
-        """The motion."""
+        """Motion between the two observations."""
         return self.estimate.step
 
 

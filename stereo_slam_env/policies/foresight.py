@@ -60,12 +60,12 @@ class CameraPoses:
 
     @classmethod
     def at(cls, pose: Pose) -> CameraPoses:
-        """One pose."""
+        """Pose as arrays: position and rotation matrix."""
         return cls(pose.position, rotations.matrix(pose.orientation))
 
     @classmethod
     def of(cls, poses: Sequence[Pose]) -> CameraPoses:
-        """Many poses, (Q,)."""
+        """Poses (Q,) as arrays: positions and rotation matrices."""
         orientations = np.stack([pose.orientation for pose in poses])
         return cls(np.stack([pose.position for pose in poses]), rotations.matrix(orientations))
 

@@ -17,12 +17,12 @@ _DASHES = ("none", "6 3", "1.5 2.5")
 
 
 def heading(text: str) -> str:
-    """A heading."""
+    """Heading as HTML, escaped."""
     return f"<h4>{_plain(text)}</h4>"
 
 
 def paragraph(text: str) -> str:
-    """A paragraph."""
+    """Paragraph as HTML, escaped."""
     return f"<p>{_plain(text)}</p>"
 
 

@@ -189,7 +189,7 @@ class MeshBuffer:
             self._array.render(vertices=self._count)
 
     def release(self) -> None:
-        """Free the memory."""
+        """Free the memory of the graphics context."""
         for thing in (self._array, self._indices, self._vertices):
             thing.release()
 
@@ -281,7 +281,7 @@ class FrameBuffer:
         self._centres.viewport = (0, 0, *self._size)
 
     def read(self) -> StereoImages:
-        """The drawn pair."""
+        """Drawn image pair, read back."""
         if self._resolved is not self._drawn:
             self._context.copy_framebuffer(self._resolved, self._drawn)
         width, height = self._fine

@@ -162,7 +162,7 @@ def _mean_odometry(steps: list[BodyVelocity], durations: FloatArray) -> BodyVelo
 
 
 class Corruption(Protocol):
-    """One fault."""
+    """Fault of a stream of measurements."""
 
     def applied_to(self, recording: Recording, rng: np.random.Generator) -> Recording:
         """The recording with this fault, everything random from `rng`; `recording` itself stays as it was.
@@ -248,7 +248,7 @@ def corrupted(recording: Recording, entries: Sequence[Mapping[str, Any]], seed: 
 
 
 class PixelNoise(Protocol):
-    """A noise model."""
+    """Model of the noise of measurements."""
 
     @property
     def stereo_noise(self) -> StereoNoise:

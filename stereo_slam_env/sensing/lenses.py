@@ -60,7 +60,7 @@ class Lens:
 
     @property
     def K(self) -> FloatArray:
-        """(3, 3), px."""
+        """Camera matrix (3, 3), px."""
         return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
 
     @property

@@ -54,7 +54,7 @@ def rotation_of(pose: FloatArray) -> Nine:
 
 @kernel
 def turn_between(a: Nine, b: Nine) -> Three:
-    """Log(A^T B)."""
+    """Turn from A to B: Log(A^T B)."""
     c0, c3, c6 = back(a, b[0], b[3], b[6])
     c1, c4, c7 = back(a, b[1], b[4], b[7])
     c2, c5, c8 = back(a, b[2], b[5], b[8])

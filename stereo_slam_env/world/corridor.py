@@ -63,7 +63,7 @@ def build_corridor(route: Route, rng: np.random.Generator) -> Scene:
 
 @once_per_route
 def _shell(route: Route) -> tuple[Primitive, ...]:
-    """Walls and ceiling."""
+    """Walls and ceiling of the corridor."""
     road, network = road_along(route), network_along(route)
 
     def free(points: FloatArray) -> BoolArray:

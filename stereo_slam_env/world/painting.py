@@ -57,7 +57,7 @@ class Speckle(NamedTuple):
     bounds: tuple[float, float] = (-np.inf, np.inf)
 
     def __call__(self, rng: np.random.Generator) -> FloatArray:
-        """Paint it."""
+        """Colours (size, size, 3) of the texture."""
         shade = sum(noise(rng, self.size, scale, strength) for scale, strength in self.noises)
         return tinted(self.color, np.clip(self.level + shade, *self.bounds))
 

@@ -84,7 +84,7 @@ class Route:
 
     @property
     def length(self) -> float:
-        """Whole distance, m."""
+        """Distance along the whole route, m."""
         return float(self.arc_length[-1])
 
     @property

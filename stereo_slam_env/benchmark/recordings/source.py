@@ -62,7 +62,7 @@ class Source(msgspec.Struct, frozen=True, tag_field="kind", forbid_unknown_field
 
     @property
     def kind(self) -> str:
-        """The tag."""
+        """Kind of the source, its tag in files."""
         return str(self.__struct_config__.tag)
 
     @property

@@ -74,7 +74,7 @@ class StreetSource(Source, frozen=True, tag="street"):
             require_renderer(options.renderer)
 
     def sequence(self, seed: int | None, frames: int | None = None) -> OpenedImages:
-        """The rendered pairs."""
+        """Rendered image pairs of a drive."""
         from stereo_slam_env.envs.recorder import RenderedDrive
 
         drive = RenderedDrive(self.options, seed or 0, frames)
@@ -147,7 +147,7 @@ class ReferenceSource(Source, frozen=True, tag="reference"):
     """Its arguments."""
 
     def record(self, seed: int | None, frames: int | None = None, progress: Progress | None = None) -> Recording:
-        """Calculate the drive."""
+        """Calculate the drive of a seed."""
         self.check()
         arguments = self.arguments if frames is None else {**self.arguments, "frames": frames}
         return self._problem(seed=seed or 0, **arguments)
@@ -231,7 +231,7 @@ class FactorySource(Source, frozen=True, tag="factory"):
     """Its arguments."""
 
     def record(self, seed: int | None, frames: int | None = None, progress: Progress | None = None) -> Recording:
-        """Call the function."""
+        """Call the user's function for a seed."""
         module_name, _, function_name = self.call.partition(":")
         try:
             function = getattr(importlib.import_module(module_name), function_name)

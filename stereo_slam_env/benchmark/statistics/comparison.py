@@ -106,7 +106,7 @@ class _Side:
 
     @property
     def keys(self) -> list[RunKey]:
-        """Its recordings."""
+        """Recordings of the run, each once."""
         return list(dict.fromkeys(key for _, key in self.trials))
 
     def over(self, name: str, keys: Sequence[RunKey]) -> FilterSummary:
