@@ -49,21 +49,21 @@ class StateLayout:
             A name stands for two variables.
         """
         names = [variable.name for variable in measurement]
-        others = []
+        placed_landmarks = []
         for variable in motion:
             if variable.name not in names:
-                others.append(variable)
-            elif not any(variable is known for known in measurement):
+                placed_landmarks.append(variable)
+            elif not any(variable is matched for matched in measurement):
                 raise ValueError(
                     f"variable {variable.name!r} is asked for by measurement and motion with different starts: "
                     "give both the same Variable, or two names"
                 )
-        for given in (measurement, motion):
-            given_names = [variable.name for variable in given]
+        for entries in (measurement, motion):
+            given_names = [variable.name for variable in entries]
             if len(set(given_names)) < len(given_names):
                 raise ValueError(f"variables must have different names, got {', '.join(given_names)}")
         rows = POSE_SIZE + sum(variable.size for variable in measurement)
-        return cls((*measurement, *others), rows + VELOCITY_SIZE * sees_velocity, sees_velocity)
+        return cls((*measurement, *placed_landmarks), rows + VELOCITY_SIZE * sees_velocity, sees_velocity)
 
     @cached_property
     def places(self) -> Mapping[str, slice]:
@@ -223,12 +223,12 @@ class JointState:
 
         Where there are anchors, a landmark without one has its own first rows twice.
         """
-        own = self.own_rows(index)
+        own_rows = self.own_rows(index)
         if not self.model.anchored:
-            return own
+            return own_rows
         anchor, block = self.anchor_block[index], self.parameter_block[index]
         first = self.layout.size + self.size * np.where(anchor < 0, block, anchor)
-        return np.hstack([first[:, None] + np.arange(3), own])
+        return np.hstack([first[:, None] + np.arange(3), own_rows])
 
     def own_rows(self, index: IntArray | slice = slice(None)) -> IntArray:
         """Rows of P of the landmarks themselves, without their anchors; (M, size)."""
@@ -267,11 +267,11 @@ class JointState:
         """Keep the present errors of the named variables, which are zero now, as held blocks; returns those."""
         size = self.layout.size
         count = -(-size // self.size)
-        cross, own = np.zeros((self.size * count, len(self.P))), np.zeros((self.size * count, self.size * count))
+        cross, own_block = np.zeros((self.size * count, len(self.P))), np.zeros((self.size * count, self.size * count))
         cross[:size] = symmetric.rows(self.P, self.layout.rows)
-        own[:size, :size] = cross[:size, :size]
+        own_block[:size, :size] = cross[:size, :size]
         nothing = np.zeros((count, self.blocks.shape[1]))
-        return self.append(nothing, nothing, cross, own)
+        return self.append(nothing, nothing, cross, own_block)
 
     def adopt(self, ids: IntArray, parameter_block: IntArray, anchor_block: IntArray) -> None:
         """Make landmarks of blocks that are here already; (M,) each, anchor block -1 where there is none."""
@@ -283,13 +283,13 @@ class JointState:
         """Marginalise the landmarks marked in `gone` (N,), and from now on hold only the blocks `held`."""
         stays = ~gone
         self.ids = self.ids[stays]
-        own, anchors = self.parameter_block[stays], self.anchor_block[stays]
-        kept = np.unique(np.concatenate([own, anchors[anchors >= 0], held]))
+        own_blocks, anchors = self.parameter_block[stays], self.anchor_block[stays]
+        kept_blocks = np.unique(np.concatenate([own_blocks, anchors[anchors >= 0], held]))
         number = np.full(len(self.blocks) + 1, -1)  # the last one, for -1: no anchor
-        number[kept] = np.arange(len(kept))
-        self.P = symmetric.keep(self.P, np.concatenate([self.layout.rows, self.block_rows(kept)]))
-        self.blocks, self.first_blocks = self.blocks[kept], self.first_blocks[kept]
-        self.parameter_block, self.anchor_block, self.held = number[own], number[anchors], number[held]
+        number[kept_blocks] = np.arange(len(kept_blocks))
+        self.P = symmetric.keep(self.P, np.concatenate([self.layout.rows, self.block_rows(kept_blocks)]))
+        self.blocks, self.first_blocks = self.blocks[kept_blocks], self.first_blocks[kept_blocks]
+        self.parameter_block, self.anchor_block, self.held = number[own_blocks], number[anchors], number[held]
         self.clones = {name: replace(clone, blocks=number[clone.blocks]) for name, clone in self.clones.items()}
         self.added = {name: replace(one, blocks=number[one.blocks]) for name, one in self.added.items()}
 

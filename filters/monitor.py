@@ -132,20 +132,20 @@ class DivergenceMonitor:
         cut = new > 0 and used == 0 and refused > 0
         drifts = self._drifts_blind(dt, used > 0 or (new > 0 and not self._mapped), pose)
         self._mapped = self._mapped or new > 0
-        found: tuple[Cause, str] | None = None
+        alarm: tuple[Cause, str] | None = None
         if not math.isfinite(report.nis) or (pose is not None and not _is_sound(pose)):
-            found = Cause.NUMBERS, "NIS or the pose is not finite, or its covariance not positive definite"
+            alarm = Cause.NUMBERS, "NIS or the pose is not finite, or its covariance not positive definite"
         elif self._innovations.alarmed:
-            found = Cause.INNOVATIONS, f"innovations are larger than claimed: NIS {report.nis:.3g} of {report.nis_dof}"
+            alarm = Cause.INNOVATIONS, f"innovations are larger than claimed: NIS {report.nis:.3g} of {report.nis_dof}"
         elif self._refused.alarmed:
-            found = Cause.REFUSED, f"{refused} of {used + refused} known landmarks refused"
+            alarm = Cause.REFUSED, f"{refused} of {used + refused} known landmarks refused"
         elif drifts:
-            found = Cause.BLIND, f"no known landmark has been measured for {self._blind:.1f} s"
+            alarm = Cause.BLIND, f"no known landmark has been measured for {self._blind:.1f} s"
         elif cut:
-            found = Cause.CUT, f"{new} landmarks are new, {refused} known ones refused, none used: a new start"
+            alarm = Cause.CUT, f"{new} landmarks are new, {refused} known ones refused, none used: a new start"
         elif pose is not None and (sigma := _rotation_sigma(pose)) > self._vaguest:
-            found = Cause.VAGUE, f"the orientation is known to {sigma:.2g} rad: too little for a linearised filter"
-        return self._told(found)
+            alarm = Cause.VAGUE, f"the orientation is known to {sigma:.2g} rad: too little for a linearised filter"
+        return self._told(alarm)
 
     def _drifts_blind(self, dt: float, seeing: bool, pose: PoseBelief | None) -> bool:
         """Whether no known landmark has been measured for long, and the filter says that it shows."""

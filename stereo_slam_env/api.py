@@ -232,8 +232,8 @@ def evaluate(
         The recording is empty, or no filter or option has that name.
     """
     require_frames(recording)
-    given: dict[str, Any] = {"use_odometry": use_odometry, "divergence_percent": divergence_percent}
-    setup = replace(recording.filter_setup, **{name: value for name, value in given.items() if value is not None})
+    arguments: dict[str, Any] = {"use_odometry": use_odometry, "divergence_percent": divergence_percent}
+    setup = replace(recording.filter_setup, **{name: value for name, value in arguments.items() if value is not None})
     recording = replace(recording, stated_setup=setup)
     setup = recording.filter_setup
     options = {**usual_options(slam), **options}
@@ -279,13 +279,16 @@ def compare(
     labels = [label_of(one) for one in filters]
     if not labels or len(set(labels)) < len(labels):
         raise ValueError(f"filters must be at least one, with different labels, got {', '.join(labels) or 'none'}")
-    given = dict(options or {})
-    for label in given:
+    options_by_label = dict(options or {})
+    for label in options_by_label:
         if label not in labels:
             raise ValueError(f"options must be for one of {', '.join(labels)}, got {label!r}")
-    chosen = {label: {**usual_options(one), **given.get(label, {})} for label, one in zip(labels, filters, strict=True)}
+    filter_options = {
+        label: {**usual_options(one), **options_by_label.get(label, {})}
+        for label, one in zip(labels, filters, strict=True)
+    }
     for label, one in zip(labels, filters, strict=True):
-        require_filter(one, chosen[label])  # before any work
+        require_filter(one, filter_options[label])  # before any work
     on = preset(scenario) if isinstance(scenario, str) else scenario
     if isinstance(on, Scenario):
         which = which_seeds(seeds)
@@ -305,7 +308,7 @@ def compare(
             recording = recording[:frames]
         setups[str(recording.filter_setup)] = recording.filter_setup
         for label, one in zip(labels, filters, strict=True):
-            runs.append(run_filter(recording, one, chosen[label], label=label, seed=seed))
+            runs.append(run_filter(recording, one, filter_options[label], label=label, seed=seed))
             if progress is not None:
                 progress(len(runs), count * len(labels))
     limits = {setup.divergence_percent for setup in setups.values()}

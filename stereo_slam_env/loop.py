@@ -231,12 +231,12 @@ def run(
     require_frames(recording)
     setup = recording.filter_setup
     if not isinstance(slam, StereoFilter):
-        own = {**usual_options(slam), **options}
-        assumed, common = noise or setup.assumed_noise(recording.noise), setup.common_options(own)
-        slam = make_with_common_options(slam, recording.camera, assumed, own, common).filter
+        filter_options = {**usual_options(slam), **options}
+        assumed, common = noise or setup.assumed_noise(recording.noise), setup.common_options(filter_options)
+        slam = make_with_common_options(slam, recording.camera, assumed, filter_options, common).filter
     elif options or noise is not None:
-        given = ", ".join([*(["noise"] if noise is not None else []), *options])
-        raise ValueError(f"{given} must be given to {label_of(type(slam))} itself, which is made already")
+        arguments = ", ".join([*(["noise"] if noise is not None else []), *options])
+        raise ValueError(f"{arguments} must be given to {label_of(type(slam))} itself, which is made already")
     given_odometry = setup.use_odometry if use_odometry is None else use_odometry
     loop = FilterLoop(slam, recording.reference, use_odometry=given_odometry)
     loop.reset(recording.start)

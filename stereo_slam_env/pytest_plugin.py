@@ -39,8 +39,8 @@ def slam_bench(request: pytest.FixtureRequest) -> Bench:
     """
     from stereo_slam_env.benchmark.head_to_head import Bench
 
-    given = request.config.getoption("--slam-seeds")
-    text = str(request.config.getini("slam_seeds") if given is None else given)
+    seeds_option = request.config.getoption("--slam-seeds")
+    text = str(request.config.getini("slam_seeds") if seeds_option is None else seeds_option)
     if not text.strip().isdecimal() or int(text) < 1:
         raise pytest.UsageError(f"slam_seeds must be a whole number >= 1, got {text!r}")
     return Bench(int(text))

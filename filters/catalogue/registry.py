@@ -228,18 +228,22 @@ def make_with_common_options(
         open.
     """
     left_open: frozenset[str] = getattr(filter_factory(name), "open_options", frozenset())
-    given = {key: value for key, value in common.items() if key in left_open and key not in options}
-    made = None
-    while made is None:
+    common_values = {key: value for key, value in common.items() if key in left_open and key not in options}
+    stereo_filter = None
+    while stereo_filter is None:
         try:
-            made = make_filter(name, camera=camera, noise=noise, **options, **given)
+            stereo_filter = make_filter(name, camera=camera, noise=noise, **options, **common_values)
         except TypeError as error:  # a constructor that hands on a choice of its own beside **options
-            own = [key for key in given if str(error).endswith(f"multiple values for keyword argument {key!r}")]
-            if not own:
+            repeated_keys = [
+                key for key in common_values if str(error).endswith(f"multiple values for keyword argument {key!r}")
+            ]
+            if not repeated_keys:
                 raise
-            del given[own[0]]
-    reasons = {key: _why_not(made, key, common[key]) for key in common if key not in (*options, *given)}
-    return MadeFilter(made, {**options, **given}, {key: why for key, why in reasons.items() if why})
+            del common_values[repeated_keys[0]]
+    reasons = {
+        key: _why_not(stereo_filter, key, common[key]) for key in common if key not in (*options, *common_values)
+    }
+    return MadeFilter(stereo_filter, {**options, **common_values}, {key: why for key, why in reasons.items() if why})
 
 
 def _why_not(made: StereoFilter, key: str, value: object) -> str | None:

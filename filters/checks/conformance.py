@@ -92,8 +92,8 @@ class Make:
         """Camera and noise of the drives."""
         if self.rig is not None:
             return self.rig
-        own = self.factory()
-        return own.camera, own.noise
+        stereo_filter = self.factory()
+        return stereo_filter.camera, stereo_filter.noise
 
 
 class ConformanceError(AssertionError):
@@ -239,13 +239,13 @@ def _assert_same(
     for name, a in first.items():
         b = second[name]
         require(a.shape == b.shape, f"{what}: {name} has shape {a.shape}, then {b.shape}")
-        known = np.isfinite(a) & np.isfinite(b)
-        alike = known | (a == b) | (np.isnan(a) & np.isnan(b))
+        finite = np.isfinite(a) & np.isfinite(b)
+        alike = finite | (a == b) | (np.isnan(a) & np.isnan(b))
         require(alike.all(), f"{what}: {name} is finite in one and not in the other")
-        apart = float(np.abs(a[known] - b[known]).max(initial=0.0))
+        apart = float(np.abs(a[finite] - b[finite]).max(initial=0.0))
         # A place near the origin is as good as one a metre away; a covariance has no such scale.
         least = 0.0 if "covariance" in name or "variance" in name else 1.0
-        allowed = tolerance * max(float(np.abs(a[known]).max(initial=0.0)), least)
+        allowed = tolerance * max(float(np.abs(a[finite]).max(initial=0.0)), least)
         require(apart <= allowed, f"{what}: {name} differs by {apart:.2g}, more than {allowed:.2g}")
 
 
@@ -342,10 +342,10 @@ def check_covariances(make: Make) -> None:
         _drive_on(stereo_filter, drive, range(frame, frame + 1))
         assert_healthy(stereo_filter)
         forecast = stereo_filter.forecast()
-        seen = forecast.in_view & np.isfinite(forecast.uvd).all(axis=1)
-        _assert_covariance("forecast S", forecast.S[seen], definite=True)
-        own = forecast.S[seen] - stereo_filter.noise.R
-        _assert_covariance("forecast S less the noise R", own, definite=frame > 0)
+        usable = forecast.in_view & np.isfinite(forecast.uvd).all(axis=1)
+        _assert_covariance("forecast S", forecast.S[usable], definite=True)
+        innovation_excess = forecast.S[usable] - stereo_filter.noise.R
+        _assert_covariance("forecast S less the noise R", innovation_excess, definite=frame > 0)
 
 
 def check_joint_covariance(make: Make) -> None:
@@ -357,9 +357,9 @@ def check_joint_covariance(make: Make) -> None:
     size = 6 + 3 * int(located.sum())
     require(joint.shape == (size, size), f"joint covariance is {joint.shape}, not {(size, size)}")
     _assert_covariance("joint covariance", joint, definite=True)
-    told = [joint[:6, :6], *(joint[first : first + 3, first : first + 3] for first in range(6, size, 3))]
-    wanted = [stereo_filter.pose.covariance, *landmarks.covariances[located]]
-    for place, (block, marginal) in enumerate(zip(told, wanted, strict=True)):
+    claimed_blocks = [joint[:6, :6], *(joint[first : first + 3, first : first + 3] for first in range(6, size, 3))]
+    expected_blocks = [stereo_filter.pose.covariance, *landmarks.covariances[located]]
+    for place, (block, marginal) in enumerate(zip(claimed_blocks, expected_blocks, strict=True)):
         off = np.abs(block - marginal).max() / np.abs(marginal).max()
         of = f"landmark {landmarks.ids[located][place - 1]}" if place else "the pose"
         require(off < 1e-9, f"the joint covariance of {of} differs from its own by {off:.3g} of it")
@@ -373,8 +373,8 @@ def check_prediction_loses_certainty(make: Make) -> None:
         drive.predict(stereo_filter, 1, 0.0)
         require(np.trace(stereo_filter.pose.covariance) > before, "the pose covariance did not grow")
         moved = stereo_filter.pose.position
-        there = np.allclose(moved, drive.position(1), atol=1e-9)
-        require(there, f"moved to {moved} in {dt:g} s, not to {drive.position(1)}")
+        as_expected = np.allclose(moved, drive.position(1), atol=1e-9)
+        require(as_expected, f"moved to {moved} in {dt:g} s, not to {drive.position(1)}")
 
 
 def check_pose_error(make: Make) -> None:
@@ -498,13 +498,13 @@ def _assert_consistent(make: Make, drives: Sequence[StraightDrive]) -> None:
         if not len(each):
             continue
         if what in ("pose", "velocity"):
-            said, value = f"mean {what}", float(np.mean(each))
+            label, value = f"mean {what}", float(np.mean(each))
         else:
-            said, value = f"median {what}", float(np.median(each)) * 3.0 / chi_square_quantile(0.5, 3)
-        said += f" NEES / dof {value:.2g}, expected 1"
+            label, value = f"median {what}", float(np.median(each)) * 3.0 / chi_square_quantile(0.5, 3)
+        label += f" NEES / dof {value:.2g}, expected 1"
         least = LEAST_NEES_OF_FORECASTS if what == "forecast" else LEAST_NEES
-        require(value < GREATEST_NEES, f"overconfident ({said})")
-        require(value > least or not bounded_below, f"underconfident ({said})")
+        require(value < GREATEST_NEES, f"overconfident ({label})")
+        require(value > least or not bounded_below, f"underconfident ({label})")
 
 
 def _told(report: UpdateReport) -> list[int]:
@@ -517,14 +517,14 @@ def _delays(make: Make) -> bool:
     """Whether reports are of other frames than their own, too: a filter with delayed updates."""
     stereo_filter = _started(make)
     drive = make.drive()
-    told: list[list[int]] = []
-    seen: list[list[int]] = []
+    delays: list[list[int]] = []
+    sight_delays: list[list[int]] = []
     for observation in [*(drive.observe(frame) for frame in range(5)), _EMPTY]:  # in the last one all tracks end
-        if seen:
-            drive.predict(stereo_filter, len(seen))
-        told.append(sorted(_told(stereo_filter.update(observation))))
-        seen.append(sorted(observation.ids.tolist()))
-    return any(told) and told != seen
+        if sight_delays:
+            drive.predict(stereo_filter, len(sight_delays))
+        delays.append(sorted(_told(stereo_filter.update(observation))))
+        sight_delays.append(sorted(observation.ids.tolist()))
+    return any(delays) and delays != sight_delays
 
 
 def check_report(make: Make) -> None:
@@ -538,26 +538,29 @@ def check_report(make: Make) -> None:
     uvd[:3, 0] += 200.0
     ids[-3:] += 1000
     observations[-1] = StereoObservation(ids, uvd)
-    seen: Counter[int] = Counter()
-    told: Counter[int] = Counter()
+    seen_counts: Counter[int] = Counter()
+    reported_counts: Counter[int] = Counter()
     for observation in observations + [_EMPTY] * (LONGEST_DELAY if delayed else 0):
-        if seen:
+        if seen_counts:
             drive.predict(stereo_filter, 1)
-        silent = not told and not len(stereo_filter.landmarks.ids)
+        silent = not reported_counts and not len(stereo_filter.landmarks.ids)
         report = stereo_filter.update(observation)
         require(isinstance(report, UpdateReport), f"update returned {type(report).__name__}")
         now = _told(report)
-        seen.update(observation.ids.tolist())
-        told.update(now)
+        seen_counts.update(observation.ids.tolist())
+        reported_counts.update(now)
         require(len(now) == len(set(now)), "an id is reported twice")
-        require(set(now) <= set(seen), "an id is reported that was not observed")
-        require(told <= seen, f"ids {sorted(told - seen)[:5]} are reported more often than they were observed")
+        require(set(now) <= set(seen_counts), "an id is reported that was not observed")
+        require(
+            reported_counts <= seen_counts,
+            f"ids {sorted(reported_counts - seen_counts)[:5]} are reported more often than they were observed",
+        )
         require(0 <= report.nis < np.inf, f"nis is {report.nis}")
         if not delayed and not silent:
             missing = set(observation.ids.tolist()) - set(now)
             require(not missing, f"ids {sorted(missing)[:5]} were observed and are not in the report")
     if delayed:
-        never = set(seen) - set(told)
+        never = set(seen_counts) - set(reported_counts)
         require(not never, f"ids {sorted(never)[:5]} were observed and are in no report {LONGEST_DELAY} frames later")
 
 
@@ -655,15 +658,15 @@ def check_forget(make: Make) -> None:
     ids = stereo_filter.landmarks.ids
     if len(ids) == 0:
         return  # a filter without a map
-    gone = ids[::3]
+    forgotten_ids = ids[::3]
     before = _shown(stereo_filter)
-    stereo_filter.forget(gone)
-    require(not np.isin(gone, stereo_filter.landmarks.ids).any(), "forgotten ids are still in the map")
-    require(len(stereo_filter.landmarks.ids) == len(ids) - len(gone), "other ids went too")
+    stereo_filter.forget(forgotten_ids)
+    require(not np.isin(forgotten_ids, stereo_filter.landmarks.ids).any(), "forgotten ids are still in the map")
+    require(len(stereo_filter.landmarks.ids) == len(ids) - len(forgotten_ids), "other ids went too")
     covariance = {"pose covariance": before["pose covariance"]}
     _assert_same("the pose changed", covariance, _shown(stereo_filter))
-    stereo_filter.forget(gone)
-    missing = set(gone.tolist())
+    stereo_filter.forget(forgotten_ids)
+    missing = set(forgotten_ids.tolist())
     for frame in range(5, 6 + (LONGEST_DELAY if _delays(make) else 0)):
         drive.predict(stereo_filter, frame)
         missing -= set(stereo_filter.update(drive.observe(frame)).initialised.tolist())

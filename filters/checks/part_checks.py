@@ -218,11 +218,11 @@ ERROR_CHECKS: tuple[Callable[..., None], ...] = (
 def _seen(model: LandmarkModel) -> FloatArray:
     """Numbers (M, seen_size) by which landmarks are seen that can start, from their anchors or the origin of W."""
     rng, count = np.random.default_rng(0), len(SCALES)
-    others = np.column_stack([SCALES, 0.1 * rng.standard_normal((count, model.seen_size - 4))])
-    seen = np.hstack([rng.standard_normal((count, 3)), others])
+    extra_numbers = np.column_stack([SCALES, 0.1 * rng.standard_normal((count, model.seen_size - 4))])
+    homogeneous = np.hstack([rng.standard_normal((count, 3)), extra_numbers])
     if model.seen_size != 4:  # what starts may have to keep numbers of its own at zero
-        seen = columns_of(model.point_of, columns_of(model.start_from, _able(model, seen)))
-    return _able(model, seen)
+        homogeneous = columns_of(model.point_of, columns_of(model.start_from, _able(model, homogeneous)))
+    return _able(model, homogeneous)
 
 
 def _able(model: LandmarkModel, seen: FloatArray) -> FloatArray:
@@ -233,8 +233,8 @@ def _able(model: LandmarkModel, seen: FloatArray) -> FloatArray:
 
 def _slopes(function: Callable[..., Any], *arrays: FloatArray) -> FloatArray:
     """Jacobian (M, k, n) of a plain function by its first argument, by differences."""
-    first, *others = arrays
-    return derivatives.jacobian(lambda e: columns_of(function, first + e, *others), first.shape[1])
+    first, *other_arrays = arrays
+    return derivatives.jacobian(lambda e: columns_of(function, first + e, *other_arrays), first.shape[1])
 
 
 def _assert_slopes(what: str, function: Callable[..., Any], *arrays: FloatArray) -> None:
@@ -246,31 +246,31 @@ def _assert_slopes(what: str, function: Callable[..., Any], *arrays: FloatArray)
 
 def check_landmark_start(model: LandmarkModel) -> None:
     """A landmark is seen where it was started."""
-    seen = _seen(model)
-    values = columns_of(model.start_from, seen)
-    require(values.shape == (len(seen), model.value_size), f"start_from gives {values.shape[1]} numbers")
+    homogeneous = _seen(model)
+    values = columns_of(model.start_from, homogeneous)
+    require(values.shape == (len(homogeneous), model.value_size), f"start_from gives {values.shape[1]} numbers")
     again = columns_of(model.point_of, values)
-    require(again.shape == seen.shape, f"point_of gives {again.shape[1]} numbers")
-    assert_close("point_of start_from", unit_directions(again), unit_directions(seen), 1e-9)
+    require(again.shape == homogeneous.shape, f"point_of gives {again.shape[1]} numbers")
+    assert_close("point_of start_from", unit_directions(again), unit_directions(homogeneous), 1e-9)
     if model.anchored:
         require(np.isfinite(values).all(), "a value of a landmark that can start is not finite")
 
 
 def check_landmark_start_jacobians(model: LandmarkModel) -> None:
     """Derivatives of a start are those of differences, and finite wherever a landmark can be started."""
-    seen = _seen(model)
+    homogeneous = _seen(model)
 
     def started(h: Any, y: Any) -> Any:
         return model.local_by(y, model.start_from(h))
 
-    far = seen.copy()
+    far = homogeneous.copy()
     far[:, 3] = 1e-9
     far = _able(model, far)
     by_seen = jacobian_of(started, far, columns_of(model.start_from, far))[1]
     require(np.isfinite(by_seen).all(), "a Jacobian of a start is not finite")
-    nearer = seen - 2.0 * derivatives.STEP * (np.arange(seen.shape[1]) == 3)
-    seen = seen[columns_of(lambda h: (model.can_start_from(h),), nearer)[:, 0].astype(bool)]
-    _assert_slopes("start_from", started, seen, columns_of(model.start_from, seen))
+    nearer = homogeneous - 2.0 * derivatives.STEP * (np.arange(homogeneous.shape[1]) == 3)
+    homogeneous = homogeneous[columns_of(lambda h: (model.can_start_from(h),), nearer)[:, 0].astype(bool)]
+    _assert_slopes("start_from", started, homogeneous, columns_of(model.start_from, homogeneous))
 
 
 def check_landmark_jacobians(model: LandmarkModel) -> None:
@@ -285,23 +285,23 @@ def check_landmark_jacobians(model: LandmarkModel) -> None:
     def carried(x: Any, y: Any) -> Any:
         return model.turned_by(y, x[model.size :], x[: model.size])
 
-    there = columns_of(carried, both, values)
-    _assert_slopes("turned_by", lambda x, y, end: model.local_by(end, carried(x, y)), both, values, there)
+    moved = columns_of(carried, both, values)
+    _assert_slopes("turned_by", lambda x, y, end: model.local_by(end, carried(x, y)), both, values, moved)
     turned = columns_of(lambda y: model.turned_by(y, tuple(theta[0]), (0.0,) * model.size), values)
-    seen, again = columns_of(model.point_of, values), columns_of(model.point_of, turned)
-    seen[:, :3] = seen[:, :3] @ rotations.exp(theta[0]).T
-    assert_close("turned_by without a correction", unit_directions(again), unit_directions(seen), 1e-9)
+    homogeneous, again = columns_of(model.point_of, values), columns_of(model.point_of, turned)
+    homogeneous[:, :3] = homogeneous[:, :3] @ rotations.exp(theta[0]).T
+    assert_close("turned_by without a correction", unit_directions(again), unit_directions(homogeneous), 1e-9)
 
 
 def check_landmark_retraction(model: LandmarkModel) -> None:
     """A correction is undone by `local_by`, and nothing is changed by none."""
     values = columns_of(model.start_from, _seen(model))
     delta = np.random.default_rng(1).uniform(-0.1, 0.1, (len(values), model.size))
-    there, least = columns_of(model.retract_by, values, delta), max(1.0, np.abs(values).max())
+    corrected, least = columns_of(model.retract_by, values, delta), max(1.0, np.abs(values).max())
     assert_close("retract_by nothing", columns_of(model.retract_by, values, 0.0 * delta), values, 1e-12)
-    assert_close("local_by of retract_by", columns_of(model.local_by, values, there), delta, 1e-9 * least)
-    slopes = jacobian_of(lambda c, y, end: model.local_by(end, model.retract_by(y, c)), delta, values, there)[1]
-    differences = _slopes(lambda c, y, end: model.local_by(end, model.retract_by(y, c)), delta, values, there)
+    assert_close("local_by of retract_by", columns_of(model.local_by, values, corrected), delta, 1e-9 * least)
+    slopes = jacobian_of(lambda c, y, end: model.local_by(end, model.retract_by(y, c)), delta, values, corrected)[1]
+    differences = _slopes(lambda c, y, end: model.local_by(end, model.retract_by(y, c)), delta, values, corrected)
     assert_close("the derivative of retract_by", slopes, differences, max(TOLERANCE, 1e-11 * np.abs(values).max()))
 
     def without_a_turn(c: Any, y: Any) -> Any:
@@ -314,8 +314,8 @@ def check_landmark_retraction(model: LandmarkModel) -> None:
 
 def check_landmark_invariance(model: LandmarkModel) -> None:
     """Check that in a turned world a landmark starts where the turned one is."""
-    seen = _seen(model)
-    turned = np.hstack([seen[:, :3] @ TURN.T, seen[:, 3:]])
+    homogeneous = _seen(model)
+    turned = np.hstack([homogeneous[:, :3] @ TURN.T, homogeneous[:, 3:]])
     able = columns_of(lambda h: (model.can_start_from(h),), turned)[:, 0].astype(bool)
     again = columns_of(model.point_of, columns_of(model.start_from, turned[able]))
     assert_close("a start in a turned world", unit_directions(again), unit_directions(turned[able]), 1e-9)
@@ -339,10 +339,12 @@ def _points(sensor: MeasurementModel) -> tuple[FloatArray, Values]:
         near[VELOCITY] = np.array([0.4, -0.2, 5.0, 0.02, 0.3, -0.1])
     if sensor.seen_size != 4:  # whatever is measured there
         points_c = sensor.backproject(c, c.project_scaled(points_c[:, :3], points_c[:, 3]), near)
-    seen = sensor.in_front(points_c)
-    require(seen.shape == seen[:, None].squeeze(1).shape == (len(points_c),), f"in_front has shape {seen.shape}")
-    require(seen.any(), "in_front is true of no point")
-    return points_c[seen], near
+    visible = sensor.in_front(points_c)
+    require(
+        visible.shape == visible[:, None].squeeze(1).shape == (len(points_c),), f"in_front has shape {visible.shape}"
+    )
+    require(visible.any(), "in_front is true of no point")
+    return points_c[visible], near
 
 
 def check_measurement_shapes(sensor: MeasurementModel) -> None:

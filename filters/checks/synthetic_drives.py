@@ -42,9 +42,9 @@ def predict_step(
 ) -> None:
     """Predict a step, with odometry or inertial samples only if the filter refuses to go without."""
     refusals = []
-    for given in ({}, {"odometry": odometry}, {"inertial": inertial}):
+    for inputs in ({}, {"odometry": odometry}, {"inertial": inertial}):
         try:
-            stereo_filter.predict(dt, **given)
+            stereo_filter.predict(dt, **inputs)
         except ValueError as error:
             refusals.append(error)
         else:

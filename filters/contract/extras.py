@@ -42,8 +42,8 @@ def install_command(extra: str) -> str:
     is too old for the extra, the text says so.
     """
     if sys.version_info < NEWER_PYTHON.get(extra, (3, 0)):
-        wanted = ".".join(map(str, NEWER_PYTHON[extra]))
-        return f"the extra {extra} needs Python {wanted} or newer"
+        newest_python = ".".join(map(str, NEWER_PYTHON[extra]))
+        return f"the extra {extra} needs Python {newest_python} or newer"
     return f'{sys.executable} -m pip install "{DISTRIBUTION}[{extra}]"'
 
 

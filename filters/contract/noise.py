@@ -50,12 +50,12 @@ class LandmarkDrift:
     def __post_init__(self) -> None:
         positive("share of drift", self.share, allow_zero=True)
         for name in ("pixels", "gate_pixels"):
-            given = getattr(self, name)
-            if given is None:
+            value = getattr(self, name)
+            if value is None:
                 continue
-            steps = np.asarray(given, dtype=np.float64)
+            steps = np.asarray(value, dtype=np.float64)
             if steps.shape != (3,) or not (np.isfinite(steps).all() and (steps >= 0.0).all()):
-                raise ValueError(f"{name} of drift must be 3 finite numbers of px >= 0 (u, v, d), got {given!r}")
+                raise ValueError(f"{name} of drift must be 3 finite numbers of px >= 0 (u, v, d), got {value!r}")
             object.__setattr__(self, name, tuple(steps.tolist()))
         if self.gate_pixels is not None and any(g > p for g, p in zip(self.gate_pixels, self.pixels, strict=True)):
             raise ValueError(f"gate_pixels of drift must be at most pixels {self.pixels}, got {self.gate_pixels}")
@@ -85,9 +85,9 @@ class LandmarkDrift:
     @property
     def parts(self) -> FloatArray:
         """Factor of R and variances in u, v, d: of the step for the gate, and of the rest of the step; (2, 4)."""
-        whole = np.square(self.pixels)
-        gate = whole if self.gate_pixels is None else np.square(self.gate_pixels)
-        return np.array([[self.share**2, *gate], [0.0, *(whole - gate)]])
+        total_variance = np.square(self.pixels)
+        gate = total_variance if self.gate_pixels is None else np.square(self.gate_pixels)
+        return np.array([[self.share**2, *gate], [0.0, *(total_variance - gate)]])
 
 
 LARGEST_VARIANCE = 1e18

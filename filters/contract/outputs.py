@@ -180,14 +180,14 @@ class Variable:
             object.__setattr__(self, "random_walk", walk)
 
     def _check_retraction(self, what: str, size: int) -> None:
-        wanted = (4, 3) if isinstance(self.retraction, RotationVector) else (len(self.value),) * 2
+        shape = (4, 3) if isinstance(self.retraction, RotationVector) else (len(self.value),) * 2
         if self.retraction is not ADDITIVE and not isinstance(self.retraction, RotationVector):
             raise ValueError(
                 f"retraction of {what} must be addition or RotationVector(), of a quaternion, got {self.retraction!r}"
             )
-        if (len(self.value), size) != wanted:
+        if (len(self.value), size) != shape:
             raise ValueError(
-                f"{what} must have {wanted[0]} numbers and {wanted[1]} errors, got {len(self.value)}, {size}"
+                f"{what} must have {shape[0]} numbers and {shape[1]} errors, got {len(self.value)}, {size}"
             )
 
     @property

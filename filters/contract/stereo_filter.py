@@ -50,9 +50,9 @@ def check_step(dt: object, odometry: object, inertial: object) -> float:
     step = time_step(dt)
     if odometry is not None and type(odometry) is not BodyVelocity:
         if isinstance(odometry, BodyVelocity):
-            own = type(odometry).__name__
+            type_words = type(odometry).__name__
             raise ValueError(
-                f"odometry must be a BodyVelocity itself, got the subclass {own}: what it adds is not used"
+                f"odometry must be a BodyVelocity itself, got the subclass {type_words}: what it adds is not used"
             )
         raise ValueError(f"odometry must be a BodyVelocity or None, got {type(odometry).__name__}")
     if inertial is not None:
@@ -88,10 +88,12 @@ class StereoFilter(ABC):
     def __init_subclass__(cls, **arguments: Any) -> None:
         super().__init_subclass__(**arguments)
         if "__init__" in vars(cls) and "open_options" not in vars(cls):
-            own = inspect.signature(cls.__init__).parameters
-            others = any(parameter.kind is parameter.VAR_KEYWORD for parameter in own.values())
+            parameters = inspect.signature(cls.__init__).parameters
+            takes_any = any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters.values())
             cls.open_options = frozenset(
-                name for name in cls.open_options if (own[name].default is None if name in own else others)
+                name
+                for name in cls.open_options
+                if (parameters[name].default is None if name in parameters else takes_any)
             )
 
     @abstractmethod
@@ -108,9 +110,9 @@ class StereoFilter(ABC):
 
     def say_unused(self, name: str) -> None:
         """Say in the log, once for this filter, that an input of `predict` has no effect: "odometry" or "inertial"."""
-        said = vars(self).setdefault("_said_unused", set())
-        if name not in said:
-            said.add(name)
+        said_before = vars(self).setdefault("_said_unused", set())
+        if name not in said_before:
+            said_before.add(name)
             what = "inertial samples" if name == "inertial" else name
             _log.warning("%s makes no use of the %s that it is given", type(self).__name__, what)
 
@@ -176,11 +178,11 @@ class StereoFilter(ABC):
             An id is not in the map.
         """
         landmarks = self.landmarks
-        wanted = landmarks.ids if ids is None else unique_ids("ids", np.asarray(ids))
-        missing = wanted[~np.isin(wanted, landmarks.ids)]
+        wanted_ids = landmarks.ids if ids is None else unique_ids("ids", np.asarray(ids))
+        missing = wanted_ids[~np.isin(wanted_ids, landmarks.ids)]
         if len(missing):
             raise ValueError(f"ids must be in the map, not there: {missing[:5].tolist()}: see landmarks.ids")
-        index = np.searchsorted(landmarks.ids, wanted)
+        index = np.searchsorted(landmarks.ids, wanted_ids)
         rows = 6 + 3 * np.arange(len(index))[:, None] + np.arange(3)
         joint = np.zeros((6 + 3 * len(index), 6 + 3 * len(index)))
         joint[:6, :6] = self.pose.covariance

@@ -30,12 +30,12 @@ def unchecked(kind: type[Made], **fields: Any) -> Made:
 
     For values that were just computed from checked ones and that nobody else holds: arrays become read-only.
     """
-    made = object.__new__(kind)
+    instance = object.__new__(kind)
     for value in fields.values():
         if isinstance(value, np.ndarray):
             value.flags.writeable = False
-    vars(made).update(fields)
-    return made
+    vars(instance).update(fields)
+    return instance
 
 
 def finite_array(name: str, value: ArrayLike, shape: tuple[int | str, ...]) -> FloatArray:
@@ -62,7 +62,7 @@ def finite_array(name: str, value: ArrayLike, shape: tuple[int | str, ...]) -> F
     if array.ndim == len(shape) and array.size == 0 and "M" in shape:
         array = array.reshape([0 if isinstance(n, str) else n for n in shape])
     wrong = len(array.shape) != len(shape) or any(
-        isinstance(wanted, int) and wanted != got for wanted, got in zip(shape, array.shape, strict=True)
+        isinstance(expected, int) and expected != got for expected, got in zip(shape, array.shape, strict=True)
     )
     if wrong:
         raise ValueError(f"{name} must have shape {_shown(shape)}, got {array.shape}")
@@ -95,8 +95,8 @@ def finite_number(name: str, value: Any) -> float:
 def whole_number(name: str, value: Any, low: int, high: int | None = None) -> int:
     """Return `value`, an int from `low` to `high` (None: no upper limit)."""
     if isinstance(value, bool) or not isinstance(value, int) or value < low or (high is not None and value > high):
-        wanted = f">= {low}" if high is None else f"from {low} to {high}"
-        raise ValueError(f"{name} must be a whole number {wanted}, got {value!r}")
+        range_words = f">= {low}" if high is None else f"from {low} to {high}"
+        raise ValueError(f"{name} must be a whole number {range_words}, got {value!r}")
     return value
 
 
@@ -144,8 +144,8 @@ def covariance_matrix(
     except np.linalg.LinAlgError:
         smallest = np.linalg.eigvalsh(matrix)[..., 0]
     if (smallest < -1e-12 * scale).any() or (definite and (smallest <= 0).any()):
-        wanted = "definite" if definite else "semi-definite"
-        raise ValueError(f"{name} must be positive {wanted}, smallest eigenvalue is {smallest.min():.3g}")
+        property_words = "definite" if definite else "semi-definite"
+        raise ValueError(f"{name} must be positive {property_words}, smallest eigenvalue is {smallest.min():.3g}")
     return matrix
 
 

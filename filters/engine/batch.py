@@ -168,8 +168,8 @@ class FilterBatch(Sequence[StereoEKF]):
     def _covariances(self, first: int) -> FloatArray:
         rows = slice(first, first + 6)
         upper = np.triu(self._engine.storage.P[:, rows, rows])
-        whole: FloatArray = upper + np.triu(upper, 1).transpose(0, 2, 1)
-        return whole
+        full: FloatArray = upper + np.triu(upper, 1).transpose(0, 2, 1)
+        return full
 
     @property
     def state_sizes(self) -> IntArray:
@@ -205,8 +205,8 @@ class FilterBatch(Sequence[StereoEKF]):
         places, covariances, located = np.empty((total, 3)), np.empty((total, 3, 3)), np.empty(total, dtype=np.bool_)
         plan, model = self._engine.recipe.plan, self._filters[0].options.landmark
         filters = np.repeat(np.arange(len(self)), counts)
-        own = storage.own[np.arange(storage.own.shape[1]) < counts[:, None]]
-        values = storage.blocks[filters, own, : model.value_size]
+        block_of_row = storage.own[np.arange(storage.own.shape[1]) < counts[:, None]]
+        values = storage.blocks[filters, block_of_row, : model.value_size]
         points, by_own = np.zeros((total, model.seen_size)), np.zeros((total, model.seen_size, model.size))
         self._engine.points(values, points, by_own)
         state = storage.P, storage.x, storage.blocks, storage.own, storage.anchor, storage.counts
@@ -269,12 +269,12 @@ class FilterBatch(Sequence[StereoEKF]):
             raise ValueError(f"ids must be integers of shape ({len(self)}, N), got {ids.dtype} {ids.shape}")
         if uvd.shape != (*ids.shape, 3):
             raise ValueError(f"uvd must have shape {(*ids.shape, 3)}, got {uvd.shape}")
-        there = ids >= 0
-        order = np.argsort(np.where(there, ids, np.iinfo(np.int64).max), axis=1, kind="stable")
-        counts = there.sum(axis=1)
-        chosen = np.arange(ids.shape[1]) < counts[:, None]
-        rows = np.nonzero(chosen)[0]
-        columns = order[chosen]
+        is_tracked = ids >= 0
+        order = np.argsort(np.where(is_tracked, ids, np.iinfo(np.int64).max), axis=1, kind="stable")
+        counts = is_tracked.sum(axis=1)
+        is_measured = np.arange(ids.shape[1]) < counts[:, None]
+        rows = np.nonzero(is_measured)[0]
+        columns = order[is_measured]
         flat_ids, flat_uvd = ids[rows, columns].astype(np.int64), uvd[rows, columns]
         if not np.isfinite(flat_uvd).all():
             raise ValueError("uvd must be finite, got NaN or infinity: mark those entries by id -1")
@@ -303,8 +303,8 @@ class FilterBatch(Sequence[StereoEKF]):
         if steps.ndim == 0:
             return np.full(len(self), time_step(steps))
         if steps.shape != (len(self),) or not ((steps > 0.0) & (steps <= LONGEST_STEP)).all():
-            wanted = f"numbers above 0 and up to {LONGEST_STEP:g} s, one or ({len(self)},)"
-            raise ValueError(f"dt must be {wanted}, got {dt!r}")
+            allowed = f"numbers above 0 and up to {LONGEST_STEP:g} s, one or ({len(self)},)"
+            raise ValueError(f"dt must be {allowed}, got {dt!r}")
         return steps
 
     def _inputs(
@@ -323,8 +323,8 @@ class FilterBatch(Sequence[StereoEKF]):
         first = self._filters[0]
         if inertial is not None and any(velocities) and first.options.motion.takes is InertialSamples:
             raise ValueError("odometry must be None in a batch with inertial samples: predict filters one by one")
-        given = [input_of(first.options.motion, first, *each) for each in zip(velocities, samples, strict=True)]
-        return None if odometry is None and inertial is None else Odometry.of(given)
+        step_inputs = [input_of(first.options.motion, first, *each) for each in zip(velocities, samples, strict=True)]
+        return None if odometry is None and inertial is None else Odometry.of(step_inputs)
 
     def _packed(self, observations: Sequence[StereoObservation | None]) -> Observations:
         """Observations one after the other, ids ascending."""
@@ -332,15 +332,15 @@ class FilterBatch(Sequence[StereoEKF]):
         for observation in observations:
             if observation is not None and not isinstance(observation, StereoObservation):
                 raise ValueError(f"observations must be StereoObservation or None, got {type(observation).__name__}")
-        first, seen = self._filters[0], np.array([o is not None for o in observations])
+        first, is_observed = self._filters[0], np.array([o is not None for o in observations])
         sensor = first.options.measurement
         observations = [None if o is None else sensor.completed(o, first.camera) for o in observations]
-        there = [o for o in observations if o is not None]
+        present = [o for o in observations if o is not None]
         counts = np.array([0 if o is None else len(o) for o in observations])
         offsets = np.concatenate([[0], np.cumsum(counts)])
         owner = np.repeat(np.arange(len(self)), counts)
-        ids = np.concatenate([o.ids for o in there]) if there else np.zeros(0, dtype=np.int64)
-        uvd = np.concatenate([o.uvd for o in there]) if there else np.zeros((0, 3))
+        ids = np.concatenate([o.ids for o in present]) if present else np.zeros(0, dtype=np.int64)
+        uvd = np.concatenate([o.uvd for o in present]) if present else np.zeros((0, 3))
         R, right = self.R[owner], np.zeros(len(ids))
         with_right = np.array([o is not None and o.v_right is not None for o in observations])
         for index, observation in enumerate(observations):
@@ -351,7 +351,7 @@ class FilterBatch(Sequence[StereoEKF]):
         if ((ids[1:] < ids[:-1]) & (owner[1:] == owner[:-1])).any():
             order = np.lexsort((ids, owner))
             ids, uvd, R, right = ids[order], uvd[order], R[order], right[order]
-        return Observations(seen, offsets, ids, uvd, R, with_right, right)
+        return Observations(is_observed, offsets, ids, uvd, R, with_right, right)
 
 
 def world_landmarks(slams: Sequence[StereoFilter]) -> WorldLandmarks:

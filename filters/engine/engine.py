@@ -89,8 +89,8 @@ class Engine:
 
     def __getstate__(self) -> dict[str, Any]:
         """State that a copy needs: it packs arrays of its own."""
-        own = ("recipe", "count", "threads", "storage")
-        return {name: getattr(self, name) for name in own}
+        names = ("recipe", "count", "threads", "storage")
+        return {name: getattr(self, name) for name in names}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__init__(state["recipe"], state["count"], state["threads"])  # type: ignore[misc]
@@ -179,16 +179,16 @@ class Engine:
         plan = self.recipe.plan
         n, changed = plan.leading + plan.size * int(self.storage.counts[index, BLOCKS]), len(rows) + 3 * len(landmarks)
         room = np.empty((2, changed, n))
-        given = (np.array(array, dtype=np.float64, order="C") for array in (F, Q, by_landmark, by_rows))
-        carry_along(self._storage.address, index, rows, landmarks, *given, room)
+        copies = (np.array(array, dtype=np.float64, order="C") for array in (F, Q, by_landmark, by_rows))
+        carry_along(self._storage.address, index, rows, landmarks, *copies, room)
 
     def release(self, index: int, blocks: IntArray) -> None:
         """Hold these blocks of filter `index` no longer; those that no landmark uses leave the map."""
         held, users = self.storage.held[index], self.storage.users[index]
-        kept = held[(held >= 0) & ~np.isin(held, blocks)]
+        freed_blocks = held[(held >= 0) & ~np.isin(held, blocks)]
         users[blocks] -= 1
         held[:] = -1
-        held[: len(kept)] = kept
+        held[: len(freed_blocks)] = freed_blocks
         self._change(index, CLOSE_GAPS)
 
     def forget(self, index: int, ids: IntArray) -> None:
@@ -222,10 +222,10 @@ class Engine:
             Whether it was used.
         """
         self._make_room(0, 1, *H.shape)
-        given = np.array(H, order="C"), np.array(innovation), np.array(R, order="C")
+        arguments = np.array(H, order="C"), np.array(innovation), np.array(R, order="C")
         at = self._calls.address, self._plan.address, self._storage.address, self._scratch[0].address
         with self._unless_failed(np.arange(self.count) == index):
-            correct_by(*at, index, rows, *given, limit)
+            correct_by(*at, index, rows, *arguments, limit)
             raise_failure()
         nis, used = self.scratch(0).result.tolist()
         return nis, bool(used)
@@ -300,11 +300,11 @@ class Engine:
     def _frame_with(self, blocks: int = 0, measurements: int = 0, odometry: tuple[int, int] = (0, 0)) -> FrameArrays:
         """The frame, with room for at least these, and with what it brings already."""
         frame = self.frame
-        there = frame.dropped.shape[1], len(frame.ids), *frame.odometry.shape[1:]
-        wanted = blocks, measurements, *odometry
-        if all(most <= size for most, size in zip(wanted, there, strict=True)):
+        sizes_now = frame.dropped.shape[1], len(frame.ids), *frame.odometry.shape[1:]
+        sizes_wanted = blocks, measurements, *odometry
+        if all(most <= size for most, size in zip(sizes_wanted, sizes_now, strict=True)):
             return frame
-        blocks, measurements, K, w = map(max, wanted, there)
+        blocks, measurements, K, w = map(max, sizes_wanted, sizes_now)
         larger = empty_frame(self.recipe, self.count, blocks, measurements, (K, w))
         for old, new in zip(frame, larger, strict=True):
             new[tuple(slice(0, size) for size in old.shape)] = old
@@ -348,8 +348,8 @@ class Engine:
     def _make_room(self, blocks: int, measurements: int, rows: int = 0, width: int = 0) -> None:
         """Room for so many blocks of a filter, measurements of a frame, rows and columns of one measurement."""
         larger = blocks > self.storage.blocks.shape[1]
-        there = self._scratch and not larger and measurements <= self._most
-        if there and rows <= self._rows and width <= self._width:
+        has_room = self._scratch and not larger and measurements <= self._most
+        if has_room and rows <= self._rows and width <= self._width:
             return
         if larger:
             self._storage = Packed(grown(self.storage, self.recipe, blocks + blocks // 4))

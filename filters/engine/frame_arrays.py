@@ -111,8 +111,8 @@ class ValuePlaces:
     def camera(self, x: FloatArray) -> CameraState:
         """The variables that x holds; views of it."""
         v = self._velocity
-        others = {name: x[place] for name, place in self._places.items()}
-        return CameraState(x[:3], x[3:7], x[v : v + 3], x[v + 3 : v + 6], others)
+        values_by_name = {name: x[place] for name, place in self._places.items()}
+        return CameraState(x[:3], x[3:7], x[v : v + 3], x[v + 3 : v + 6], values_by_name)
 
     def of(self, camera: CameraState) -> FloatArray:
         """x of the variables; what is padding is zero."""

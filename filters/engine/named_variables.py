@@ -87,14 +87,14 @@ class VariableFilter(StereoFilter):
             There is no variable of such a name.
         """
         camera = self.camera_state
-        there = {
+        variables = {
             POSE: np.concatenate([camera.position, camera.orientation]),
             VELOCITY: np.concatenate([camera.linear_velocity, camera.angular_velocity]),
             **camera.variables,
             **self._row.held_values(),
         }
-        require_known("there is no variable", names, there)
-        return VariableBelief(np.concatenate([there[name] for name in names]), self._row.joint(*names))
+        require_known("there is no variable", names, variables)
+        return VariableBelief(np.concatenate([variables[name] for name in names]), self._row.joint(*names))
 
     @property
     def clones(self) -> tuple[str, ...]:
@@ -164,8 +164,8 @@ class VariableFilter(StereoFilter):
             raise ValueError(f"variable {variable.name!r} must be estimated, and its retraction addition")
         H = {} if H is None else H
         J = {name: finite_array(f"H of {name!r}", H[name], (variable.size, "w")) for name in H}
-        for (name, given), rows in zip(J.items(), self._row.rows_of(J), strict=True):
-            finite_array(f"H of {name!r}", given, (variable.size, len(rows)))
+        for (name, jacobian), rows in zip(J.items(), self._row.rows_of(J), strict=True):
+            finite_array(f"H of {name!r}", jacobian, (variable.size, len(rows)))
         self._row.add(variable, J)
 
     def remove_variable(self, name: str) -> None:
@@ -207,7 +207,7 @@ class VariableFilter(StereoFilter):
         if variable is None:
             raise ValueError(f"name must be that of an added variable, {name!r} is a clone of the pose, which stays")
         s = variable.size
-        given = finite_array("value", value, (len(variable.value),)), finite_array("F", F, (s, s))
+        checked = finite_array("value", value, (len(variable.value),)), finite_array("F", F, (s, s))
         moved = MovedLandmarks.none(s) if landmarks is None else landmarks
         finite_array("landmarks.by_variable", moved.by_variable, (len(moved.ids), 3, s))
         unknown = moved.ids[~np.isin(moved.ids, self.ids)]
@@ -215,7 +215,7 @@ class VariableFilter(StereoFilter):
             raise ValueError(f"landmarks.ids must be in the map, not there: {unknown[:5].tolist()}")
         if len(moved.ids) and not self.options.landmark.in_world:
             raise ValueError('landmarks must be points of W to be moved: choose landmark="euclidean"')
-        self._row.move(name, *given, covariance_matrix("Q", Q, s), moved)
+        self._row.move(name, *checked, covariance_matrix("Q", Q, s), moved)
 
     def _require_new(self, name: str) -> None:
         if name in (*self.options.layout.places, *self._row.held):

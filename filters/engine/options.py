@@ -81,10 +81,10 @@ class Options:
         for part in (self.landmark, self.measurement, self.motion):
             check_functions(part)
         _check_landmark(self.landmark)
-        wanted, taken = self.landmark.seen_size, self.measurement.seen_size
-        if wanted != taken:
+        expected_size, taken = self.landmark.seen_size, self.measurement.seen_size
+        if expected_size != taken:
             raise ValueError(
-                f"measurement must have seen_size = {wanted} with landmark={type(self.landmark).__name__}, "
+                f"measurement must have seen_size = {expected_size} with landmark={type(self.landmark).__name__}, "
                 f"got {type(self.measurement).__name__} with {taken}: it measures other landmarks"
             )
         if self.update.sigma_points(CAMERA_SIZE):
@@ -151,35 +151,37 @@ def check_functions(part: LandmarkModel | MeasurementModel | MotionModel) -> Non
     """Raise a `ValueError` where a part lacks a plain function, overrides what follows, or gives another count."""
     cls = type(part)
     base = next(kind for kind in _FUNCTIONS if isinstance(part, kind))
-    given, following = _FUNCTIONS[base]
-    for name in given:
+    base_function, following = _FUNCTIONS[base]
+    for name in base_function:
         if getattr(cls, name) is getattr(base, name):
-            raise ValueError(f"{cls.__name__} must have {' and '.join(given)}: see {base.__name__}")
+            raise ValueError(f"{cls.__name__} must have {' and '.join(base_function)}: see {base.__name__}")
     for name in following:
         if getattr(cls, name) is not getattr(base, name):
-            raise ValueError(f"{cls.__name__} must not have {name} of its own: it follows from {' and '.join(given)}")
-    for name, wanted, call in _calls(part):
+            raise ValueError(
+                f"{cls.__name__} must not have {name} of its own: it follows from {' and '.join(base_function)}"
+            )
+    for name, expected, call in _calls(part):
         try:
             numbers = call()
         except (ArithmeticError, ValueError):  # these numbers are none that it can have
             continue
-        lengths = tuple(map(len, numbers)) if isinstance(wanted, tuple) else len(numbers)
-        if lengths != wanted:
-            raise ValueError(f"{cls.__name__}.{name} must give {wanted} numbers, got {lengths}")
+        lengths = tuple(map(len, numbers)) if isinstance(expected, tuple) else len(numbers)
+        if lengths != expected:
+            raise ValueError(f"{cls.__name__}.{name} must give {expected} numbers, got {lengths}")
 
 
 def _calls(part: Any) -> Iterator[tuple[str, Any, Callable[[], Any]]]:
     """Plain functions with how many numbers they must give, and a call with some numbers."""
     if isinstance(part, LandmarkModel):
-        seen, value = (0.1, 0.2, 0.9, 0.05, *[0.1] * part.seen_size)[: part.seen_size], (0.1,) * part.value_size
+        sample, value = (0.1, 0.2, 0.9, 0.05, *[0.1] * part.seen_size)[: part.seen_size], (0.1,) * part.value_size
         yield "point_of", part.seen_size, lambda: part.point_of(value)
-        yield "start_from", part.value_size, lambda: part.start_from(seen)
+        yield "start_from", part.value_size, lambda: part.start_from(sample)
         yield "retract_by", part.value_size, lambda: part.retract_by(value, (0.1,) * part.size)
     elif isinstance(part, MeasurementModel):
         rig = Rig(500.0, 500.0, 320.0, 240.0, 0.2)
-        seen = (0.1, 0.2, 0.9, 0.05, *[0.1] * part.seen_size)[: part.seen_size]
+        sample = (0.1, 0.2, 0.9, 0.05, *[0.1] * part.seen_size)[: part.seen_size]
         named = part.named({**{x.name: x.value for x in part.variables}, VELOCITY: np.full(6, 0.1)})
-        yield "project", part.size, lambda: part.project(rig, seen, *named)
+        yield "project", part.size, lambda: part.project(rig, sample, *named)
         yield "unproject", part.seen_size, lambda: part.unproject(rig, (330.0, 250.0, 10.0), *named)
     else:
         sizes = tuple(size for _, size in part.layout)

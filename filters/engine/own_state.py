@@ -49,9 +49,9 @@ def predict_camera(motion: MotionModel, state: CameraState, dt: float, odometry:
     motion.check_odometry(odometry)
     calls, settings = _compiled(_Identity(motion))
     m, x = motion.size, motion.numbers_of(state)
-    given = np.zeros((0, 6)) if odometry is None else odometry.rows
+    rows = np.zeros((0, 6)) if odometry is None else odometry.rows
     moved, F, Q = x.copy(), np.zeros((m, m)), np.zeros((m, m))
-    step_at(calls.address, settings, x, dt, given, moved, F, Q)
+    step_at(calls.address, settings, x, dt, rows, moved, F, Q)
     raise_failure()
     return MotionPrediction(motion.state_of(moved, state.variables), F, np.eye(m), Q)
 

@@ -34,7 +34,12 @@ from filters.kernels.sigma_points import fit
 def recipe_of(camera: StereoCamera, options: Options) -> Recipe:
     """Recipe of a filter, in plain numbers and functions."""
     layout, model, sensor, motion = options.layout, options.landmark, options.measurement, options.motion
-    landmark, seen, driven, error = functions_of(model), functions_of(sensor), functions_of(motion), options.error
+    landmark, sensor_functions, driven, error = (
+        functions_of(model),
+        functions_of(sensor),
+        functions_of(motion),
+        options.error,
+    )
     sigma_points = options.update.sigma_points(layout.measured + 3 * model.anchored + model.size)
     values, v = ValuePlaces(layout), layout.places[VELOCITY].start
     prior = np.zeros((0, 0)) if model.prior is None else np.array(model.prior, dtype=np.float64)
@@ -42,7 +47,7 @@ def recipe_of(camera: StereoCamera, options: Options) -> Recipe:
     plan = Plan(
         camera=np.array((camera.fx, camera.fy, camera.cx, camera.cy, camera.baseline)),
         landmark=settings_of(model, landmark),
-        sensor=settings_of(sensor, seen),
+        sensor=settings_of(sensor, sensor_functions),
         motion=settings_of(motion, driven),
         size=model.size,
         prior=prior,
@@ -82,7 +87,7 @@ def recipe_of(camera: StereoCamera, options: Options) -> Recipe:
         gauge_walk=float(options.gauge_walk),
         **stage_tables((sensor.rows(False), sensor.rows(True)), sensor.size, options.gate),
     )
-    return Recipe(plan, landmark, seen, driven, sensor.size, model.value_size, model.seen_size, values.size)
+    return Recipe(plan, landmark, sensor_functions, driven, sensor.size, model.value_size, model.seen_size, values.size)
 
 
 def _places(numbers: Sequence[int] | IntArray) -> IntArray:
@@ -127,13 +132,13 @@ def compiled_calls(recipe: Recipe, fuses: bool) -> Calls:
         ("step", recipe.motion, True),
         ("measure", recipe.motion, fuses),
     )
-    wanted: list[tuple[str, Callable[[], Any]]] = [(unit.name, partial(getattr, unit, "address")) for unit in needed]
-    wanted += [(name, partial(of_part, part, name)) for name, part, used in parts if used]
+    functions: list[tuple[str, Callable[[], Any]]] = [(unit.name, partial(getattr, unit, "address")) for unit in needed]
+    functions += [(name, partial(of_part, part, name)) for name, part, used in parts if used]
     where: dict[str, Any] = {}
-    with counted(1 + len(wanted)) as count:
+    with counted(1 + len(functions)) as count:
         compile_frame()
         count()
-        for name, address in wanted:
+        for name, address in functions:
             where[name] = address()
             count()
     return addresses(**where)

@@ -84,20 +84,22 @@ class Row:
         if odometry is None:
             self.engine.step(steps, None)
             return
-        given: list[StepInput | None] = [None] * self.engine.count
-        given[self.number] = odometry
-        self.engine.step(steps, None, Odometry.of(given))
+        inputs: list[StepInput | None] = [None] * self.engine.count
+        inputs[self.number] = odometry
+        self.engine.step(steps, None, Odometry.of(inputs))
 
     def update(self, observation: StereoObservation, noise: StereoNoise) -> UpdateReport:
         """Use the frame; ids ascending."""
-        seen = np.zeros(self.engine.count, dtype=np.bool_)
-        seen[self.number] = True
+        updated = np.zeros(self.engine.count, dtype=np.bool_)
+        updated[self.number] = True
         count = len(observation)
         offsets = np.zeros(self.engine.count + 1, dtype=np.int64)
         offsets[self.number + 1 :] = count
         R = noise.R if observation.R is None else observation.R
         right = observation.v_right
-        packed = Observations(seen, offsets, observation.ids, observation.uvd, R, seen & (right is not None), right)
+        packed = Observations(
+            updated, offsets, observation.ids, observation.uvd, R, updated & (right is not None), right
+        )
         return report(self.engine.step(0.0, packed), observation.ids, slice(0, count), self.number)
 
     def correct(
@@ -134,9 +136,9 @@ class Row:
             (index,) = np.nonzero(self.ids == name)
             if len(index) == 0:
                 raise ValueError(f"ids must be in the map, not there: {name}: see landmarks.ids")
-            anchor, own = S.anchor[b, index[0]], layout.size + size * S.own[b, index[0]] + np.arange(size)
+            anchor, own_rows = S.anchor[b, index[0]], layout.size + size * S.own[b, index[0]] + np.arange(size)
             of_anchor = layout.size + size * anchor + np.arange(3 if anchor >= 0 else 0)
-            rows.append(np.concatenate([of_anchor, own]))
+            rows.append(np.concatenate([of_anchor, own_rows]))
         return rows
 
     def blocks_of(self, name: str) -> IntArray:
@@ -185,12 +187,12 @@ class Row:
 
     def remove(self, name: str) -> None:
         """Marginalise a clone or an added variable out."""
-        gone = self.held[name]
+        block = self.held[name]
         self.engine.release(self.number, self.blocks_of(name))
         del self.held[name]
         for other, one in self.held.items():
-            if one.first > gone.first:
-                self.held[other] = replace(one, first=one.first - gone.count)
+            if one.first > block.first:
+                self.held[other] = replace(one, first=one.first - block.count)
 
     def held_values(self) -> dict[str, FloatArray]:
         """Value of each clone, position and orientation (7,), and of each added variable."""
@@ -310,7 +312,7 @@ class Row:
 def report(outcome: FrameOutcome, ids: IntArray, mine: slice, number: int) -> UpdateReport:
     """Report of filter `number`, whose measurements are at `mine`."""
     fates, ids = outcome.fates[mine], ids[mine]
-    told = {name: ids[fates == fate] for name, fate in _FATES.items()} if fates.any() else {"updated": ids}
+    ids_by_fate = {name: ids[fates == fate] for name, fate in _FATES.items()} if fates.any() else {"updated": ids}
     return UpdateReport(
-        **told, dropped=outcome.dropped[number], nis=float(outcome.nis[number]), nis_dof=int(outcome.dof[number])
+        **ids_by_fate, dropped=outcome.dropped[number], nis=float(outcome.nis[number]), nis_dof=int(outcome.dof[number])
     )

@@ -149,12 +149,12 @@ class StereoEKF(VariableFilter):
     def predict(self, dt: float, odometry: BodyVelocity | None = None, inertial: InertialSamples | None = None) -> None:
         """Move the belief forward (Eq. 6, 11, 12), then fuse what odometry adds."""
         dt = check_step(dt, odometry, inertial)
-        given = input_of(self.options.motion, self, odometry, inertial)
-        if odometry is None or given is odometry:
-            self._row.predict(dt, given)
+        step_input = input_of(self.options.motion, self, odometry, inertial)
+        if odometry is None or step_input is odometry:
+            self._row.predict(dt, step_input)
             return
         self._row.clone_pose(_STEP)  # samples have moved the belief: odometry measures how far
-        self._row.predict(dt, given)
+        self._row.predict(dt, step_input)
         begun, now = self._row.held_values()[_STEP], self._row.camera
         first, last = Pose(begun[:3], begun[3:]), Pose(now.position, now.orientation)
         innovation, R = moved_by(odometry, dt, first.inverse() @ last)
@@ -174,21 +174,21 @@ class StereoEKF(VariableFilter):
 
         `options` are `drift`, `gauge_walk` and a `landmark` of the same kind; a `ValueError` says what is impossible.
         """
-        own, given = (type(one).__name__ for one in (self.options.landmark, options.get("landmark")))
-        if "landmark" in options and given != own:
-            raise ValueError(f"landmark must be of the kind that the filter has, {own}, got {given}")
+        present_type, asked_type = (type(one).__name__ for one in (self.options.landmark, options.get("landmark")))
+        if "landmark" in options and asked_type != present_type:
+            raise ValueError(f"landmark must be of the kind that the filter has, {present_type}, got {asked_type}")
         assumed = replace(self.options, **options)
         self._row.assume(self.camera, assumed)
         self.noise, self.options = noise, assumed
 
     def forecast(self, ids: Sequence[int] | IntArray | None = None) -> Forecast:
         """Predicted (u, v, d) and S of landmarks at the current pose."""
-        wanted, index = self._wanted(ids)
+        wanted_ids, index = self._wanted(ids)
         engine, number = self._row.engine, self._row.number
         uvd, S, in_front = engine.forecast(slice(number, number + 1), self.noise.R[None])
         if ids is not None:
             uvd, S, in_front = uvd[index], S[index], in_front[index]
-        return Forecast(wanted, uvd, S, in_front & self.camera.in_view(uvd))
+        return Forecast(wanted_ids, uvd, S, in_front & self.camera.in_view(uvd))
 
     def joint_covariance(self, ids: Sequence[int] | IntArray | None = None) -> FloatArray:
         """Covariance of the pose error and landmark positions, correlations included; see the base class."""
@@ -223,8 +223,10 @@ class StereoEKF(VariableFilter):
     @property
     def does_as_the_engine(self) -> bool:
         """Whether it does what the engine does, nothing else, as in a `FilterBatch`; a subclass may say so itself."""
-        own = (getattr(type(self), name) is not getattr(StereoEKF, name) or name in vars(self) for name in _ENGINE_DOES)
-        return not any(own)
+        unchanged = (
+            getattr(type(self), name) is not getattr(StereoEKF, name) or name in vars(self) for name in _ENGINE_DOES
+        )
+        return not any(unchanged)
 
     @property
     def engine(self) -> Engine:
@@ -260,11 +262,13 @@ class StereoEKF(VariableFilter):
 
     def _wanted(self, ids: Sequence[int] | IntArray | None) -> tuple[IntArray, IntArray]:
         """The landmarks asked for (None: all, ascending), and where they are; refuses those that are not there."""
-        there = self.ids
+        all_ids = self.ids
         if ids is None:
-            return there, np.arange(len(there))
-        wanted = unique_ids("ids", np.asarray(ids))
-        unknown = ~np.isin(wanted, there)
+            return all_ids, np.arange(len(all_ids))
+        wanted_ids = unique_ids("ids", np.asarray(ids))
+        unknown = ~np.isin(wanted_ids, all_ids)
         if unknown.any():
-            raise ValueError(f"ids must be in the map, not there: {wanted[unknown][:5].tolist()}: see landmarks.ids")
-        return wanted, np.searchsorted(there, wanted)
+            raise ValueError(
+                f"ids must be in the map, not there: {wanted_ids[unknown][:5].tolist()}: see landmarks.ids"
+            )
+        return wanted_ids, np.searchsorted(all_ids, wanted_ids)

@@ -169,8 +169,8 @@ def _of_rows(called: Callable[..., FloatArray], arrays: tuple[FloatArray, ...]) 
             count = max(map(len, arrays))
             if count == 0:  # its shape is that of any row
                 return np.zeros((0, *called(*(np.ones(array.shape[1]) for array in arrays)).shape))
-            whole = (np.broadcast_to(array, (count, array.shape[1])) for array in arrays)
-            return np.stack([called(*rows) for rows in zip(*whole, strict=True)])
+            full_arrays = (np.broadcast_to(array, (count, array.shape[1])) for array in arrays)
+            return np.stack([called(*rows) for rows in zip(*full_arrays, strict=True)])
 
 
 STEP = 1e-4

@@ -172,8 +172,14 @@ def sources_digest(module: str) -> str:
 
 def stamped(function: Callable[..., Any]) -> Callable[..., Any]:
     """The same function under a name with the digest of its sources, which is what Numba keeps its machine code by."""
-    whole: Any = function
-    parts = whole.__code__, whole.__globals__, whole.__name__, whole.__defaults__, whole.__closure__
+    function_type: Any = function
+    parts = (
+        function_type.__code__,
+        function_type.__globals__,
+        function_type.__name__,
+        function_type.__defaults__,
+        function_type.__closure__,
+    )
     copy = FunctionType(*parts)
     copy.__module__, copy.__doc__ = function.__module__, function.__doc__
     copy.__qualname__ = f"{function.__qualname__}.{sources_digest(function.__module__)}"

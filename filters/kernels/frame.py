@@ -81,11 +81,11 @@ def _frame(calls: Calls, plan: Plan, S: Storage, b: int, s: Scratch, frame: Fram
         return
     first, last = frame.offsets[b], frame.offsets[b + 1]
     counts = S.counts[b]
-    found = find(S.ids[b], counts[LANDMARKS], frame.ids[first:last], s.where)
+    place = find(S.ids[b], counts[LANDMARKS], frame.ids[first:last], s.where)
     each = 1 if plan.shares_anchors else 1 + plan.anchors
-    needed = counts[BLOCKS] + each * (last - first - found) + (plan.anchors if plan.shares_anchors else 0)
+    needed = counts[BLOCKS] + each * (last - first - place) + (plan.anchors if plan.shares_anchors else 0)
     frame.outcome[b, 1] = 0
-    if frame.seen[b] and found < last - first and needed > S.blocks.shape[1]:
+    if frame.seen[b] and place < last - first and needed > S.blocks.shape[1]:
         frame.outcome[b, 1] = needed
         return
     P = S.P[b]
@@ -93,28 +93,28 @@ def _frame(calls: Calls, plan: Plan, S: Storage, b: int, s: Scratch, frame: Fram
         _predict(calls, plan, S, b, s, frame)
     if not frame.seen[b]:
         return
-    if plan.drop_unseen and found < counts[LANDMARKS]:
+    if plan.drop_unseen and place < counts[LANDMARKS]:
         call(calls.drop_unseen, (plan, S, b, s, frame, first, last))
-    known = np.int64(0)
+    matched_count = np.int64(0)
     for i in range(last - first):
         if s.where[i] >= 0:
-            s.place[known], s.land[known], s.fates[known] = i, s.where[i], USED
+            s.place[matched_count], s.land[matched_count], s.fates[matched_count] = i, s.where[i], USED
             for a in range(3):
                 for c in range(3):
-                    s.noise[known, a, c] = frame.R[first + i, a, c]
-            known += 1
-    if known > 0:
+                    s.noise[matched_count, a, c] = frame.R[first + i, a, c]
+            matched_count += 1
+    if matched_count > 0:
         variant, before = 1 if frame.with_right[b] else 0, pose_variances(P)
         for stage in range(plan.stages[variant]):
-            prepare(plan, variant, stage, frame.uvd, frame.R, frame.v_right, first, s, known)
-            nis, dof = _stage(calls, plan, variant, stage, S, b, s, known)
+            prepare(plan, variant, stage, frame.uvd, frame.R, frame.v_right, first, s, matched_count)
+            nis, dof = _stage(calls, plan, variant, stage, S, b, s, matched_count)
             frame.nis[b] += nis
             frame.dof[b] += dof
         keep_definite(P, before, s.half)
-        for m in range(known):
+        for m in range(matched_count):
             frame.fates[first + s.place[m]] = s.fates[m]
-    if plan.changes or known < last - first:
-        _renew(calls, plan, S, b, s, frame, first, last, known)
+    if plan.changes or matched_count < last - first:
+        _renew(calls, plan, S, b, s, frame, first, last, matched_count)
 
 
 @kernel
@@ -201,14 +201,14 @@ def _stage(
 @kernel
 def _gate(calls: Calls, plan: Plan, S: Storage, b: int, s: Scratch, count: int, size: int, limit: float) -> int:
     """Gate the selected measurements, linearised; those that pass stay selected, their number."""
-    kept = 0
+    kept_count = 0
     call(calls.distances, (plan, S.P[b], s, s.select, count, size))
     for i in range(count):
         m = s.select[i]
         if s.mahalanobis2[m] <= limit:
-            s.select[kept] = m
-            kept += 1
-    return kept
+            s.select[kept_count] = m
+            kept_count += 1
+    return kept_count
 
 
 @kernel
@@ -270,7 +270,7 @@ def become_points(calls: Calls, plan: Plan, S: Storage, b: int, s: Scratch) -> N
     The Jacobian is that at the linearisation point.
     """
     x, blocks, before, own, anchor = S.x[b], S.blocks[b], S.first[b], S.own[b], S.anchor[b]
-    count, chosen = np.int64(0), np.int64(0)
+    count, count_chosen = np.int64(0), np.int64(0)
     for i in range(S.counts[b, LANDMARKS]):
         if S.kind[b, own[i]] == OWN:
             s.taken[count] = i
@@ -282,18 +282,18 @@ def become_points(calls: Calls, plan: Plan, S: Storage, b: int, s: Scratch) -> N
                 s.values_taken[count, a] = blocks[own[i], a]
             s.gone[count] = False
             count += 1
-    given = s.points[:count], s.values_taken[:count], s.correction[:count]
-    call(calls.become, (plan.landmark, *given, s.gone[:count]))
+    arguments = s.points[:count], s.values_taken[:count], s.correction[:count]
+    call(calls.become, (plan.landmark, *arguments, s.gone[:count]))
     for k in range(count):
         if s.gone[k]:
-            i = s.taken[chosen] = s.taken[k]
+            i = s.taken[count_chosen] = s.taken[k]
             for a in range(s.values_taken.shape[1]):
-                s.values_taken[chosen, a] = blocks[own[i], a]
-            chosen += 1
-    if chosen == 0:
+                s.values_taken[count_chosen, a] = blocks[own[i], a]
+            count_chosen += 1
+    if count_chosen == 0:
         return
-    take_homogeneous(calls, plan, s, s.values_taken, chosen)
-    for k in range(chosen):
+    take_homogeneous(calls, plan, s, s.values_taken, count_chosen)
+    for k in range(count_chosen):
         i, p = s.taken[k], s.points[k]
         for a in range(3):
             place = blocks[anchor[i], a] + p[a] / p[3]
@@ -301,7 +301,7 @@ def become_points(calls: Calls, plan: Plan, S: Storage, b: int, s: Scratch) -> N
             if not plan.first_estimates:
                 before[own[i], a] = place
     if plan.first_estimates:
-        for k in range(chosen):
+        for k in range(count_chosen):
             i = s.taken[k]
             for a in range(s.values_taken.shape[1]):
                 follows = False
@@ -309,13 +309,13 @@ def become_points(calls: Calls, plan: Plan, S: Storage, b: int, s: Scratch) -> N
                     follows = follows or a == c
                 if not follows:
                     s.values_taken[k, a] = before[own[i], a]
-        take_homogeneous(calls, plan, s, s.values_taken, chosen)
-        for k in range(chosen):
+        take_homogeneous(calls, plan, s, s.values_taken, count_chosen)
+        for k in range(count_chosen):
             i, p = s.taken[k], s.points[k]
             for a in range(3):
                 before[own[i], a] = before[anchor[i], a] + p[a] / p[3]
     n, J = plan.leading + plan.size * S.counts[b, BLOCKS], s.small[0]
-    for k in range(chosen):
+    for k in range(count_chosen):
         i, p, by_own = s.taken[k], s.points[k], s.by_own[k]
         for a in range(3):
             for c in range(3):

@@ -32,16 +32,16 @@ FARTHEST = 1e6
 @kernel
 def find(ids: IntArray, landmarks: int, wanted: IntArray, where: IntArray) -> int:
     """Landmark of each of the ascending ids, -1 where it is not in the map; how many are."""
-    i, found = 0, 0
+    i, matches = 0, 0
     for m in range(len(wanted)):
         while i < landmarks and ids[i] < wanted[m]:
             i += 1
         if i < landmarks and ids[i] == wanted[m]:
             where[m] = i
-            found += 1
+            matches += 1
         else:
             where[m] = -1
-    return found
+    return matches
 
 
 @kernel
@@ -55,19 +55,19 @@ def marginalise(
     dropped: IntArray,
 ) -> None:
     """Take the landmarks marked in `goes` out of the map. Their blocks stay."""
-    kept, gone = 0, 0
+    kept_count, gone_count = 0, 0
     for i in range(counts[LANDMARKS]):
         if not goes[i]:
-            ids[kept], own[kept] = ids[i], own[i]
-            anchor[kept] = anchor[i]
-            kept += 1
+            ids[kept_count], own[kept_count] = ids[i], own[i]
+            anchor[kept_count] = anchor[i]
+            kept_count += 1
         else:
-            dropped[gone] = ids[i]
-            gone += 1
+            dropped[gone_count] = ids[i]
+            gone_count += 1
             users[own[i]] -= 1
             if anchor[i] >= 0:
                 users[anchor[i]] -= 1
-    counts[LANDMARKS] = kept
+    counts[LANDMARKS] = kept_count
 
 
 @kernel
@@ -149,7 +149,7 @@ def initialise(
 ) -> None:
     """Landmarks at the `count` measurements in `place` (Eq. 19-25); those that can start stay, `result` counts them."""
     x, measured = S.x[b], plan.measured
-    others = s.back_by_values.shape[2]
+    values_width = s.back_by_values.shape[2]
     for i in range(count):
         for a in range(3):
             s.uvd[i, a] = frame.uvd[first + s.place[i], a]
@@ -157,8 +157,8 @@ def initialise(
     clear_all(s.by_uvd, count)
     clear_all(s.back_by_values, count)
     clear(s.points_c[:count])
-    given = plan.sensor, plan.camera, s.uvd[:count], s.sensed
-    call(calls.backproject, (*given, s.points_c[:count], s.by_uvd[:count], s.back_by_values[:count]))
+    arguments = plan.sensor, plan.camera, s.uvd[:count], s.sensed
+    call(calls.backproject, (*arguments, s.points_c[:count], s.by_uvd[:count], s.back_by_values[:count]))
     R = orientation(x)
     for i in range(count):
         scale = s.points_c[i, 3]
@@ -175,7 +175,7 @@ def initialise(
     call(calls.start, (plan.landmark, s.points[:count], s.values[:count], s.by_start[:count], s.possible[:count]))
     if plan.size > 3:
         _see_new(calls, plan, x, s, count)
-    kept = 0
+    kept_count = 0
     for i in range(count):
         able = s.possible[i]
         for a in range(3):
@@ -188,7 +188,7 @@ def initialise(
         frame.fates[m] = STARTED if able else REJECTED
         if not able:
             continue
-        H, B, h = s.H[kept], s.small[0], s.points_c[i]
+        H, B, h = s.H[kept_count], s.small[0], s.points_c[i]
         for a in range(plan.size):
             J = s.by_start[i, a]
             by_scale = J[3]
@@ -202,7 +202,7 @@ def initialise(
                 for e in range(4, len(J)):
                     B[a, k] += J[e] * by_uvd[e, k]
             H[a, 3], H[a, 4], H[a, 5] = h[1] * c2 - h[2] * c1, h[2] * c0 - h[0] * c2, h[0] * c1 - h[1] * c0
-            for j in range(others):
+            for j in range(values_width):
                 by_other = s.back_by_values[i]
                 along = c0 * by_other[0, j] + c1 * by_other[1, j] + c2 * by_other[2, j]
                 H[a, 6 + j] = along + by_scale * by_other[3, j]
@@ -216,20 +216,20 @@ def initialise(
                 for p in range(3):
                     for q in range(3):
                         total += B[a, p] * frame.R[m, p, q] * B[c, q]
-                s.values_noise[kept, a, c] = total
+                s.values_noise[kept_count, a, c] = total
         if plan.size > 3:
-            _add_prior(plan, x, s, i, kept)
+            _add_prior(plan, x, s, i, kept_count)
         for a in range(s.values.shape[1]):
-            s.values[kept, a] = s.values[i, a]
-        s.place[kept] = s.place[i]
-        kept += 1
+            s.values[kept_count, a] = s.values[i, a]
+        s.place[kept_count] = s.place[i]
+        kept_count += 1
     if plan.first_estimates:
         source = s.W[: plan.leading]
         world_rotation(plan, S.predicted[b], source)
-        clear_all(s.effect, kept)
+        clear_all(s.effect, kept_count)
         if not plan.points:
-            call(calls.rotation, (plan.landmark, s.values[:kept], s.effect[:kept]))
-        for i in range(kept):
+            call(calls.rotation, (plan.landmark, s.values[:kept_count], s.effect[:kept_count]))
+        for i in range(kept_count):
             if plan.points:
                 put(s.effect[i], 0, 0, cross_matrix(s.values[i, 0], s.values[i, 1], s.values[i, 2]), -1.0)
             constrain(s.H[i], plan.size, measured, s.effect[i], source, orientation(S.predicted[b]))
@@ -240,7 +240,7 @@ def initialise(
     if plan.first_estimates:
         put(s.block, 0, 0, cross_matrix(x[0], x[1], x[2]), -1.0)
         constrain(J, 3, measured, s.block, source, orientation(S.predicted[b]))
-    s.result[0] = kept
+    s.result[0] = kept_count
 
 
 @kernel
@@ -305,19 +305,19 @@ def augment(plan: Plan, S: Storage, b: int, s: Scratch, frame: FrameArrays, firs
     """Add the `count` landmarks that have started to the map and to P: rows G_x P, and G_x P G_x^T + G_z R G_z^T."""
     P, x, blocks, users, counts = S.P[b], S.x[b], S.blocks[b], S.users[b], S.counts[b]
     measured, leading = plan.measured, plan.leading
-    taken, made = s.entered, s.made  # parameter block of each, all anchor blocks
+    taken, made_blocks = s.entered, s.made  # parameter block of each, all anchor blocks
     gap, anchors = 0, 0
     for i in range(count):
         s.land[i] = -1
         if plan.anchors > 0:
             if i > 0 and plan.shares_anchors:
-                s.land[i] = made[0]
+                s.land[i] = made_blocks[0]
             else:
                 while gap < counts[BLOCKS] and users[gap] > 0:
                     gap += 1
                 if gap == counts[BLOCKS]:
                     counts[BLOCKS] += 1
-                users[gap], made[anchors], s.land[i], S.kind[b, gap] = 0, gap, gap, POINT
+                users[gap], made_blocks[anchors], s.land[i], S.kind[b, gap] = 0, gap, gap, POINT
                 anchors += 1
                 gap += 1
             users[s.land[i]] += 1
@@ -332,14 +332,14 @@ def augment(plan: Plan, S: Storage, b: int, s: Scratch, frame: FrameArrays, firs
     take_leading(P, n, measured, s.lead)
     for i in range(anchors):
         for a in range(blocks.shape[1]):
-            blocks[made[i], a] = S.first[b, made[i], a] = x[a] if a < 3 else 0.0
-        _add_block(plan, s, leading + plan.size * made[i], s.by_anchor)
+            blocks[made_blocks[i], a] = S.first[b, made_blocks[i], a] = x[a] if a < 3 else 0.0
+        _add_block(plan, s, leading + plan.size * made_blocks[i], s.by_anchor)
     for i in range(count):
         for a in range(s.values.shape[1]):
             blocks[taken[i], a] = S.first[b, taken[i], a] = s.values[i, a]
         _add_block(plan, s, leading + plan.size * taken[i], s.H[i, : plan.size])
     for i in range(anchors):
-        _write_rows(plan, P, n, leading + plan.size * made[i], s.by_anchor, s)
+        _write_rows(plan, P, n, leading + plan.size * made_blocks[i], s.by_anchor, s)
     for i in range(count):
         row = leading + plan.size * taken[i]
         _write_rows(plan, P, n, row, s.H[i, : plan.size], s)

@@ -116,23 +116,23 @@ def _landmark_kernels(cls: type[LandmarkModel], layout: Layout) -> Functions:
 
 def _moved(cls: type[LandmarkModel], layout: Layout, point: Any, start: Any, retract: Any, adds: bool) -> Any:
     """Compiled value after a correction and a turn of the world."""
-    own = plain(cls.turned_by, layout) if cls.turned_by is not LandmarkModel.turned_by else None
-    if own is not None and adds:
-        return own
+    turned_kernel = plain(cls.turned_by, layout) if cls.turned_by is not LandmarkModel.turned_by else None
+    if turned_kernel is not None and adds:
+        return turned_kernel
 
     def corrected_then_turned(settings: Any, value: Any, turn: Any, c: Any) -> Any:
         h = point(settings, retract(settings, value, c))
         return start(settings, turned_by(turn, h[:3]) + h[3:])
 
-    if own is None:
+    if turned_kernel is None:
         return Keyed(corrected_then_turned, point, start, retract)
 
     def turned_or_retracted(settings: Any, value: Any, turn: Any, c: Any) -> Any:
         if turn[0].value == 0.0 and turn[1].value == 0.0 and turn[2].value == 0.0:
             return retract(settings, value, c)
-        return own(settings, value, turn, c)
+        return turned_kernel(settings, value, turn, c)
 
-    return Keyed(turned_or_retracted, retract, own)
+    return Keyed(turned_or_retracted, retract, turned_kernel)
 
 
 def _turn(moved_by: Any, local: Any, n: int, v: int) -> Callable[..., None]:

@@ -47,8 +47,8 @@ def _motion_kernels(cls: type[MotionModel], layout: Layout, state: Layout, k: in
     ) -> None:
         for group in range(count):
             first = -TOGETHER * group  # column of the first error among the derivatives that are carried along
-            given = noise(odometry, row, first + m, zeros)
-            new = flat(step(settings, at(x, first, zeros), dt, given))
+            arguments = noise(odometry, row, first + m, zeros)
+            new = flat(step(settings, at(x, first, zeros), dt, arguments))
             write(moved, unused, new)
             write(zeros, J[:, TOGETHER * group : TOGETHER * (group + 1)], errors(moved, new))
             for i in range(m):

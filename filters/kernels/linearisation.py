@@ -132,7 +132,7 @@ def chain(
     plan: Plan, T: FloatArray, x: FloatArray, blocks: FloatArray, S: Storage, b: int, s: Scratch, count: int, size: int
 ) -> None:
     """H and first rows of the selected measurements, linearised where `see` has been."""
-    measured, others = plan.measured, s.by_values.shape[2]
+    measured, values_width = plan.measured, s.by_values.shape[2]
     R = orientation(x)
     for i in range(count):
         m = s.select[i]
@@ -144,13 +144,13 @@ def chain(
         s.base[m, 1] = plan.leading + plan.size * own
         for k in range(size):
             c0, c1, c2, by_scale = 0.0, 0.0, 0.0, 0.0
-            for j in range(others):
+            for j in range(values_width):
                 H[k, 6 + j] = 0.0
             for q in range(J.shape[0]):
                 t = T[k, q]
                 if t != 0.0:
                     c0, c1, c2, by_scale = c0 + t * J[q, 0], c1 + t * J[q, 1], c2 + t * J[q, 2], by_scale + t * J[q, 3]
-                    for j in range(others):
+                    for j in range(values_width):
                         H[k, 6 + j] += t * s.by_values[i, q, j]
             g0, g1, g2 = times(R, c0, c1, c2)
             # c^T [h]x = (c x h)^T
@@ -252,7 +252,7 @@ def prepare(
         if right_row >= 0:
             s.z[m, right_row] = v_right[i]
         if apart >= 0:
-            own = s.R[m, apart, apart] * plan.apart_scale[variant, stage]
+            apart_variance = s.R[m, apart, apart] * plan.apart_scale[variant, stage]
             for a in range(size):
                 s.R[m, apart, a] = s.R[m, a, apart] = 0.0
-            s.R[m, apart, apart] = own
+            s.R[m, apart, apart] = apart_variance

@@ -182,16 +182,18 @@ def plain(method: Callable[..., Any], *groups: Layout) -> Keyed:
     key = method.__module__, method.__qualname__, groups, sources_digest(method.__module__)
     called = kernel(_with_compiled_helpers(method))
     named, sizes = [compiled(grouped(group)) for group in groups], [size_of(group) for group in groups]
-    own, n = named[0], sizes[0]
+    first_argument, n = named[0], sizes[0]
     if len(groups) == 1:
-        return Keyed(lambda settings, *arguments: called(own(numbers(settings, n)), *arguments), *key)
+        return Keyed(lambda settings, *arguments: called(first_argument(numbers(settings, n)), *arguments), *key)
     rig, m = named[1], sizes[1]
     if len(groups) == 2:
-        return Keyed(lambda settings, camera, x: called(own(numbers(settings, n)), rig(numbers(camera, m)), x), *key)
-    others = named[2]
+        return Keyed(
+            lambda settings, camera, x: called(first_argument(numbers(settings, n)), rig(numbers(camera, m)), x), *key
+        )
+    other_arguments = named[2]
 
     def with_values(settings: Any, camera: Any, x: Any, values: Any) -> Any:
-        return called(own(numbers(settings, n)), rig(numbers(camera, m)), x, others(values))
+        return called(first_argument(numbers(settings, n)), rig(numbers(camera, m)), x, other_arguments(values))
 
     return Keyed(with_values, *key)
 

@@ -113,7 +113,7 @@ def fuse_odometry(
     clear(s.odometry_H)
     clear(s.odometry_R)
     odometry = frame.odometry[b, : frame.odometry_rows[b]]
-    given = plan.motion, s.after, frame.dt[b], odometry, s.odometry_nu, s.odometry_H, s.odometry_R
-    call(calls.measure, given)
+    arguments = plan.motion, s.after, frame.dt[b], odometry, s.odometry_nu, s.odometry_H, s.odometry_R
+    call(calls.measure, arguments)
     nis = correct_rows(calls, P, n, plan.moved_rows, s.odometry_H, s.odometry_nu, s.odometry_R, np.inf, s)
     s.result[0] = 1.0 if nis >= 0.0 else 0.0

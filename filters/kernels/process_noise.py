@@ -69,24 +69,24 @@ def take_steps(plan: Plan, part: FloatArray, P: FloatArray, s: Scratch, select: 
 @unit("fade")
 def fade(plan: Plan, S: Storage, b: int, s: Scratch, dt: float) -> None:
     """Numbers of landmarks behind the third go back to zero, their covariance to `prior`, in a step of dt."""
-    P, blocks, kept = S.P[b], S.blocks[b], math.exp(-dt / plan.memory)
+    P, blocks, memory_share = S.P[b], S.blocks[b], math.exp(-dt / plan.memory)
     n, factors = plan.leading + plan.size * S.counts[b, BLOCKS], s.G[0]
     for i in range(n):
         factors[i] = 1.0
     for k in range(S.counts[b, BLOCKS]):
         if S.kind[b, k] == OWN or S.kind[b, k] == POINT:
             for a in range(3, plan.size):
-                factors[plan.leading + plan.size * k + a] = kept
-                blocks[k, a] *= kept
+                factors[plan.leading + plan.size * k + a] = memory_share
+                blocks[k, a] *= memory_share
     for i in range(n):
         for j in range(i, n):
             P[i, j] *= factors[i] * factors[j]
     for k in range(S.counts[b, BLOCKS]):
         first = plan.leading + plan.size * k
-        if factors[first + 3] == kept:
+        if factors[first + 3] == memory_share:
             for a in range(3, plan.size):
                 for c in range(a, plan.size):
-                    P[first + a, first + c] += (1.0 - kept * kept) * plan.prior[a - 3, c - 3]
+                    P[first + a, first + c] += (1.0 - memory_share * memory_share) * plan.prior[a - 3, c - 3]
 
 
 @unit("drift")
@@ -96,8 +96,8 @@ def drift(
     """Steps of the selected landmarks before the first stage, by the Jacobian of (u, v, d)."""
     if not plan.drift[part].any():
         return
-    x, blocks, whole = S.x[b], S.blocks[b], plan.T.shape[1] - 1
-    call(calls.linearise, (calls, plan, variant, whole, S, b, x, blocks, s, count))
+    x, blocks, last_row = S.x[b], S.blocks[b], plan.T.shape[1] - 1
+    call(calls.linearise, (calls, plan, variant, last_row, S, b, x, blocks, s, count))
     take_steps(plan, plan.drift[part], S.P[b], s, s.select, count)
     call(calls.linearise, (calls, plan, variant, stage, S, b, x, blocks, s, count))
 

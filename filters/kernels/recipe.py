@@ -182,9 +182,9 @@ class Recipe:
 
     def is_that_of(self, other: Recipe) -> bool:
         """Whether it says the same as another one."""
-        mine, others = vars(self), vars(other)
+        mine, theirs = vars(self), vars(other)
         plans: Any = self.plan, other.plan
-        same = all(mine[name] == others[name] for name in mine if name != "plan")
+        same = all(mine[name] == theirs[name] for name in mine if name != "plan")
         return same and all(np.array_equal(a, b, equal_nan=True) for a, b in zip(*plans, strict=True))
 
 
@@ -196,9 +196,9 @@ def stage_tables(variants: tuple[tuple[StageRows, ...], ...], sensor_size: int, 
     most = max(map(len, variants)) + 1
     T, T_uvd = np.zeros((2, most, MOST_ROWS, MOST_ROWS)), np.zeros((2, most, MOST_ROWS, 3))
     rows, scales, limits = np.full((2, most, 3), -1), np.ones((2, most)), np.full((2, most), np.inf)
-    whole = StageRows(tuple(map(tuple, np.eye(3, sensor_size).tolist())))
+    identity_rows = StageRows(tuple(map(tuple, np.eye(3, sensor_size).tolist())))
     for i, stages in enumerate(variants):
-        for j, stage in (*enumerate(stages), (most - 1, whole)):
+        for j, stage in (*enumerate(stages), (most - 1, identity_rows)):
             size = len(stage.T)
             T[i, j, :size, : len(stage.T[0])], T_uvd[i, j, :size] = stage.T, stage.of_uvd()
             rows[i, j] = size, stage.right_row, stage.apart_row

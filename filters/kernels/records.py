@@ -292,14 +292,14 @@ def scratch(recipe: Recipe, storage: Storage, measurements: int, rows: int = 0, 
     at_once = plan.consensus or plan.iterations > 1
     used = plan.odometry_rows
     rows = max(8, max(rows, used) + MOST_ROWS, M * MOST_ROWS if at_once else min(M * MOST_ROWS, CHUNK_ROWS + MOST_ROWS))
-    size, seen = plan.size, recipe.seen_size
-    width, others, most = plan.measured + 3 * plan.anchors + size, plan.measured - POSE_SIZE, max(MOST_ROWS, size)
+    size, seen_size = plan.size, recipe.seen_size
+    width, other_size, most = plan.measured + 3 * plan.anchors + size, plan.measured - POSE_SIZE, max(MOST_ROWS, size)
     drawn, lines = (2 * width + 1, M) if len(plan.sigma_points) else (1, 0)
     places, v, numbers, moved = max(M, blocks, drawn), recipe.value_size, recipe.sensor_size, len(plan.moved_rows)
     sizes = {
         **{"n": n, "n16": n + 16, "blocks": blocks, "leading": leading, "M": M, "I": places, "v": v},
-        **{"size": size, "seen": seen, "most": most, "width": width, "width1": width + 1, "width8": width + 8},
-        **{"numbers": numbers, "others": others, "moved_rows": moved, "moving": len(plan.moved), "odometry": used},
+        **{"size": size, "seen": seen_size, "most": most, "width": width, "width1": width + 1, "width8": width + 8},
+        **{"numbers": numbers, "others": other_size, "moved_rows": moved, "moving": len(plan.moved), "odometry": used},
         **{"rows": MOST_ROWS, "chunk": rows, "chunk8": rows + 8, "factors": max(6, 2 * size - 1), "drawn": drawn},
         **{"values": recipe.values, "block_values": recipe.block_values, "measured": plan.measured},
         "lead": max(leading, width, columns, 2 * size),

@@ -81,8 +81,8 @@ def turn_own(calls: Calls, plan: Plan, S: Storage, b: int, s: Scratch) -> None:
     clear_all(s.by_correction, count)
     clear_all(s.by_theta, count)
     clear(s.values_moved[:count])
-    given = plan.landmark, s.values_taken[:count], theta, s.correction[:count], s.values_moved[:count]
-    call(calls.turn, (*given, s.by_correction[:count], s.by_theta[:count]))
+    arguments = plan.landmark, s.values_taken[:count], theta, s.correction[:count], s.values_moved[:count]
+    call(calls.turn, (*arguments, s.by_correction[:count], s.by_theta[:count]))
     for i in range(count):
         for a in range(values):
             s.moved_blocks[s.taken[i], a] = s.values_moved[i, a]

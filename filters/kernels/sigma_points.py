@@ -69,8 +69,8 @@ def _draw(
         clear_all(s.by_correction, count)
         clear_all(s.by_theta, count)
         clear(s.values_moved[:count])
-        given = plan.landmark, s.values_taken[:count], s.theta, s.correction[:count], s.values_moved[:count]
-        call(calls.turn, (*given, s.by_correction[:count], s.by_theta[:count]))
+        arguments = plan.landmark, s.values_taken[:count], s.theta, s.correction[:count], s.values_moved[:count]
+        call(calls.turn, (*arguments, s.by_correction[:count], s.by_theta[:count]))
     take_homogeneous(calls, plan, s, s.values_moved, count)
     for i in range(count):
         pose = i if i <= 2 * POSE_SIZE else 0
@@ -112,13 +112,13 @@ def _fit(plan: Plan, T: FloatArray, s: Scratch, m: int, size: int) -> None:
                 value -= H[k, i] * L[i, j]
             H[k, j] = value / L[j, j] if L[j, j] > 0.0 else 0.0
         for c in range(k + 1):
-            left = covariance_0 * z[0, k] * z[0, c]
+            residual = covariance_0 * z[0, k] * z[0, c]
             for i in range(1, 2 * width + 1):
-                left += weight * z[i, k] * z[i, c]
+                residual += weight * z[i, k] * z[i, c]
             for j in range(width):
-                left -= along[k, j] * along[c, j]
-            s.R[m, k, c] += left - s.added[m, k, c]
-            s.R[m, c, k], s.added[m, k, c] = s.R[m, k, c], left
+                residual -= along[k, j] * along[c, j]
+            s.R[m, k, c] += residual - s.added[m, k, c]
+            s.R[m, c, k], s.added[m, k, c] = s.R[m, k, c], residual
 
 
 @unit("linearise")

@@ -157,33 +157,33 @@ class LandmarkModel:
 
         Of landmarks that are seen by other numbers, too, scale is (M, 1 + others).
         """
-        seen = np.column_stack([h_w, scale])
+        homogeneous = np.column_stack([h_w, scale])
         if not self.anchored:
-            seen[:, :3] += position * seen[:, 3:4]
-        values = columns_of(self.start_from, seen)
-        J = jacobian_of(lambda h, y: self.local_by(y, self.start_from(h)), seen, values)[1]
+            homogeneous[:, :3] += position * homogeneous[:, 3:4]
+        values = columns_of(self.start_from, homogeneous)
+        J = jacobian_of(lambda h, y: self.local_by(y, self.start_from(h)), homogeneous, values)[1]
         by_position = np.zeros_like(J[:, :, :3])
         if not self.anchored:
-            by_position = J[:, :, :3] * seen[:, 3, None, None]
+            by_position = J[:, :, :3] * homogeneous[:, 3, None, None]
             J[:, :, 3] += J[:, :, :3] @ position
         return StartedLandmarks(values, by_position, J)
 
     def relative_to(self, position: FloatArray, anchors: FloatArray | None, parameters: FloatArray) -> ScaledPoints:
         """Landmarks as seen from the camera position, with the Jacobians."""
         none = np.zeros((len(parameters), self.size))
-        seen, J = jacobian_of(lambda e, y: self.point_of(self.retract_by(y, e)), none, parameters)
+        derived, J = jacobian_of(lambda e, y: self.point_of(self.retract_by(y, e)), none, parameters)
         if anchors is not None:
             are_points = np.isnan(anchors[:, 0])
-            seen[are_points, :3], seen[are_points, 3] = parameters[are_points, :3], 1.0
+            derived[are_points, :3], derived[are_points, 3] = parameters[are_points, :3], 1.0
             J[are_points, :3], J[are_points, 3] = np.eye(3, self.size), 0.0
             anchors = np.where(are_points[:, None], 0.0, anchors)
-        way = np.broadcast_to(-position if anchors is None else anchors - position, (len(seen), 3))
-        seen[:, :3] += seen[:, 3:4] * way
+        way = np.broadcast_to(-position if anchors is None else anchors - position, (len(derived), 3))
+        derived[:, :3] += derived[:, 3:4] * way
         J[:, :3] += way[:, :, None] * J[:, 3:4]
-        by_anchor = seen[:, 3, None, None] * np.eye(self.seen_size, 3)
+        by_anchor = derived[:, 3, None, None] * np.eye(self.seen_size, 3)
         if anchors is None:
-            return ScaledPoints(seen, -by_anchor, J)
-        return ScaledPoints(seen, -by_anchor, np.concatenate([by_anchor * ~are_points[:, None, None], J], axis=2))
+            return ScaledPoints(derived, -by_anchor, J)
+        return ScaledPoints(derived, -by_anchor, np.concatenate([by_anchor * ~are_points[:, None, None], J], axis=2))
 
     @property
     def additive(self) -> bool:
@@ -192,11 +192,13 @@ class LandmarkModel:
 
     def points(self, anchors: FloatArray | None, parameters: FloatArray) -> Points:
         """Landmark positions in W, direction / scale as seen from its origin; not finite at scale 0."""
-        seen = self.relative_to(np.zeros(3), anchors, parameters)
-        scale = seen.homogeneous[:, 3, None]
+        homogeneous = self.relative_to(np.zeros(3), anchors, parameters)
+        scale = homogeneous.homogeneous[:, 3, None]
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            positions = seen.homogeneous[:, :3] / scale
-            by_map = (seen.by_map[:, :3] - positions[:, :, None] * seen.by_map[:, 3:4]) / scale[:, :, None]
+            positions = homogeneous.homogeneous[:, :3] / scale
+            by_map = (homogeneous.by_map[:, :3] - positions[:, :, None] * homogeneous.by_map[:, 3:4]) / scale[
+                :, :, None
+            ]
         return Points(positions, by_map)
 
     def inverse_distances(
@@ -207,9 +209,9 @@ class LandmarkModel:
         if anchors is not None:
             free = np.isnan(anchors[:, 0])
             origin = np.where(free[:, None], origin, anchors)
-        seen = self.relative_to(origin, anchors, parameters)
-        direction, scale = seen.homogeneous[:, :3], seen.homogeneous[:, 3]
+        homogeneous = self.relative_to(origin, anchors, parameters)
+        direction, scale = homogeneous.homogeneous[:, :3], homogeneous.homogeneous[:, 3]
         inverse = 1.0 / np.linalg.norm(direction, axis=1)
         by_seen = np.concatenate([-(scale * inverse**3)[:, None] * direction, inverse[:, None]], axis=1)[:, None]
-        by_position = (by_seen @ seen.by_position[:, :4])[:, 0] * free[:, None]
-        return InverseDistances(scale * inverse, by_position, (by_seen @ seen.by_map[:, :4, -self.size :])[:, 0])
+        by_position = (by_seen @ homogeneous.by_position[:, :4])[:, 0] * free[:, None]
+        return InverseDistances(scale * inverse, by_position, (by_seen @ homogeneous.by_map[:, :4, -self.size :])[:, 0])

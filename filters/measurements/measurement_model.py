@@ -76,9 +76,9 @@ class StageRows:
         if self.right_row >= 0:
             z[:, self.right_row] = observation.v_right
         if self.apart_row >= 0:
-            own = noise[:, self.apart_row, self.apart_row] * self.apart_scale
+            apart_variance = noise[:, self.apart_row, self.apart_row] * self.apart_scale
             noise[:, self.apart_row] = noise[:, :, self.apart_row] = 0.0
-            noise[:, self.apart_row, self.apart_row] = own
+            noise[:, self.apart_row, self.apart_row] = apart_variance
         return Stage(z, np.array(self.T), noise)
 
 

@@ -41,11 +41,11 @@ class UnrectifiedPair(MeasurementModel):
 
     def __post_init__(self) -> None:
         for name, count in (("left", 4), ("right", 4), ("left_pose", 6), ("right_pose", 6)):
-            given = getattr(self, name)
-            if given is None or (isinstance(given, tuple) and given == (_UNKNOWN,) * count):
+            value = getattr(self, name)
+            if value is None or (isinstance(value, tuple) and value == (_UNKNOWN,) * count):
                 object.__setattr__(self, name, (_UNKNOWN,) * count)
                 continue
-            numbers = finite_array(name, given, (count,))
+            numbers = finite_array(name, value, (count,))
             if count == 4 and not (numbers[:2] > 0.0).all():
                 raise ValueError(f"{name} must begin with focal lengths > 0, got {numbers.tolist()}")
             object.__setattr__(self, name, tuple(numbers.tolist()))

@@ -194,10 +194,12 @@ class CalibratedPair(MeasurementModel):
     def __post_init__(self) -> None:
         sigmas = [getattr(self, name) for name in _PRIORS]
         object.__setattr__(self, "present", tuple(sigma is not None for sigma in sigmas))
-        given = zip(_PRIORS, sigmas, strict=True)
-        own = np.array([positive(name, sigma, allow_zero=True) for name, sigma in given if sigma is not None])
-        if len(own):
-            errors = Variable("calibration", 0.0 * own, np.diag(own**2), considered=self.considered)
+        named_sigmas = zip(_PRIORS, sigmas, strict=True)
+        variances = np.array(
+            [positive(name, sigma, allow_zero=True) for name, sigma in named_sigmas if sigma is not None]
+        )
+        if len(variances):
+            errors = Variable("calibration", 0.0 * variances, np.diag(variances**2), considered=self.considered)
             object.__setattr__(self, "variables", (errors,))
 
     def project(self, camera: Any, h: Numbers, values: Any = _EXACT) -> Numbers:

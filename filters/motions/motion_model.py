@@ -252,8 +252,8 @@ class MotionModel:
     def state_of(self, numbers: FloatArray, others: Mapping[str, FloatArray]) -> CameraState:
         """The state that has these numbers, and of other variables the values of `others`."""
         stops = np.cumsum([size for _, size in self.layout])[:-1]
-        position, orientation, linear, angular, *own = np.split(numbers, stops)
-        moved = {variable.name: value for variable, value in zip(self.variables, own, strict=True)}
+        position, orientation, linear, angular, *other_values = np.split(numbers, stops)
+        moved = {variable.name: value for variable, value in zip(self.variables, other_values, strict=True)}
         return CameraState(position, orientation, linear, angular, {**others, **moved})
 
     @property
@@ -277,8 +277,8 @@ def input_of(
     motion: MotionModel, slam: StereoFilter, odometry: BodyVelocity | None, inertial: InertialSamples | None
 ) -> StepInput | None:
     """Input that the motion takes of a step; the filter says once that it makes no use of samples."""
-    given = inertial if motion.takes is InertialSamples else odometry
-    if inertial is not None and given is not inertial:
+    step_input = inertial if motion.takes is InertialSamples else odometry
+    if inertial is not None and step_input is not inertial:
         slam.say_unused("inertial")
-    motion.check_odometry(given)
-    return given
+    motion.check_odometry(step_input)
+    return step_input

@@ -208,8 +208,8 @@ class Submap:
             Which blocks of the next submap the common ones are.
         """
         leading = later.layout.size
-        known = np.concatenate([later.layout.rows, later.block_rows(link)])
-        P_known = symmetric.rows(later.P, known)[:, known]
+        known_rows = np.concatenate([later.layout.rows, later.block_rows(link)])
+        P_known = symmetric.rows(later.P, known_rows)[:, known_rows]
         cross = self.gain @ P_known[leading:]
         shift = (later.blocks[link] - self.values[self.common]).ravel()
         blocks = self.values.copy()
@@ -266,8 +266,8 @@ def regression(P: FloatArray, scale: FloatArray, own: IntArray, common: IntArray
     cross = np.asfortranarray(mine[:, common[telling]] * unit_common[telling])
     whitened = blas.dtrsm(1.0, L, cross, side=1, lower=1, trans_a=1, overwrite_b=1)
     covariance = mine[:, own] * unit_own - whitened @ whitened.T
-    known = covariance.diagonal() <= NEGLIGIBLE
-    covariance[known] = covariance[:, known] = 0.0
+    negligible = covariance.diagonal() <= NEGLIGIBLE
+    covariance[negligible] = covariance[:, negligible] = 0.0
     gain = np.zeros((len(own), len(common)))
     gain[:, telling] = blas.dtrsm(1.0, L, whitened, side=1, lower=1, overwrite_b=1)
     return gain * unit_common / unit_own[:, None], covariance / unit_own[:, None] / unit_own

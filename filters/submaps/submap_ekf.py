@@ -61,9 +61,9 @@ class SubmapChain:
         used = _blocks_of(active.parameter_block, active.anchor_block)
         needed = _blocks_of(active.parameter_block[stays], active.anchor_block[stays])
         blocks, common = np.union1d(used, active.held), np.union1d(needed, clone)
-        own = np.setdiff1d(blocks, common, assume_unique=True)
+        own_blocks = np.setdiff1d(blocks, common, assume_unique=True)
         scale = units(active.P)
-        gain, covariance = regression(active.P, scale, active.block_rows(own), active.block_rows(common))
+        gain, covariance = regression(active.P, scale, active.block_rows(own_blocks), active.block_rows(common))
         numbers = np.full(len(active.blocks) + 1, -1)  # the last entry is that of the block -1: none
         numbers[blocks] = np.arange(len(blocks))
         if self._submaps:
@@ -73,7 +73,7 @@ class SubmapChain:
                 active.blocks[blocks],
                 active.first_blocks[blocks],
                 scale[active.block_rows(blocks)].reshape(-1, active.size),
-                numbers[own],
+                numbers[own_blocks],
                 numbers[common],
                 gain,
                 covariance,
@@ -127,11 +127,11 @@ class SubmapChain:
 
     def forget(self, ids: IntArray) -> None:
         """Take landmarks out of the map; those not at rest here are ignored."""
-        gone = ids[self.at_rest(ids)]
-        for number in np.unique(self._homes_of(gone)):
+        forgotten_ids = ids[self.at_rest(ids)]
+        for number in np.unique(self._homes_of(forgotten_ids)):
             submap = self._submaps[number]
-            self._submaps[number] = submap.without(np.isin(submap.ids, gone))
-        self._unsettle(gone)
+            self._submaps[number] = submap.without(np.isin(submap.ids, forgotten_ids))
+        self._unsettle(forgotten_ids)
         self._fold()
 
     def _fold(self) -> None:
@@ -168,8 +168,8 @@ class SubmapChain:
             return
         rows = active.block_rows(active.held)
         cross = handed.gain @ symmetric.rows(active.P, rows)
-        own = cross[:, rows] @ handed.gain.T + handed.covariance
-        active.append(handed.at(active.blocks[active.held]), handed.first, cross, own)
+        handed_covariance = cross[:, rows] @ handed.gain.T + handed.covariance
+        active.append(handed.at(active.blocks[active.held]), handed.first, cross, handed_covariance)
 
     def _homes_of(self, ids: IntArray) -> IntArray:
         """The submap in which each landmark is at rest, -1 for none; (M,)."""
@@ -238,9 +238,9 @@ class SubmapEKF(StereoFilter):
         for name, value in (("max_unseen", max_unseen), ("patience", patience)):
             if type(value) is not int or value < 1:
                 raise ValueError(f"{name} must be an integer >= 1, got {value!r}")
-        known = inspect.signature(StereoEKF).parameters
+        parameters = inspect.signature(StereoEKF).parameters
         for name in options:
-            if name not in known:
+            if name not in parameters:
                 raise ValueError(f"option {name!r} is not one of SubmapEKF: see StereoEKF, max_unseen and patience")
         if options.pop("drop_unseen", False):
             raise ValueError("drop_unseen must be False with submaps, got True: they keep every landmark")
@@ -287,23 +287,23 @@ class SubmapEKF(StereoFilter):
     def forecast(self, ids: Sequence[int] | IntArray | None = None) -> Forecast:
         """Predicted (u, v, d) and S of landmarks, at rest or not, at the current pose."""
         if ids is None:
-            wanted = np.sort(np.concatenate([self._active.ids, self._chain.ids]))
+            wanted_ids = np.sort(np.concatenate([self._active.ids, self._chain.ids]))
         else:
-            wanted = unique_ids("ids", np.asarray(ids))
-        awake = wanted[~self._chain.at_rest(wanted)]
+            wanted_ids = unique_ids("ids", np.asarray(ids))
+        awake = wanted_ids[~self._chain.at_rest(wanted_ids)]
         parts = [self._active.forecast(awake)]
-        missing = len(wanted) - len(awake)
+        missing = len(wanted_ids) - len(awake)
         reader = deepcopy(self._active) if missing else self._active
         for view in self._views() if missing else ():
-            here = np.intersect1d(wanted, view.ids)
+            here = np.intersect1d(wanted_ids, view.ids)
             if len(here):
                 reader.state = view
                 parts.append(reader.forecast(here))
                 missing -= len(here)
             if missing == 0:
                 break
-        told = np.concatenate([part.ids for part in parts])
-        order = np.argsort(told)[np.argsort(np.argsort(wanted))]
+        all_ids = np.concatenate([part.ids for part in parts])
+        order = np.argsort(all_ids)[np.argsort(np.argsort(wanted_ids))]
         return Forecast(*(np.concatenate([vars(part)[name] for part in parts])[order] for name in vars(parts[0])))
 
     def joint_covariance(self, ids: Sequence[int] | IntArray | None = None) -> FloatArray:
@@ -312,21 +312,21 @@ class SubmapEKF(StereoFilter):
         Exact: landmarks at rest that are asked for are brought back into the active map of a copy. Ask sparingly.
         """
         everything = np.sort(np.concatenate([self._active.ids, self._chain.ids]))
-        wanted = everything if ids is None else unique_ids("ids", np.asarray(ids))
-        asleep = wanted[self._chain.at_rest(wanted)]
+        wanted_ids = everything if ids is None else unique_ids("ids", np.asarray(ids))
+        asleep = wanted_ids[self._chain.at_rest(wanted_ids)]
         if len(asleep) == 0:
-            return self._active.joint_covariance(wanted)
+            return self._active.joint_covariance(wanted_ids)
         awake = deepcopy(self)
         state = awake._active.state
         awake._chain.bring(state, asleep)
         awake._active.state = state
-        return awake._active.joint_covariance(wanted)
+        return awake._active.joint_covariance(wanted_ids)
 
     def forget(self, ids: Sequence[int] | IntArray) -> None:
         """Marginalise landmarks out; ids not in the map are ignored."""
-        gone = unique_ids("ids", np.asarray(ids))
-        self._active.forget(gone)
-        self._chain.forget(gone)
+        forgotten_ids = unique_ids("ids", np.asarray(ids))
+        self._active.forget(forgotten_ids)
+        self._chain.forget(forgotten_ids)
 
     @property
     def pose(self) -> PoseBelief:

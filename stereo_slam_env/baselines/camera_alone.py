@@ -133,10 +133,10 @@ class CameraFilter(StereoFilter):
 
     def forecast(self, ids: Sequence[int] | IntArray | None = None) -> Forecast:
         """Forecast without landmarks: there is no map."""
-        wanted = unique_ids("ids", np.asarray([] if ids is None else ids))
-        if len(wanted):
-            raise ValueError(f"ids must be in the map, and this filter has none, got {wanted[:5].tolist()}")
-        return Forecast(wanted, np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros(0, dtype=bool))
+        wanted_ids = unique_ids("ids", np.asarray([] if ids is None else ids))
+        if len(wanted_ids):
+            raise ValueError(f"ids must be in the map, and this filter has none, got {wanted_ids[:5].tolist()}")
+        return Forecast(wanted_ids, np.zeros((0, 3)), np.zeros((0, 3, 3)), np.zeros(0, dtype=bool))
 
     def forget(self, ids: Sequence[int] | IntArray) -> None:
         """Ignore the call: there is no map."""
@@ -263,38 +263,38 @@ class FrameToFrame(CameraFilter):
 
     def forget(self, ids: Sequence[int] | IntArray) -> None:
         """Leave the measurements of these landmarks in the previous frame out of the next step."""
-        gone = unique_ids("ids", np.asarray(ids))
+        forgotten_ids = unique_ids("ids", np.asarray(ids))
         if self._reference is not None:
-            kept = ~np.isin(self._reference.observation.ids, gone)
+            remaining = ~np.isin(self._reference.observation.ids, forgotten_ids)
             before = self._reference
-            seen, R, cross = before.observation.select(kept), before.R[kept], before.cross[kept]
-            self._reference = _Reference(before.belief, seen, R, cross)
+            observation, R, cross = before.observation.select(remaining), before.R[remaining], before.cross[remaining]
+            self._reference = _Reference(before.belief, observation, R, cross)
 
     def _use(self, observation: StereoObservation) -> UpdateReport:
         """Measure the step from the reference frame; the frame becomes the next reference if it can be one."""
         observation = RangeBearing().completed(observation, self.camera)
         R = observation.covariances(self.noise)
         cross = np.zeros((len(observation), 12, 3))
-        known = used = np.zeros(0, dtype=np.int64)
-        nis, nis_dof, gated = 0.0, 0, known
+        matched_ids = used = np.zeros(0, dtype=np.int64)
+        nis, nis_dof, gated = 0.0, 0, matched_ids
         measured = False
         if self._reference is not None and self._elapsed > 0.0:
             reference = self._reference
-            _, i, known = np.intersect1d(
+            _, i, matched_ids = np.intersect1d(
                 reference.observation.ids, observation.ids, assume_unique=True, return_indices=True
             )
-            pairs = Pairs(reference.observation.uvd[i], observation.uvd[known], reference.R[i], R[known])
-            found = self._measure(pairs)
-            if found is None:
+            pairs = Pairs(reference.observation.uvd[i], observation.uvd[matched_ids], reference.R[i], R[matched_ids])
+            motion = self._measure(pairs)
+            if motion is None:
                 self._fallbacks += 1
             else:
-                estimate, inliers = found
-                used, gated = known[inliers], np.delete(known, inliers)
+                estimate, inliers = motion
+                used, gated = matched_ids[inliers], np.delete(matched_ids, inliers)
                 self._belief, by_step = _chained(reference, i[inliers], estimate, self._elapsed)
                 cross[used] = -by_step @ estimate.gain @ R[used]
                 nis, nis_dof, measured = estimate.nis, estimate.nis_dof, True
         ids = observation.ids
-        new = np.delete(ids, known)
+        new = np.delete(ids, matched_ids)
         takes_over = len(observation) >= self._min_points
         if takes_over:
             self._reference = _Reference(self._belief, observation, R, cross)
@@ -302,7 +302,7 @@ class FrameToFrame(CameraFilter):
         return UpdateReport(
             updated=ids[used],
             gated=ids[gated],
-            failed=ids[:0] if measured else ids[known],
+            failed=ids[:0] if measured else ids[matched_ids],
             initialised=new if takes_over else ids[:0],
             rejected=ids[:0] if takes_over else new,
             nis=nis,
@@ -314,12 +314,12 @@ class FrameToFrame(CameraFilter):
         usable = np.flatnonzero(pairs.first[:, 2] >= self._min_disparity)
         if len(usable) < self._min_points:
             return None
-        found = perspective_n_point(
+        solution = perspective_n_point(
             self.camera, pairs.select(usable), self._min_points, polished=self._refinement == "opencv"
         )
-        if found is None:
+        if solution is None:
             return None
-        step, inliers = found[0], usable[found[1]]
+        step, inliers = solution[0], usable[solution[1]]
         if self._refinement == "opencv":
             estimate = left_pixel_step(self.camera, pairs.select(inliers), step)
         else:

@@ -100,27 +100,27 @@ class FilterpyEKF(CameraFilter):
         """Correct with known landmarks (Eq. 13-18), drop those not seen, add the new ones (Eq. 19-25)."""
         observation = RangeBearing().completed(observation, self.camera)
         ids, R = observation.ids, observation.covariances(self.noise)
-        known = np.isin(ids, self._ids)
-        uvd, H, forward = self._linearised(np.searchsorted(self._ids, ids[known]))
-        innovations = observation.uvd[known] - uvd
-        S = H @ self._P @ H.transpose(0, 2, 1) + R[known]
+        in_map = np.isin(ids, self._ids)
+        uvd, H, forward = self._linearised(np.searchsorted(self._ids, ids[in_map]))
+        innovations = observation.uvd[in_map] - uvd
+        S = H @ self._P @ H.transpose(0, 2, 1) + R[in_map]
         squared = np.einsum("mk,mk->m", innovations, np.linalg.solve(S, innovations[:, :, None])[:, :, 0])
         used, nis = forward & (np.isinf(self._limit) | (squared <= self._limit)), 0.0
         if used.any():
-            nis = self._correct(innovations[used].ravel(), np.concatenate(H[used]), block_diag(*R[known][used]))
+            nis = self._correct(innovations[used].ravel(), np.concatenate(H[used]), block_diag(*R[in_map][used]))
         dropped = self._ids[~np.isin(self._ids, ids)]
         self.forget(dropped)
         h_w = self.camera.ray(observation.uvd) @ self._belief.state.R_wc.T
-        new = ~known & _MODEL.can_start_from(tuple(h_w.T))
+        new = ~in_map & _MODEL.can_start_from(tuple(h_w.T))
         if new.any():
             self._add(ids[new], observation.uvd[new], R[new])
         return UpdateReport(
-            updated=ids[known][used],
+            updated=ids[in_map][used],
             initialised=ids[new],
             dropped=dropped,
-            gated=ids[known][forward & ~used],
-            rejected=ids[~known & ~new],
-            behind_camera=ids[known][~forward],
+            gated=ids[in_map][forward & ~used],
+            rejected=ids[~in_map & ~new],
+            behind_camera=ids[in_map][~forward],
             nis=nis,
             nis_dof=3 * int(used.sum()),
         )
@@ -155,12 +155,12 @@ class FilterpyEKF(CameraFilter):
     def _linearised(self, index: IntArray) -> tuple[FloatArray, FloatArray, BoolArray]:
         """Predicted (u, v, d) (M, 3), H (M, 3, 12 + 6 N), and whether the rays point forward (Eq. 8-10, 13)."""
         R_wc = self._belief.state.R_wc
-        seen = _MODEL.relative_to(self._belief.state.position, self._map[index, :3], self._map[index, 3:])
-        h_c, scale = seen.homogeneous[:, :3] @ R_wc, seen.homogeneous[:, 3]
+        homogeneous = _MODEL.relative_to(self._belief.state.position, self._map[index, :3], self._map[index, 3:])
+        h_c, scale = homogeneous.homogeneous[:, :3] @ R_wc, homogeneous.homogeneous[:, 3]
         by_camera = self.camera.project_scaled_jacobian(h_c, scale)
         by_world = np.concatenate([by_camera[:, :, :3] @ R_wc.T, by_camera[:, :, 3:]], axis=2)
-        H = self._placed(by_world @ seen.by_map, index)
-        H[:, :, POSITION] = by_world @ seen.by_position
+        H = self._placed(by_world @ homogeneous.by_map, index)
+        H[:, :, POSITION] = by_world @ homogeneous.by_position
         H[:, :, ROTATION] = by_camera[:, :, :3] @ rotations.skew(h_c)
         return self.camera.project_scaled(h_c, scale), H, h_c[:, 2] > 0
 
@@ -180,8 +180,8 @@ class FilterpyEKF(CameraFilter):
         J = np.zeros((len(ids), _LANDMARK, len(self._P)))
         J[:, :3, POSITION], J[:, 3:, ROTATION] = np.eye(3), -by_ray @ rotations.skew(h_c)  # the anchor is the camera
         J, by_uvd = np.concatenate(J), np.pad(by_uvd, ((0, 0), (3, 0), (0, 0)))
-        own = J @ self._P @ J.T + block_diag(*(by_uvd @ R @ by_uvd.transpose(0, 2, 1)))
-        self._P = np.block([[self._P, self._P @ J.T], [J @ self._P, symmetrised(own)]])
+        start_covariance = J @ self._P @ J.T + block_diag(*(by_uvd @ R @ by_uvd.transpose(0, 2, 1)))
+        self._P = np.block([[self._P, self._P @ J.T], [J @ self._P, symmetrised(start_covariance)]])
         self._map = np.concatenate([self._map, np.insert(new.parameters, [0, 0, 0], position, axis=1)])
         self._ids = np.concatenate([self._ids, ids])
         self._keep(np.argsort(self._ids))
@@ -197,10 +197,10 @@ class FilterpyEKF(CameraFilter):
 
     def forecast(self, ids: Sequence[int] | IntArray | None = None) -> Forecast:
         """Predicted (u, v, d) and S of landmarks at the current pose."""
-        wanted, index = self._wanted(ids)
+        wanted_ids, index = self._wanted(ids)
         uvd, H, forward = self._linearised(index)
         S = H @ self._P @ H.transpose(0, 2, 1) + self.noise.R
-        return Forecast(wanted, uvd, symmetrised(S), forward & self.camera.in_view(uvd))
+        return Forecast(wanted_ids, uvd, symmetrised(S), forward & self.camera.in_view(uvd))
 
     @property
     def landmarks(self) -> LandmarkBelief:
@@ -223,10 +223,10 @@ class FilterpyEKF(CameraFilter):
 
     def _wanted(self, ids: Sequence[int] | IntArray | None) -> tuple[IntArray, IntArray]:
         """The landmarks asked for (None: all), and where they are; refuses those that are not there."""
-        wanted = self._ids if ids is None else unique_ids("ids", np.asarray(ids))
-        if len(missing := np.setdiff1d(wanted, self._ids)):
+        wanted_ids = self._ids if ids is None else unique_ids("ids", np.asarray(ids))
+        if len(missing := np.setdiff1d(wanted_ids, self._ids)):
             raise ValueError(f"ids must be in the map, not there: {missing[:5].tolist()}: see landmarks.ids")
-        return wanted.copy(), np.searchsorted(self._ids, wanted)
+        return wanted_ids.copy(), np.searchsorted(self._ids, wanted_ids)
 
 
 def _rows(index: IntArray) -> IntArray:

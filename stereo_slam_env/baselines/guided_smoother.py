@@ -161,11 +161,11 @@ class GuidedSmoother(CameraFilter):
 
     def _locate(self) -> None:
         """Note where the guide sees the landmarks whose depth it knows."""
-        found = self._guide.landmarks
-        known = found.inverse_distance >= SIGMAS_TO_ENTER * np.sqrt(found.inverse_distance_variance)
+        beliefs = self._guide.landmarks
+        certain = beliefs.inverse_distance >= SIGMAS_TO_ENTER * np.sqrt(beliefs.inverse_distance_variance)
         R, position = self._pose_of_guide()
-        p_c = (found.positions[known] - position) @ R
-        for i, seen in zip(found.ids[known].tolist(), p_c, strict=True):
+        p_c = (beliefs.positions[certain] - position) @ R
+        for i, seen in zip(beliefs.ids[certain].tolist(), p_c, strict=True):
             if i in self._tracks and seen[2] > 0.0:
                 self._located[self._tracks[i]] = self._graph.last, seen
 
@@ -208,9 +208,9 @@ class GuidedSmoother(CameraFilter):
     @property
     def landmarks(self) -> LandmarkBelief:
         """The guide's map, in the world of the graph."""
-        found = self._guide.landmarks
+        beliefs = self._guide.landmarks
         with np.errstate(invalid="ignore"):  # landmarks at infinity
-            positions = found.positions @ self._turn.T + self._shift
-            covariances = self._turn @ found.covariances @ self._turn.T
-        inverse, variance = found.inverse_distance, found.inverse_distance_variance
-        return LandmarkBelief(found.ids, positions, covariances, inverse, variance)
+            positions = beliefs.positions @ self._turn.T + self._shift
+            covariances = self._turn @ beliefs.covariances @ self._turn.T
+        inverse, variance = beliefs.inverse_distance, beliefs.inverse_distance_variance
+        return LandmarkBelief(beliefs.ids, positions, covariances, inverse, variance)

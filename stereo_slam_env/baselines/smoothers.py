@@ -51,7 +51,9 @@ class FixedLagSmoother(GuidedSmoother):
         return FixedLagGraph(self.camera, start, P, self._tail_dof, self._lag)
 
     def _finish(self, believed: bool) -> None:
-        self._located = {i: seen for i, seen in self._located.items() if seen[0] >= self._graph.last - self._lag}
+        self._located = {
+            i: located for i, located in self._located.items() if located[0] >= self._graph.last - self._lag
+        }
         if believed and self._graph.last:
             self._solve()
             self._belief = CameraBelief(self._graph.state(), self._graph.covariance())
@@ -86,13 +88,13 @@ class FixedLagGraph(SmoothingGraph):
         """Solve the window, then marginalise what leaves it."""
         super().solve()
         first = self.last - self._lag
-        gone = {key for key, pose in self._last_seen.items() if pose < first}
-        self._last_seen = {key: pose for key, pose in self._last_seen.items() if key not in gone}
-        self._keys = {track: key for track, key in self._keys.items() if key not in gone}
-        gone |= {key for key in map(self._pose_key, range(self._first, first)) if self._values.exists(key)}
+        expired = {key for key, pose in self._last_seen.items() if pose < first}
+        self._last_seen = {key: pose for key, pose in self._last_seen.items() if key not in expired}
+        self._keys = {track: key for track, key in self._keys.items() if key not in expired}
+        expired |= {key for key in map(self._pose_key, range(self._first, first)) if self._values.exists(key)}
         self._first = max(first, self._first)
-        if gone:
-            self._marginalise(gone)
+        if expired:
+            self._marginalise(expired)
 
     def covariance(self) -> FloatArray:
         """Covariance (12, 12) of the present state, whose velocity is that of the last move."""
@@ -106,16 +108,16 @@ class FixedLagGraph(SmoothingGraph):
 
     def _covariance_by_qr(self, keys: Sequence[int]) -> FloatArray:
         """Joint covariance (12, 12) of two poses, without the squares of the Jacobian; ten times as slow."""
-        gtsam, others = self._gtsam, self._gtsam.Ordering()
+        gtsam, ordering = self._gtsam, self._gtsam.Ordering()
         for key in set(map(int, self._values.keys())).difference(keys):
-            others.push_back(key)
-        whole = gtsam.JacobianFactor(self._factors.linearize(self._values))
-        _, left = whole.eliminate(others)
+            ordering.push_back(key)
+        joint_factor = gtsam.JacobianFactor(self._factors.linearize(self._values))
+        _, remainder = joint_factor.eliminate(ordering)
         order = gtsam.Ordering()
         for key in keys:
             order.push_back(key)
         A = gtsam.GaussianFactorGraph()
-        A.push_back(left)
+        A.push_back(remainder)
         R = np.linalg.qr(A.jacobian(order)[0], mode="r")
         inverse = np.linalg.pinv(R)
         return np.asarray(inverse @ inverse.T, dtype=np.float64)
@@ -129,11 +131,11 @@ class FixedLagGraph(SmoothingGraph):
         ordering, at = gtsam.Ordering(), gtsam.Values()
         for key in sorted(gone):
             ordering.push_back(key)
-        _, said = gtsam.JacobianFactor(leave.linearize(self._values)).eliminate(ordering)
-        rest = said.keys()
+        _, marginal = gtsam.JacobianFactor(leave.linearize(self._values)).eliminate(ordering)
+        rest = marginal.keys()
         for key in rest:
             at.insert(key, self._values.atPoint3(key) if key in self._last_seen else self._values.atPose3(key))
-        stay.push_back(gtsam.LinearContainerFactor(said, at))
+        stay.push_back(gtsam.LinearContainerFactor(marginal, at))
         self._factors = stay
         for key in gone:
             self._values.erase(key)

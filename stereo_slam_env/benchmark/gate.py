@@ -75,9 +75,9 @@ class Gate:
         failed = [row for row in self.rows if row.failed]
         if self.passed:
             return f"Passed: nothing is worse in {len(self.rows)} comparisons."
-        said = [f"{row.measure} of {row.filter_name}: {row.words}" for row in failed[:3]]
+        sentences = [f"{row.measure} of {row.filter_name}: {row.words}" for row in failed[:3]]
         more = [f"{len(failed) - 3} more"] if len(failed) > 3 else []
-        return f"Failed: {'; '.join([*self.missing, *said, *more])}."
+        return f"Failed: {'; '.join([*self.missing, *sentences, *more])}."
 
     def as_markdown(self) -> str:
         """Headline and a table, for a pull request."""
@@ -147,9 +147,9 @@ def _trials(packets: Sequence[Mapping[str, Any]]) -> _Trials:
     for packet in packets:
         for cell in packet["cells"]:
             for label, trials in cell["trials"].items():
-                own = found.setdefault((cell["name"] if len(packet["cells"]) > 1 else "", label), {})
+                of_filter = found.setdefault((cell["name"] if len(packet["cells"]) > 1 else "", label), {})
                 for trial in trials:
-                    own.setdefault((trial["recording"], trial["seed"]), []).append(trial)
+                    of_filter.setdefault((trial["recording"], trial["seed"]), []).append(trial)
     return found
 
 
@@ -178,16 +178,16 @@ def _row(
     """A measure against the baseline; None where neither has it."""
     sides = [[np.array([measure.of(row) for row in rows]) for rows in side] for side in (before, after)]
     values = [np.concatenate(side) for side in sides]
-    known = [one[np.isfinite(one)] for one in values]
-    if not len(known[0]):
+    finite_values = [one[np.isfinite(one)] for one in values]
+    if not len(finite_values[0]):
         return None
     combined = np.mean if measure.over_runs is None else measure.over_runs.of_values
-    was, now = (float(combined(one)) if len(one) else None for one in known)
+    was, now = (float(combined(one)) if len(one) else None for one in finite_values)
     about = partial(GateRow, name, measure.title, was, now)
-    if not len(known[1]):
+    if not len(finite_values[1]):
         return about(None, "limit", True, "it is not known any more")
     means = [np.array([_mean(one) for one in side]) for side in sides]
-    runs = min(map(len, known))
+    runs = min(map(len, finite_values))
     difference: Difference
     if len(means[0]) >= pairs_needed(comparisons):
         by, difference = "recordings", difference_by(measure, means[1], means[0], comparisons=comparisons)
@@ -200,8 +200,8 @@ def _row(
         failed = percent > limit
         words = difference.tie_words if difference.tied else f"more than {limit:g} % is worse; too few runs for a test"
         return about(percent, "limit", failed, words)
-    shown = {Finding.WORSE: "shown", Finding.BETTER: "better"}.get(difference.finding, Finding.NOT_SHOWN.value)
-    words = difference.tie_words if difference.tied else f"{shown} ({difference.evidence})"
+    finding_words = {Finding.WORSE: "shown", Finding.BETTER: "better"}.get(difference.finding, Finding.NOT_SHOWN.value)
+    words = difference.tie_words if difference.tied else f"{finding_words} ({difference.evidence})"
     return about(as_percent(difference.estimate), by, difference.finding is Finding.WORSE, words)
 
 

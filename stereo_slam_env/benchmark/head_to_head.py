@@ -85,13 +85,13 @@ class HeadToHead:
         if difference.not_worse_than(percent):
             return
         name, other = self.summary.filter_name, self.reference.filter_name
-        found = f"its {measure.label} is at {signed(difference.percent, 1)} % ({difference.evidence})"
+        evidence = f"its {measure.label} is at {signed(difference.percent, 1)} % ({difference.evidence})"
         if difference.interval_percent is not None and difference.interval_percent[0] > percent:
-            raise AssertionError(f"{name} is worse than {other} by more than {percent:g} %: {found}.\n{self}")
+            raise AssertionError(f"{name} is worse than {other} by more than {percent:g} %: {evidence}.\n{self}")
         seeds = difference.pairs_to_show(percent)
         remedy = f" With scatter like this, some {seeds} seeds could show it." if seeds else ""
         raise AssertionError(
-            f"{name} is not shown to be at most {percent:g} % worse than {other}: {found}.{remedy}\n{self}"
+            f"{name} is not shown to be at most {percent:g} % worse than {other}: {evidence}.{remedy}\n{self}"
         )
 
     def assert_better(self, *, measure: Figure = POSITION) -> None:
@@ -101,8 +101,8 @@ class HeadToHead:
         difference = self.difference(measure)
         name, other = self.summary.filter_name, self.reference.filter_name
         if not (difference.shown and difference.estimate < 0.0):
-            found = f"its {measure.label} is at {signed(difference.percent, 1)} % ({difference.evidence})"
-            raise AssertionError(f"{name} is not shown to be better than {other}: {found}.\n{self}")
+            evidence = f"its {measure.label} is at {signed(difference.percent, 1)} % ({difference.evidence})"
+            raise AssertionError(f"{name} is not shown to be better than {other}: {evidence}.\n{self}")
 
     def assert_consistent(self, *, or_cautious: bool = False) -> None:
         """Assert that the mean pose NEES lies in its 95 % band (or, with `or_cautious`, below it)."""
@@ -115,9 +115,11 @@ class HeadToHead:
         if state is Consistency.UNKNOWN:
             raise AssertionError(f"{name} is not known to be consistent: it has no pose NEES.\n{self}")
         mean, band = pose_nees(self.summary)
-        said = f"{name} is {state.value}" if not self.summary.doubt else f"{name} is not judged ({self.summary.doubt})"
+        sentence = (
+            f"{name} is {state.value}" if not self.summary.doubt else f"{name} is not judged ({self.summary.doubt})"
+        )
         raise AssertionError(
-            f"{said}: its mean pose NEES / 6 is {mean}, the band of {self.summary.runs} runs is {band}.\n{self}"
+            f"{sentence}: its mean pose NEES / 6 is {mean}, the band of {self.summary.runs} runs is {band}.\n{self}"
         )
 
     def assert_faster_than(self, ms: float) -> None:
@@ -143,8 +145,8 @@ class HeadToHead:
         for measure in MEASURES:
             values = [measure.of(side) for side in sides]
             if not all(value != value for value in values):
-                found = self.difference(measure)
-                words = f"{found.finding.value}: " * found.shown + change_words(measure, found)
+                difference = self.difference(measure)
+                words = f"{difference.finding.value}: " * difference.shown + change_words(measure, difference)
                 rows.append((measure.title, *map(measure.text_of, values), words))
         diverged = (f"{side.diverged} of {side.runs}" for side in sides)
         rows.append((DIVERGED.label, *diverged, self.divergences().finding.value))

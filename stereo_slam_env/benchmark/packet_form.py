@@ -95,12 +95,12 @@ def checked_packet(content: Mapping[str, Any]) -> dict[str, Any]:
     names = [cell.name for cell in study.cells]
     if names != [cell["name"] for cell in packet["cells"]]:
         raise ValueError("its cells are not those of its study")
-    for asked, cell in zip(study.cells, packet["cells"], strict=True):
-        _require_of_study(cell, asked.scenario)
-    found = [sentence for asked, cell in zip(study.cells, packet["cells"], strict=True)
-             for sentence in missing_in(cell, asked.scenario)]  # fmt: skip
-    if packet["missing"] != found:
-        raise ValueError(f"what it says is missing does not follow from its figures, which say: {found}")
+    for stated_cell, cell in zip(study.cells, packet["cells"], strict=True):
+        _require_of_study(cell, stated_cell.scenario)
+    sentences = [sentence for stated_cell, cell in zip(study.cells, packet["cells"], strict=True)
+             for sentence in missing_in(cell, stated_cell.scenario)]  # fmt: skip
+    if packet["missing"] != sentences:
+        raise ValueError(f"what it says is missing does not follow from its figures, which say: {sentences}")
     return packet
 
 
@@ -177,6 +177,6 @@ def columns_of(rows: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:
 def _rows(columns: Mapping[str, Sequence[Any]]) -> list[dict[str, Any]]:
     """Trials by rows, of columns; raises ValueError where those differ in length."""
     checked("trials", columns, dict[str, list[Any]])
-    known = (dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True))
-    rows = [{"recording": None, "seed": None, **dict.fromkeys(KEPT), **row} for row in known]
+    named_rows = (dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True))
+    rows = [{"recording": None, "seed": None, **dict.fromkeys(KEPT), **row} for row in named_rows]
     return [{name: value for name, value in row.items() if name != "claim" or value is not None} for row in rows]

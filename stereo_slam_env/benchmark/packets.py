@@ -55,13 +55,15 @@ def packet_of(run: Path) -> dict[str, Any]:
     directory = read_study(run)
     study = directory.study.with_scenarios(lambda scenario: _moved(scenario, to=None))
     cells = [_cell(result, result.recordings[:CLAIMED]) for result in map(results_of, directory.cells)]
-    asked = zip(cells, study.cells, strict=True)
+    cells_with_study = zip(cells, study.cells, strict=True)
     return {
         "format": FORMAT,
         "study": study.as_dict(),
         "versions": read_json(directory.cells[0].out / SETTINGS, inside=directory.root)["versions"],
         "cells": cells,
-        "missing": [sentence for cell, of_study in asked for sentence in missing_in(cell, of_study.scenario)],
+        "missing": [
+            sentence for cell, of_study in cells_with_study for sentence in missing_in(cell, of_study.scenario)
+        ],
     }
 
 
@@ -104,8 +106,12 @@ def _claim(run: FilterRun | None) -> dict[str, Any]:
         return {}
     if (claim := score.claim) is None:
         return {}
-    found = {"scale_gap": claim.scale_gap, "coverage_90": claim.coverage[0.9], "log_score": claim.log_score.mean}
-    return {"claim": {**{name: _short(value) for name, value in found.items()}, "gauge": score.alignment}}
+    claim_figures = {
+        "scale_gap": claim.scale_gap,
+        "coverage_90": claim.coverage[0.9],
+        "log_score": claim.log_score.mean,
+    }
+    return {"claim": {**{name: _short(value) for name, value in claim_figures.items()}, "gauge": score.alignment}}
 
 
 def _short(value: Any) -> Any:
@@ -161,8 +167,8 @@ def read_packet(path: Path) -> dict[str, Any]:
     try:
         return checked_packet(content)
     except (KeyError, TypeError, AttributeError, ArithmeticError, RecursionError) as error:
-        said = f"{type(error).__name__}: {first_line(error)}"
-        raise ValueError(f"{path} is a damaged packet ({said}): submit the run again") from error
+        reason = f"{type(error).__name__}: {first_line(error)}"
+        raise ValueError(f"{path} is a damaged packet ({reason}): submit the run again") from error
     except ValueError as error:
         raise ValueError(f"{path} is a damaged packet: {first_line(error)}") from error
 
@@ -209,8 +215,8 @@ class Verified:
                 "they agree exactly." if not self.largest else f"they agree to {self.largest:.1e} of a figure."
             )
         more = len(self.differences) - 3
-        shown = "; ".join(self.differences[:3]) + (f"; and {more} more" if more > 0 else "")
-        return text + f"they do not agree: {shown}."
+        examples = "; ".join(self.differences[:3]) + (f"; and {more} more" if more > 0 else "")
+        return text + f"they do not agree: {examples}."
 
     def as_dict(self) -> dict[str, Any]:
         """All of it as plain data for JSON."""
@@ -259,24 +265,24 @@ def verify(
     study = Study.from_dict(packet["study"])
     draw = secrets.randbits(32) if draw is None else draw
     rng = np.random.default_rng(draw)
-    told = {cell["name"]: cell for cell in packet["cells"]}
-    own = [cell for cell in study.cells if not all(choice.is_outside for choice in cell.scenario.filters)]
-    if not own:
+    packet_cells = {cell["name"]: cell for cell in packet["cells"]}
+    runnable_cells = [cell for cell in study.cells if not all(choice.is_outside for choice in cell.scenario.filters)]
+    if not runnable_cells:
         raise ValueError("all of its systems are from outside: there is nothing to run again")
-    picked = own if everything else _some(rng, own, cells)
-    chosen = []
+    picked = runnable_cells if everything else _some(rng, runnable_cells, cells)
+    chosen_cells = []
     for cell in picked:
         scenario = _here(cell.scenario, data)
         filters = tuple(choice for choice in scenario.filters if not choice.is_outside)
-        wanted = scenario.seeds if everything or not scenario.source.seeded else _some(rng, scenario.seeds, seeds)
-        chosen.append(replace(cell, scenario=_limited(scenario, filters, wanted)))
-    part = Study(study.name, tuple(chosen))
+        wanted_seeds = scenario.seeds if everything or not scenario.source.seeded else _some(rng, scenario.seeds, seeds)
+        chosen_cells.append(replace(cell, scenario=_limited(scenario, filters, wanted_seeds)))
+    part = Study(study.name, tuple(chosen_cells))
     check_study(part)
     run_checked(prepared_study(out, part), Backend("processes", jobs, None), progress)
     differences, largest, trials, same_streams = [], 0.0, 0, True
     other_plugins: dict[str, None] = {}
     for cell, directory in zip(picked, read_study(out).cells, strict=True):
-        before, result = told[cell.name], results_of(directory)
+        before, result = packet_cells[cell.name], results_of(directory)
         again = _cell(result, result.recordings)
         known_recordings = {(one["name"], one["seed"]): one for one in before["recordings"]}
         claimed = [(one["name"], one["seed"]) for one in before["recordings"][: min(CLAIMED, cell.scenario.kept_seeds)]]
@@ -289,12 +295,12 @@ def verify(
         for label, rows in again["trials"].items():
             if before["code_of_others"].get(label) != again["code_of_others"].get(label):
                 other_plugins[label] = None
-            known = {(row["recording"], row["seed"]): row for row in before["trials"].get(label, ())}
+            packet_rows = {(row["recording"], row["seed"]): row for row in before["trials"].get(label, ())}
             for row in rows:
                 trials += 1
                 key = row["recording"], row["seed"]
                 where = f"{label} on {row['recording']}" + ("" if row["seed"] is None else f", seed {row['seed']}")
-                of_row = known.get(key, {})
+                of_row = packet_rows.get(key, {})
                 gaps = [*_gaps(of_row, row)]
                 rounded = any(gap for _, gap, _ in gaps)
                 gaps += _claim_gaps(of_row, row, expected=key in claimed, rounded=rounded)

@@ -171,10 +171,10 @@ class RunOptions:
         except OSError as error:
             if error.errno != errno.ENOSPC:
                 raise
-            kept = Interrupted(directory.out).kept
+            kept_count = Interrupted(directory.out).kept
             raise OSError(
-                f"the disk is full: {kept} finished trials are kept in {directory.out}; make room and run the same "
-                f"command again with --out {directory.out}"
+                f"the disk is full: {kept_count} finished trials are kept in {directory.out}; make room and run the "
+                f"same command again with --out {directory.out}"
             ) from error
         show_cells(console(), result.cells)
         show_place(result.report or result.out)
@@ -328,10 +328,10 @@ def replay(
         with progress_bar(console(stderr=True), "pairs") as progress:
             recording = make_recording(scenario, None, progress)
         show_recording(console(), recording)
-        given: dict[str, Any] = {"use_odometry": options.odometry}
+        arguments: dict[str, Any] = {"use_odometry": options.odometry}
         named = {key.partition(".")[0] for key in options.changes}
-        given |= {key: value for key, value in scenario.filter_setup.as_dict().items() if key in named}
-        scenario = scenario.set_up_for(scenario.source.record(None, scenario.frames), given)
+        arguments |= {key: value for key, value in scenario.filter_setup.as_dict().items() if key in named}
+        scenario = scenario.set_up_for(scenario.source.record(None, scenario.frames), arguments)
         directory = options.directory(Study.of(scenario))
         show(scenario)
     options.run(directory)

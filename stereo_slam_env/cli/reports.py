@@ -161,7 +161,7 @@ def verify(
 
     content = read_packet(packet)
     with tempfile.TemporaryDirectory() as scratch, progress_bar(console(stderr=True), "steps") as progress:
-        found = verified(
+        verified_packet = verified(
             content,
             Path(scratch) / "run" if out is None else out,
             seeds=seeds,
@@ -173,12 +173,12 @@ def verify(
             progress=progress,
         )
     if as_json:
-        show_json(found.as_dict())
+        show_json(verified_packet.as_dict())
     else:
         for sentence in content["missing"]:
             typer.echo(f"note: {plain(sentence)}")
-        typer.echo(found.words)
-    if not found.agrees:
+        typer.echo(verified_packet.words)
+    if not verified_packet.agrees:
         raise typer.Exit(1)
 
 
@@ -187,17 +187,17 @@ def _packets(places: Sequence[Path]) -> list[Mapping[str, Any]]:
     from stereo_slam_env.benchmark.packets import packet_of, read_packet
     from stereo_slam_env.benchmark.storage.run_files import SETTINGS, STUDY
 
-    found: list[Mapping[str, Any]] = []
+    packets: list[Mapping[str, Any]] = []
     for place in places:
         is_run = (place / STUDY).exists() or (place / SETTINGS).exists()
         inside = sorted(place.glob("*.json")) if place.is_dir() and not is_run else []
         if is_run:
-            found.append(packet_of(place))
+            packets.append(packet_of(place))
         elif place.is_dir() and not inside:
             raise ValueError(f"{place} holds neither a run nor packets: give what `stereo-slam submit` wrote")
         else:
-            found += map(read_packet, inside or [place])
-    return found
+            packets += map(read_packet, inside or [place])
+    return packets
 
 
 def paper(

@@ -101,22 +101,22 @@ class ImagesOptions:
         """Arguments of `open_image_sequence`, JSON-able."""
         from stereo_slam_env.sensing.rigs import Rig, calibration_of
 
-        given: dict[str, Any] = {}
+        options: dict[str, Any] = {}
         if self.rig is not None:
             rig: Rig = rig_from(self.rig)
             calibration_of(rig)  # refused before any work
-            given["rig"] = rig
+            options["rig"] = rig
         if self.truth is not None:
-            given["truth"] = self.truth
+            options["truth"] = self.truth
         if self.truth_body is not None:
-            given["body"] = str(self.truth_body)
+            options["body"] = str(self.truth_body)
         if self.image_topics is not None:
-            given["left"], comma, given["right"] = self.image_topics.partition(",")
+            options["left"], comma, options["right"] = self.image_topics.partition(",")
             if not comma:
                 raise ValueError(f"--image-topics needs two topics, LEFT,RIGHT, got {self.image_topics!r}")
         topics = {"imu": self.imu_topic, "odometry": self.odometry_topic}
-        given |= {name: topic for name, topic in topics.items() if topic is not None}
-        return given if self.rate is None else {**given, "rate": self.rate}
+        options |= {name: topic for name, topic in topics.items() if topic is not None}
+        return options if self.rate is None else {**options, "rate": self.rate}
 
 
 def body_from(path: Path | None, estimated: bool) -> Pose | Literal["estimated"] | None:
@@ -151,14 +151,14 @@ class TakesTruths(TyperCommand):
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Repeat the option before each of its files."""
-        said: list[str] = []
+        spelled: list[str] = []
         taking = False
         for argument, following in zip(args, [*args[1:], "-"], strict=False):
             taking = argument == "--truth" or (taking and not argument.startswith("-"))
             if argument == "--truth" and not following.startswith("-"):
                 continue
-            said += ["--truth", argument] if taking and argument != "--truth" else [argument]
-        return super().parse_args(ctx, said)
+            spelled += ["--truth", argument] if taking and argument != "--truth" else [argument]
+        return super().parse_args(ctx, spelled)
 
 
 class Interrupted(Exception):
@@ -345,8 +345,8 @@ def with_options(of: Callable[..., Any], name: str) -> Callable[[Callable[..., N
     """Decorator of commands that share options: those of `of`, whose result they get as the parameter `name`."""
 
     def of_both(command: Callable[..., None]) -> Callable[..., None]:
-        shared, own = (inspect.signature(function, eval_str=True).parameters for function in (of, command))
-        options = [*(about for key, about in own.items() if key != name), *shared.values()]
+        shared, own_parameters = (inspect.signature(function, eval_str=True).parameters for function in (of, command))
+        options = [*(about for key, about in own_parameters.items() if key != name), *shared.values()]
 
         def run(**given: Any) -> None:
             result = of(**{key: given.pop(key) for key in shared})

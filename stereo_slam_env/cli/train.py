@@ -93,10 +93,11 @@ def train(
     best, held_against = curve.best, "straight ahead" if environment in GAZE else "action 0"
     for name, value in idle.items():
         typer.echo(f"{name:<24} network {best[name]:8.3f}   {held_against} {value:8.3f}")
-    made = int(rows[-1]["decisions"])
-    if made < settings.decisions:
+    decisions_made = int(rows[-1]["decisions"])
+    if decisions_made < settings.decisions:
         typer.echo(
-            f"stopped after {made:,} of {settings.decisions:,} decisions; to go on: the same command, --out {directory}"
+            f"stopped after {decisions_made:,} of {settings.decisions:,} decisions; "
+            f"to go on: the same command, --out {directory}"
         )
     typer.echo(f"network: {network.resolve()} (the best so far, after {int(best['decisions']):,} decisions)")
 
@@ -112,8 +113,8 @@ def _task(environment: str, arguments: dict[str, Any], looks: dict[str, Any]) ->
     if environment == "StereoSlam/Gaze-v0":
         return GazeTask(environment, arguments, **looks)
     if environment in GAZE:
-        known = ["level", *(each.name for each in dataclasses.fields(GazeTask))]
-        require_known(f"--arguments: {environment} has no argument", arguments, known)
+        field_names = ["level", *(each.name for each in dataclasses.fields(GazeTask))]
+        require_known(f"--arguments: {environment} has no argument", arguments, field_names)
         return gaze_task(**{**gym.spec(environment).kwargs, **arguments, **looks})
     if looks:
         name = next(iter(looks))

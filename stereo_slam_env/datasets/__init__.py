@@ -124,12 +124,12 @@ def open_for_front_end(path: str | Path, **options: Any) -> tuple[ImageSequence,
     ValueError
         As `open_image_sequence`, or an unknown field of the front end, or an impossible value of one.
     """
-    given: Mapping[str, Any] = options.pop("front_end", {})
+    front_end_options: Mapping[str, Any] = options.pop("front_end", {})
     fields = [field.name for field in dataclasses.fields(TrackerSettings)]
-    require_known("the front end has no setting", given, fields)
-    settings = TrackerSettings(**given)
+    require_known("the front end has no setting", front_end_options, fields)
+    settings = TrackerSettings(**front_end_options)
     sequence = open_image_sequence(path, **options)
-    return sequence, settings if "disparity_offset" in given else calibrated(sequence, settings)
+    return sequence, settings if "disparity_offset" in front_end_options else calibrated(sequence, settings)
 
 
 def open_image_sequence(
@@ -169,19 +169,19 @@ def open_image_sequence(
         No such folder, no known layout, an unknown option, something is missing or damaged, or a link leads out of the
         folder: one line that names it.
     """
-    given = Path(path)
-    layout = _of_file(given)
-    folder = given
+    place = Path(path)
+    layout = _of_file(place)
+    folder = place
     if layout is None:
-        _require_folder(given, " or a bag")
-        found = _image_recordings(given)
-        if len(found) > 1:
-            names = ", ".join(str(folder.relative_to(given)) for folder in found)
-            raise ValueError(f"{given} holds {len(found)} recordings, give one of them: {names}")
-        layout = _recognised(found[0], image_layouts()) if found else None
+        _require_folder(place, " or a bag")
+        recordings = _image_recordings(place)
+        if len(recordings) > 1:
+            names = ", ".join(str(folder.relative_to(place)) for folder in recordings)
+            raise ValueError(f"{place} holds {len(recordings)} recordings, give one of them: {names}")
+        layout = _recognised(recordings[0], image_layouts()) if recordings else None
         if layout is None:
-            raise _unknown_layout(given, image_layouts())
-        folder = require_inside(found[0], given)
+            raise _unknown_layout(place, image_layouts())
+        folder = require_inside(recordings[0], place)
         require_links_inside(folder)
     parameters = _require_options(layout.NAME, layout.open_sequence, options, _CHOICE)
     if body is not None and truth is None:
@@ -191,7 +191,7 @@ def open_image_sequence(
     sequence: ImageSequence = layout.open_sequence(folder, Choice(first, last, on_broken), **options)
     if rig is not None:
         sequence = Recalibrated(sequence, calibration_of(rig), str(rig))
-    require_baseline(given, sequence.camera.baseline)
+    require_baseline(place, sequence.camera.baseline)
     if truth is not None:
         sequence = WithTruth(sequence, str(truth), None if body is None else read_body(Path(body)))
     return sequence
@@ -242,8 +242,10 @@ def _image_recordings(folder: Path) -> list[Path]:
     """The folder itself if it has a layout of images, else those up to two levels below it that have one."""
     if _recognised(folder, image_layouts()) is not None:
         return [folder]
-    found = [below for below in _folders(folder) if _recognised(below, image_layouts())]
-    return [below for below in found if below.parent not in found]  # a recording's own folder may look like one, too
+    folders = [below for below in _folders(folder) if _recognised(below, image_layouts())]
+    return [
+        below for below in folders if below.parent not in folders
+    ]  # a recording's own folder may look like one, too
 
 
 def _folders(folder: Path) -> list[Path]:
@@ -253,9 +255,9 @@ def _folders(folder: Path) -> list[Path]:
 
 
 def _require_folder(path: Path, others: str = "") -> None:
-    there = is_there(path)
-    if not there or not path.is_dir():
-        what = "is a file, not a folder" if there else "does not exist"
+    exists = is_there(path)
+    if not exists or not path.is_dir():
+        what = "is a file, not a folder" if exists else "does not exist"
         raise ValueError(f"{path} {what}: give a folder with a recording{others}")
 
 
@@ -264,9 +266,9 @@ def _require_options(
 ) -> list[str]:
     """Names of the keyword-only parameters of a reader, one of which or of `others` every option must be."""
     parameters = inspect.signature(read).parameters.values()
-    own = [parameter.name for parameter in parameters if parameter.kind is parameter.KEYWORD_ONLY]
-    require_known(f"the reader {reader} has no option", options, [*others, *own])
-    return own
+    option_names = [parameter.name for parameter in parameters if parameter.kind is parameter.KEYWORD_ONLY]
+    require_known(f"the reader {reader} has no option", options, [*others, *option_names])
+    return option_names
 
 
 def _unknown_layout(path: Path, layouts: Sequence[Any]) -> ValueError:

@@ -40,10 +40,11 @@ def grey_of(message: Any, size: tuple[int, int], what: str, shift: int = 8) -> G
 
     Values of 16 bits are shifted right by `shift` bits: one number for a whole recording, see `shift_of_messages`.
     """
-    found = int(message.width), int(message.height)
+    message_size = int(message.width), int(message.height)
     pixels = _pixels(message, what)
-    if found != size:
-        said = f"{what} is {found[0]}x{found[1]} where CameraInfo says {size[0]}x{size[1]}: calibrate for these images"
+    if message_size != size:
+        width, height = message_size
+        said = f"{what} is {width}x{height} where CameraInfo says {size[0]}x{size[1]}: calibrate for these images"
         raise BrokenPair("image of another size", said)
     return _grey(pixels, str(message.encoding), shift)
 
@@ -92,8 +93,8 @@ def _pixels(message: Any, what: str) -> Pixels:
     encoding, width, height = str(message.encoding), int(message.width), int(message.height)
     channels = _CHANNELS.get(encoding)
     if channels is None:
-        known = ", ".join(_CHANNELS)
-        raise BrokenPair("image unreadable", f"{what} has the encoding {plain(encoding)!r}: known are {known}")
+        encodings = ", ".join(_CHANNELS)
+        raise BrokenPair("image unreadable", f"{what} has the encoding {plain(encoding)!r}: known are {encodings}")
     wide = re.search(r"16", encoding) is not None
     of_row = width * channels * (2 if wide else 1)
     step, data = int(message.step), np.asarray(message.data, dtype=np.uint8)
@@ -126,16 +127,16 @@ Infos = Mapping[str, tuple[str, CameraInfo]]
 
 def first_infos(reader: Any) -> Infos:
     """First messages CameraInfo that are filled in."""
-    found: dict[str, tuple[str, CameraInfo]] = {}
+    infos: dict[str, tuple[str, CameraInfo]] = {}
     for connection in (c for c in reader.connections if c.msgtype == INFO):
         name = connection.topic.rpartition("/")[0]
         for _, _, raw in reader.messages([connection]):
             info = CameraInfo.of_message(reader.deserialize(raw, INFO))
-            if name not in found or any(info.P):
-                found[name] = connection.topic, info
+            if name not in infos or any(info.P):
+                infos[name] = connection.topic, info
             if any(info.P):  # drivers begin with empty ones
                 break
-    return found
+    return infos
 
 
 def calibration_of_topics(
@@ -147,14 +148,16 @@ def calibration_of_topics(
         raise ValueError(f"{path} has no CameraInfo of {' and '.join(map(plain, eyes))}: give the calibration as rig")
     both, notes = [], list[str]()
     for topic in topics:
-        chosen = [c for c in reader.connections if c.topic == topic]
-        every = (CameraInfo.of_message(reader.deserialize(raw, INFO)) for _, _, raw in reader.messages(chosen))
+        connections = [c for c in reader.connections if c.topic == topic]
+        every = (CameraInfo.of_message(reader.deserialize(raw, INFO)) for _, _, raw in reader.messages(connections))
         info, note = agreed(every, f"{path}, {plain(topic)}")
         both.append(info)
         notes += note
     left, right = ("rect" not in topic.rpartition("/")[2] and "/image_rect" not in topic for topic in eyes)
-    found, more = calibration_of_images((both[0], both[1]), sizes, f"{path}, {plain(topics[1])}", mapped=(left, right))
-    return found, (*notes, *more)
+    calibration, more = calibration_of_images(
+        (both[0], both[1]), sizes, f"{path}, {plain(topics[1])}", mapped=(left, right)
+    )
+    return calibration, (*notes, *more)
 
 
 def _info_of(infos: Infos, topic: str) -> tuple[str, CameraInfo] | None:
@@ -179,9 +182,9 @@ def cameras_of(
             "are judged by `stereo-slam evaluate`)"
         )
     listed = ", ".join(map(plain, images))
-    for asked in (left, right):
-        if asked is not None and asked not in images:
-            raise ValueError(f"{path} has no images on {asked!r}; topics with images: {listed}")
+    for eye in (left, right):
+        if eye is not None and eye not in images:
+            raise ValueError(f"{path} has no images on {eye!r}; topics with images: {listed}")
     if left is not None and right is not None:
         return left, right
     of_eye: tuple[list[str], list[str]] = ([], [])
@@ -290,8 +293,8 @@ def write_mcap(sequence: ImageSequence, out: str | Path, *, on_pair: Callable[[i
                     on_pair(written, len(sequence))
         if not written:
             raise ValueError(f"sequence {sequence.name!r} has no pairs: nothing was written")
-        (made,) = (Path(folder) / "bag").glob("*.mcap")
-        shutil.move(made, out)
+        (bag_file,) = (Path(folder) / "bag").glob("*.mcap")
+        shutil.move(bag_file, out)
     return out
 
 
@@ -347,10 +350,10 @@ class _Messages:
 
     def transforms(self, stamp: int, truth: Pose | None) -> Any:
         beside = Pose(np.array([self._camera.baseline, 0.0, 0.0]), np.array([0.0, 0.0, 0.0, 1.0]))
-        found = [self._transform(stamp, LEFT, RIGHT, beside)]
+        pose = [self._transform(stamp, LEFT, RIGHT, beside)]
         if truth is not None:
-            found.append(self._transform(stamp, WORLD, LEFT, truth))
-        return self.types.types["tf2_msgs/msg/TFMessage"](transforms=found)
+            pose.append(self._transform(stamp, WORLD, LEFT, truth))
+        return self.types.types["tf2_msgs/msg/TFMessage"](transforms=pose)
 
     def _transform(self, stamp: int, parent: str, child: str, pose: Pose) -> Any:
         kinds = self.types.types

@@ -106,11 +106,11 @@ class _Mounting:
 
     def camera_in(self, frame: str) -> Pose:
         """T_fc of the camera in a frame."""
-        found = fixed_pose(self._links, frame.strip("/"), self._camera)
-        if found is None:
-            said = f"no static transform links {plain(frame)!r} with the camera's frame {plain(self._camera)!r}"
-            raise ValueError(f"{self.path}: {said}: record /tf_static with it")
-        return found @ self._turn
+        link = fixed_pose(self._links, frame.strip("/"), self._camera)
+        if link is None:
+            message = f"no static transform links {plain(frame)!r} with the camera's frame {plain(self._camera)!r}"
+            raise ValueError(f"{self.path}: {message}: record /tf_static with it")
+        return link @ self._turn
 
 
 def _inertial(
@@ -133,12 +133,12 @@ def _inertial(
     )
     sheet, variances = DATA_SHEETS[ASSUMED], np.median(stated, axis=0).mean(axis=1)
     step = float(np.median(np.diff(rows[:, 0])))
-    known = bool((variances > 0.0).all())
+    has_variances = bool((variances > 0.0).all())
     gyro, accelerometer = sheet.gyro_density, sheet.accelerometer_density
-    if known:
+    if has_variances:
         gyro, accelerometer = np.sqrt(variances * step).tolist()
     unit = InertialUnit(T_ci.position, T_ci.orientation, gyro, accelerometer, sheet.gyro_walk, sheet.accelerometer_walk)
-    assumed = "walks of the biases" if known else "densities and walks"
+    assumed = "walks of the biases" if has_variances else "densities and walks"
     origin = times[0]
     samples = samples_of_steps(mounting.path, rows[:, 0] - origin, rows[:, 1:], times - origin, unit)
     return samples, {"imu": topic, "imu_assumed": f"{assumed} of {ASSUMED}"}
@@ -165,13 +165,13 @@ def _odometry(reader: Any, mounting: _Mounting, topic: str) -> tuple[Trajectory,
     J = np.block([[R_cb, -R_cb @ rotations.skew(T_bc.position)], [np.zeros((3, 3)), R_cb]])
     twist = J @ covariance @ J.T
     poses = [Pose(row[1:4], row[4:8]) @ T_bc for row in table]
-    found = Trajectory(
+    trajectory = Trajectory(
         np.array([pose.position for pose in poses]),
         np.array([pose.orientation for pose in poses]),
         table[:, 0],
         gauge=None,
     )
-    return found, 0.5 * (twist + twist.T)
+    return trajectory, 0.5 * (twist + twist.T)
 
 
 def _messages(reader: Any, topic: str) -> Any:

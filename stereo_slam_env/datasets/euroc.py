@@ -150,9 +150,9 @@ def _camera_poses(
     good = inside & near & finite[after] & finite[before]
     usable = np.where(finite[:, None], rows, [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
     seconds = 1e-9 * (rows_ns - rows_ns[0])
-    wanted = np.clip(1e-9 * (stamps - rows_ns[0]), seconds[0], seconds[-1])
-    positions = np.column_stack([np.interp(wanted, seconds, usable[:, i]) for i in range(3)])
-    R_ws = Slerp(seconds, Rotation.from_quat(usable[:, 3:]))(wanted)
+    seconds_asked = np.clip(1e-9 * (stamps - rows_ns[0]), seconds[0], seconds[-1])
+    positions = np.column_stack([np.interp(seconds_asked, seconds, usable[:, i]) for i in range(3)])
+    R_ws = Slerp(seconds, Rotation.from_quat(usable[:, 3:]))(seconds_asked)
     T_sc = np.linalg.solve(T_bs_truth, T_bc)
     orientations = R_ws * Rotation.from_matrix(T_sc[:3, :3] @ turned.T)
     poses = known_poses(positions + R_ws.apply(T_sc[:3, 3]), orientations, good)

@@ -57,7 +57,7 @@ class BrokenPair(ValueError):
 def numbered_images(folder: Path, prefix: str = "", suffix: str = "") -> dict[int, Path]:
     """The images `<prefix><digits><suffix>.png|jpg|jpeg` of a folder by their number; none where there is no folder."""
     pattern = re.compile(re.escape(prefix) + r"(\d+)" + re.escape(suffix) + r"\.(png|jpg|jpeg)", re.IGNORECASE)
-    found: dict[int, Path] = {}
+    images_by_number: dict[int, Path] = {}
     for path in sorted(folder.iterdir()) if folder.is_dir() else ():
         match = pattern.fullmatch(path.name)
         if match is None:
@@ -65,10 +65,10 @@ def numbered_images(folder: Path, prefix: str = "", suffix: str = "") -> dict[in
         number = int(match[1])
         if number >= MOST_FRAMES:
             raise ValueError(f"{path} is image {number}: numbers from {MOST_FRAMES} on are refused, rename it")
-        if number in found:
-            raise ValueError(f"{path} and {found[number].name} are both image {number}: remove one of them")
-        found[number] = path
-    return found
+        if number in images_by_number:
+            raise ValueError(f"{path} and {images_by_number[number].name} are both image {number}: remove one of them")
+        images_by_number[number] = path
+    return images_by_number
 
 
 def read_grey(path: Path, size: tuple[int, int] | None = None, shift: int = 8) -> GreyImage:
@@ -84,17 +84,17 @@ def decoded_pixels(
     path: Path, data: bytes, size: tuple[int, int] | None = None, *, colour: bool = False
 ) -> NDArray[Any]:
     """Pixels (H, W) of the content of a PNG or JPEG, as `read_grey`; with `colour`, or of 16 bits, (H, W, 3) BGR."""
-    found = _checked_size(path, data)
-    if size is not None and found != size:
+    pixels = _checked_size(path, data)
+    if size is not None and pixels != size:
         raise BrokenPair(
             "image of another size",
-            f"{path} is {found[0]}x{found[1]} where {size[0]}x{size[1]} was expected: "
+            f"{path} is {pixels[0]}x{pixels[1]} where {size[0]}x{size[1]} was expected: "
             "all images of a recording must be of the size that it was calibrated for",
         )
     deep = data[:4] == b"\x89PNG" and data[24:25] == b"\x10"
     how = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_ANYCOLOR if deep or colour else cv2.IMREAD_GRAYSCALE
     image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), how | cv2.IMREAD_IGNORE_ORIENTATION)
-    if image is None or image.shape[:2] != (found[1], found[0]) or image.dtype not in (np.uint8, np.uint16):
+    if image is None or image.shape[:2] != (pixels[1], pixels[0]) or image.dtype not in (np.uint8, np.uint16):
         raise _damaged(path, "it cannot be decoded")
     return np.asarray(image)
 

@@ -148,13 +148,15 @@ def write_kitti_sequence(
     (partial / "calib.txt").write_text(_calibration(sequence.camera))
     (partial / "times.txt").write_text("".join(f"{float(time)!r}\n" for time in times))
     (partial / "source.json").write_text(json.dumps({"name": sequence.name, **sequence.source}, indent=2) + "\n")
-    known = [pose for pose in truth if pose is not None]
-    if len(known) == len(truth):
+    known_poses = [pose for pose in truth if pose is not None]
+    if len(known_poses) == len(truth):
         poses.parent.mkdir(exist_ok=True)
-        rows = (np.column_stack([pose.R_wc, pose.position]) for pose in known)
+        rows = (np.column_stack([pose.R_wc, pose.position]) for pose in known_poses)
         poses.write_text("".join(f"{_row(row.ravel())}\n" for row in rows))
-    elif known:
-        log.warning("%s not written: %d of %d pairs have no true pose", poses, len(truth) - len(known), len(truth))
+    elif known_poses:
+        log.warning(
+            "%s not written: %d of %d pairs have no true pose", poses, len(truth) - len(known_poses), len(truth)
+        )
     if final.exists():
         final.rmdir()
     partial.rename(final)

@@ -88,7 +88,7 @@ def open_sequence(
     times, oxts = folders[0].parent / "timestamps.txt", path / "oxts" / "data"
     seconds = _read_timestamps(times)
     truth, odometry, inertial = None, [], []
-    if known := use_oxts and oxts.is_dir() and all((path.parent / name).exists() for name in EXTRINSICS):
+    if has_oxts := use_oxts and oxts.is_dir() and all((path.parent / name).exists() for name in EXTRINSICS):
         packets, T_ci = _read_packets(oxts, len(seconds)), _imu_to_reference_camera(path.parent, calibration)
         truth = of_left_camera(_reference_camera_poses(packets, T_ci), P[0])
         odometry = _odometry(packets, T_ci, camera_position(P[0]), sigma_linear, sigma_angular, odometry_seed)
@@ -99,7 +99,7 @@ def open_sequence(
         "reader": NAME,
         "path": str(path),
         "cameras": cameras,
-        "odometry": "velocities of the GPS/IMU unit with white noise added" if known else None,
+        "odometry": "velocities of the GPS/IMU unit with white noise added" if has_oxts else None,
         "sigma_linear_m_s": float(sigma_linear),
         "sigma_angular_rad_s": float(sigma_angular),
         "odometry_seed": int(odometry_seed),
@@ -135,8 +135,8 @@ _NO_TIME = np.datetime64("NaT", "ns")
 
 def _read_packets(folder: Path, count: int) -> FloatArray:
     """One row of 30 numbers a frame, up to the last of `count` that has a file; NaN where it is missing or damaged."""
-    there = {path.name for path in folder.iterdir()}
-    files = {k: folder / name for k in range(count) if (name := f"{k:010d}.txt") in there}
+    packet_names = {path.name for path in folder.iterdir()}
+    files = {k: folder / name for k in range(count) if (name := f"{k:010d}.txt") in packet_names}
     packets = np.full((max(files, default=-1) + 1, OXTS_NUMBERS), np.nan)
     for k, path in files.items():
         try:
@@ -153,9 +153,9 @@ def _imu_to_reference_camera(folder: Path, calibration: Path) -> FloatArray:
     T = np.eye(4)
     for name in EXTRINSICS:
         path = require_inside(folder / name, folder)
-        found = read_entries(path)
+        entries = read_entries(path)
         step = np.eye(4)
-        step[:3, :3], step[:3, 3] = entry(path, found, "R", (3, 3)), entry(path, found, "T", (3,))
+        step[:3, :3], step[:3, 3] = entry(path, entries, "R", (3, 3)), entry(path, entries, "T", (3,))
         T = step @ T
     rectify = np.eye(4)
     rectify[:3, :3] = entry(calibration, read_entries(calibration), "R_rect_00", (3, 3))

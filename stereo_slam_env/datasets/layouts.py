@@ -173,12 +173,12 @@ def reference_for(positions: FloatArray, stated: str, seconds: FloatArray | None
         Times of the frames, s, for a truth that is known to settle later than it begins; None: the reader leaves out
         what is before.
     """
-    known = known_by(positions)
-    if known is None:
+    stated_reference = known_by(positions)
+    if stated_reference is None:
         return Reference("unknown", stated)
-    if seconds is None or not 0 < known.first_scored < len(seconds):
-        return known.reference
-    return replace(known.reference, settled_at=float(seconds[known.first_scored]))
+    if seconds is None or not 0 < stated_reference.first_scored < len(seconds):
+        return stated_reference.reference
+    return replace(stated_reference.reference, settled_at=float(seconds[stated_reference.first_scored]))
 
 
 _KITTI = Reference(

@@ -90,8 +90,10 @@ def read(path: Path, *, use_truth: bool = True) -> Recording:
         raise ValueError(f"{path / SAMPLES} does not cover the step to the frame at {times[bare]:.9g} s: cut {TRACKS}")
     frames, origin = [], truth[begin]
     for k in range(begin, len(times)):
-        seen, pose = table[at == k], truth[k]
-        pixels = StereoObservation.of_left(seen[:, 1].astype(np.int64), seen[:, 2:], sigma**2 * np.eye(2))
+        rows_of_frame, pose = table[at == k], truth[k]
+        pixels = StereoObservation.of_left(
+            rows_of_frame[:, 1].astype(np.int64), rows_of_frame[:, 2:], sigma**2 * np.eye(2)
+        )
         relative = None if origin is None or pose is None else origin.inverse() @ pose
         frames.append(Frame(times[k] - times[begin], pixels, None, relative, inertial=steps[k] if k > begin else None))
     source = {"reader": NAME, "path": str(path), "sigma_px": sigma, "epoch_s": float(times[begin])}

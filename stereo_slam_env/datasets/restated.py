@@ -188,21 +188,21 @@ def as_they_are(calibration: Read, sample: Callable[[], Images], what: str) -> t
     if not isinstance(calibration, Rectification) or not any(calibration.changes):
         return calibration, ()
     stated = calibration.mapped
-    others = [one for one in _NAMES if one != stated]
+    other_readings = [one for one in _NAMES if one != stated]
     if stated[0] == stated[1]:
-        others = [(not stated[0], not stated[1])]
+        other_readings = [(not stated[0], not stated[1])]
     images = sample()
-    rows = {one: _rows(replace(calibration, mapped=one), images) for one in (stated, *others)}
-    best = min(others, key=lambda one: rows[one].spread)
-    said, other = rows[stated], rows[best]
-    if len(other.offset) < FEWEST and len(said.offset) < FEWEST:
+    rows = {one: _rows(replace(calibration, mapped=one), images) for one in (stated, *other_readings)}
+    best = min(other_readings, key=lambda one: rows[one].spread)
+    stated_rows, other = rows[stated], rows[best]
+    if len(other.offset) < FEWEST and len(stated_rows.offset) < FEWEST:
         note = f"too few corners of {what} are in both images to tell whether these are rectified: read as stated, "
         return calibration, (_logged(note + _NAMES[stated], logging.INFO),)
-    agree = f"rows agree to {other.spread:.2f} px {_HOW[best]}, to {said.spread:.2f} px {_HOW[stated]}"
-    if _convicts(said, other):
+    agree = f"rows agree to {other.spread:.2f} px {_HOW[best]}, to {stated_rows.spread:.2f} px {_HOW[stated]}"
+    if _convicts(stated_rows, other):
         note = f"the images of {what} are {_NAMES[best]}, although their calibration or name says {_NAMES[stated]}: "
         return replace(calibration, mapped=best), (_logged(note + agree, logging.WARNING),)
-    if min(said.spread, other.spread) > (1.0 - _SHARE) * max(said.spread, other.spread):
+    if min(stated_rows.spread, other.spread) > (1.0 - _SHARE) * max(stated_rows.spread, other.spread):
         note = f"the images of {what} are read as stated, {_NAMES[stated]}, which their rows do not decide: {agree}"
         return calibration, (_logged(note, logging.INFO),)
     return calibration, ()

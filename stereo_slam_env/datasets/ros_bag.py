@@ -102,15 +102,15 @@ def open_sequence(
         else:
             calibration, more = calibration_of_topics(reader, path, eyes, infos, (sizes[0], sizes[1]))
         shift = shift_of_messages((one for stream in streams for one in stream.sample), f"{path}: an image")
-        chosen = _chosen(len(pairs), path, choice)
-        sequence = BagSequence(path, eyes, calibration, times[chosen], pairs[chosen], choice, shift)
+        selected = _chosen(len(pairs), path, choice)
+        sequence = BagSequence(path, eyes, calibration, times[selected], pairs[selected], choice, shift)
         calibration, rows = as_they_are(
             calibration, lambda: sample_of_pairs(sequence.raw_pairs(), len(sequence)), " and ".join(map(plain, eyes))
         )
         for note in (*notes, *more):
             log.warning("%s", note)
         sequence.take(calibration, [*notes, *more, *rows])
-        seconds = 1e-9 * times[chosen].astype(np.float64) + (0.0 if rig is None else imu_shift_of(rig))
+        seconds = 1e-9 * times[selected].astype(np.float64) + (0.0 if rig is None else imu_shift_of(rig))
         sequence.motion = motion_of_bag(reader, path, eyes[0], seconds, sequence.R_left, imu, odometry)
         sequence.source = {**sequence.source, **sequence.motion.source}
     return sequence
@@ -232,8 +232,8 @@ class BagSequence:
 
 def _due(reader: Any, path: Path, topic: str, wanted: IntArray) -> Iterator[tuple[str, bytes]]:
     """Types and contents of the messages `wanted` (K,) of a topic, by their place in it, in this order."""
-    chosen, needed, waiting = [c for c in reader.connections if c.topic == topic], set(wanted.tolist()), {}
-    messages = enumerate(reader.messages(chosen))
+    connections, needed, waiting = [c for c in reader.connections if c.topic == topic], set(wanted.tolist()), {}
+    messages = enumerate(reader.messages(connections))
     for place in wanted.tolist():
         while place not in waiting:
             at, (connection, _, raw) = next(messages)
@@ -271,10 +271,10 @@ class _Stream:
 
 
 def _stream(reader: Any, topic: str) -> _Stream:
-    chosen = [c for c in reader.connections if c.topic == topic]
-    every = max(1, sum(c.msgcount for c in chosen) // _SAMPLE)
+    connections = [c for c in reader.connections if c.topic == topic]
+    every = max(1, sum(c.msgcount for c in connections) // _SAMPLE)
     stamps, logged, repeats, sample, before = [], [], [], list[Any](), b""
-    for at, (connection, time, raw) in enumerate(reader.messages(chosen)):
+    for at, (connection, time, raw) in enumerate(reader.messages(connections)):
         stamps.append(_stamp(raw) if len(raw) >= 12 else 0)
         logged.append(time)
         if raw == before:
@@ -304,13 +304,17 @@ def _chosen(count: int, path: Path, choice: Choice) -> slice:
 
 def _pairs(path: Path, eyes: tuple[str, str], streams: tuple[_Stream, _Stream]) -> tuple[IntArray, IntArray, list[str]]:
     """Times of the pairs (K,), ns, the places of their messages (K, 2), and notes."""
-    found = [message_times(stream.stamps, stream.logged) for stream in streams]
-    by_log = any(times is stream.logged for (times, _, _), stream in zip(found, streams, strict=True))
-    notes = [f"{path}, {plain(eye)}: {note}" for eye, (_, _, more) in zip(eyes, found, strict=True) for note in more]
+    times_by_stream = [message_times(stream.stamps, stream.logged) for stream in streams]
+    by_log = any(times is stream.logged for (times, _, _), stream in zip(times_by_stream, streams, strict=True))
+    notes = [
+        f"{path}, {plain(eye)}: {note}"
+        for eye, (_, _, more) in zip(eyes, times_by_stream, strict=True)
+        for note in more
+    ]
     of_eye, shift = [], LARGEST_SHIFT_NS
-    for eye, stream, (times, kept, _) in zip(eyes, streams, found, strict=True):
+    for eye, stream, (times, kept_places, _) in zip(eyes, streams, times_by_stream, strict=True):
         times = stream.logged if by_log else times
-        places = np.flatnonzero(kept & ~np.isin(np.arange(len(times)), stream.repeats))
+        places = np.flatnonzero(kept_places & ~np.isin(np.arange(len(times)), stream.repeats))
         _, once = np.unique(times[places], return_index=True)
         if odd := len(places) - len(once):
             notes.append(f"{path}, {plain(eye)}: {odd} of {len(times)} images repeat a stamp: the first of each counts")

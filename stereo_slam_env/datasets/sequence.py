@@ -114,8 +114,8 @@ class ImageFiles:
                 f"images (frame {number} has none): complete it, or skip broken pairs",
             )
         if not np.isfinite(self.seconds[number]):
-            said = f"{self.times_file} has NaN or infinity as the time of frame {number}: correct the row"
-            raise BrokenPair("no time stamp", said)
+            message = f"{self.times_file} has NaN or infinity as the time of frame {number}: correct the row"
+            raise BrokenPair("no time stamp", message)
         pose, row = None, f"{self.truth_file} has NaN, infinity or no rotation in row {number}: correct the row"
         if self.truth is not None:
             if number >= len(self.truth):
@@ -149,19 +149,19 @@ def usable_pairs(files: ImageFiles, choice: Choice, faults: Faults) -> list[Fram
     if not numbers:
         raise ValueError(f"{folder} has no images: check that the recording was unpacked there")
     low, high = first or 0, max(numbers) if last is None else last
-    chosen = sorted(number for number in numbers if low <= number <= high)
-    if not chosen:
-        there = f"its frames are {min(numbers)} to {max(numbers)}"
-        raise ValueError(f"first={first}, last={last} select no frame of {folder}: {there}")
+    numbers_chosen = sorted(number for number in numbers if low <= number <= high)
+    if not numbers_chosen:
+        frames_words = f"its frames are {min(numbers)} to {max(numbers)}"
+        raise ValueError(f"first={first}, last={last} select no frame of {folder}: {frames_words}")
     pairs = []
-    for number in chosen:
+    for number in numbers_chosen:
         try:
             pairs.append(files.frame(number))
         except BrokenPair as fault:
             faults.meet(fault)
-    kept = _longest_increase([pair.timestamp for pair in pairs])
+    increasing = _longest_increase([pair.timestamp for pair in pairs])
     for at, pair in enumerate(pairs):
-        if at not in kept:
+        if at not in increasing:
             disagree = [k for k, p in enumerate(pairs) if k != at and (p.timestamp - pair.timestamp) * (k - at) <= 0.0]
             other = pairs[min(disagree, key=lambda k: abs(k - at))]
             message = (
@@ -169,9 +169,9 @@ def usable_pairs(files: ImageFiles, choice: Choice, faults: Faults) -> list[Fram
                 f"{other.timestamp:.9g} s of frame {other.number}: correct it, or skip broken pairs"
             )
             faults.meet(BrokenPair("time stamp does not increase", message))
-    if not kept:
-        raise ValueError(f"{folder} has no usable pair among its {len(chosen)} frames: check the files in it")
-    return [pair for at, pair in enumerate(pairs) if at in kept]
+    if not increasing:
+        raise ValueError(f"{folder} has no usable pair among its {len(numbers_chosen)} frames: check the files in it")
+    return [pair for at, pair in enumerate(pairs) if at in increasing]
 
 
 def _longest_increase(values: list[float]) -> set[int]:
@@ -184,11 +184,11 @@ def _longest_increase(values: list[float]) -> set[int]:
         tails[at : at + 1] = [value]
         ends[at : at + 1] = [i]
         previous.append(ends[at - 1] if at else -1)
-    chosen, i = set(), ends[-1] if ends else -1
+    longest, i = set(), ends[-1] if ends else -1
     while i >= 0:
-        chosen.add(i)
+        longest.add(i)
         i = previous[i]
-    return chosen
+    return longest
 
 
 def poses_of_rows(rows: FloatArray) -> list[Pose | None]:

@@ -70,10 +70,10 @@ def open_sequence(path: Path, choice: Choice, *, rig: Rig | None = None, use_tru
         return sequence
     truth = str(require_inside(path / str(about["truth"]), path))
     body = read_body(require_inside(path / str(about["body"]), path)) if "body" in about else None
-    known = WithTruth(sequence, truth, body)
+    with_truth = WithTruth(sequence, truth, body)
     if "reference" in about:
-        known.truth_from = replace(known.truth_from, kind=about["reference"])
-    return known
+        with_truth.truth_from = replace(with_truth.truth_from, kind=about["reference"])
+    return with_truth
 
 
 def _about(path: Path) -> Mapping[str, Any]:

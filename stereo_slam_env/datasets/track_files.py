@@ -84,8 +84,8 @@ class PointTracks:
         joined = np.full(len(values), never, dtype=np.int64)
         for frame in np.unique(self.frame):
             places = max_per_frame - np.count_nonzero((joined < frame) & (last >= frame))
-            seen = landmark[self.frame == frame]
-            waiting = seen[joined[seen] == never]
+            sighted = landmark[self.frame == frame]
+            waiting = sighted[joined[sighted] == never]
             best = waiting[np.lexsort((waiting, -last[waiting]))]
             joined[best[: max(places, 0)]] = frame
         return self.select(self.frame >= joined[landmark])
@@ -196,10 +196,12 @@ def stated_or_assumed(
         rows = tracks.uvd[:, 1] if tracks.v_right is None else np.maximum(tracks.uvd[:, 1], tracks.v_right)
         smallest = [int(np.ceil(x.max(initial=0.0))) + 1 for x in (tracks.uvd[:, 0], rows)]
         facts = {**ASSUMED, "image_size": tuple(smallest)}
-        told = ", ".join(f"{name}={facts[name]}" for name in unknown)
-        _log.warning("%s does not hold all that a filter must know: assumed %s; give what you know of it", path, told)
-    chosen = {**given, **{name: facts[name] for name in unknown}} if facts is not None else given
-    return chosen, chosen.pop("image_size")
+        assumed_words = ", ".join(f"{name}={facts[name]}" for name in unknown)
+        _log.warning(
+            "%s does not hold all that a filter must know: assumed %s; give what you know of it", path, assumed_words
+        )
+    facts_used = {**given, **{name: facts[name] for name in unknown}} if facts is not None else given
+    return facts_used, facts_used.pop("image_size")
 
 
 def tracks_of_pixels(pixels: FloatArray) -> PointTracks:
@@ -216,8 +218,8 @@ def without_repeats(pixels: FloatArray) -> tuple[PointTracks, int]:
     another point of the scene from there on: it gets an id of its own, that of the column plus a multiple of N. A frame
     repeats the one before to the last bit, or by its motion: its points move much less than in the frames around it.
     """
-    seen = (pixels != -1.0).all(axis=0)
-    both = seen[1:] & seen[:-1]
+    measured = (pixels != -1.0).all(axis=0)
+    both = measured[1:] & measured[:-1]
     same = both & (pixels[:, 1:] == pixels[:, :-1]).all(axis=0)
     moved, some = np.where(both, np.linalg.norm(np.diff(pixels[:2], axis=1), axis=0), np.nan), both.any(axis=1)
     steps = np.zeros(len(both))
@@ -225,11 +227,11 @@ def without_repeats(pixels: FloatArray) -> tuple[PointTracks, int]:
     around = np.minimum(steps[:-2], steps[2:])
     stopped = (same == both).all(axis=1)
     stopped[1:-1] |= (steps[1:-1] < _STOPPED * around) & (around > _MOVING)
-    repeated = np.zeros(seen.shape, dtype=bool)
+    repeated = np.zeros(measured.shape, dtype=bool)
     repeated[1:] = both & stopped[:, None]
     tracks = tracks_of_pixels(np.where(repeated, -1.0, pixels))
     points_before = np.cumsum(repeated, axis=0)[tracks.frame, tracks.ids]
-    return replace(tracks, ids=tracks.ids + seen.shape[1] * points_before), int(repeated.sum())
+    return replace(tracks, ids=tracks.ids + measured.shape[1] * points_before), int(repeated.sum())
 
 
 def frames_of(

@@ -73,11 +73,11 @@ def open_sequence(
         if rectify is not None:
             T_bc = T_bc @ Pose(np.zeros(3), rotations.from_matrix(rectify.R_left.T))
         truth = [pose_at(trajectory, time, T_bc) for time in seconds]
-        known = [k for k, pose in enumerate(truth) if pose is not None]
-        if not known:
+        known_frames = [k for k, pose in enumerate(truth) if pose is not None]
+        if not known_frames:
             raise ValueError(f"{table} covers none of the images: it is of another recording, or use_truth=False")
-        last = known[-1] if choice.last is None else min(choice.last, known[-1])
-        choice = Choice(max(choice.first or 0, known[0]), last, choice.on_broken)
+        last = known_frames[-1] if choice.last is None else min(choice.last, known_frames[-1])
+        choice = Choice(max(choice.first or 0, known_frames[0]), last, choice.on_broken)
         truth_from = reference_for(rows[:, 1:4], STATED)
     files = ImageFiles((path, path), images, seconds, listing, truth, table)
     source: dict[str, Any] = {"reader": NAME, "path": str(path), "epoch_s": 1e-9 * int(stamps[0])}
@@ -114,10 +114,10 @@ def _read_listing(path: Path, root: Path) -> tuple[FloatArray, tuple[dict[int, P
 
 
 def _image(root: Path, name: str) -> Path:
-    given = Path(name.strip())
-    if not name.strip() or given.is_absolute() or ".." in given.parts:
+    image_path = Path(name.strip())
+    if not name.strip() or image_path.is_absolute() or ".." in image_path.parts:
         raise ValueError(f"{name!r} is no image inside the recording")
-    return require_inside(root / given, root)
+    return require_inside(root / image_path, root)
 
 
 def _rows(path: Path) -> FloatArray:

@@ -98,13 +98,13 @@ class GazeTask:
 
     def make_rows(self, num_envs: int, scenes: int | None = None, threads: int = 1) -> Rows:
         """So many times `make_for_learning` as rows; see `envs.make_vec.stereo_vector`."""
-        given = dict(self.arguments)
-        limit = given.pop("max_episode_steps", gym.spec(self.environment).max_episode_steps)
-        given.pop("disable_env_checker", None)
-        rows = rows_of(self.environment, num_envs, given, scenes=scenes, threads=threads)
+        arguments = dict(self.arguments)
+        limit = arguments.pop("max_episode_steps", gym.spec(self.environment).max_episode_steps)
+        arguments.pop("disable_env_checker", None)
+        rows = rows_of(self.environment, num_envs, arguments, scenes=scenes, threads=threads)
         held = self._held(limited(rows, limit))
-        made: Rows = held if self.pans is None else DirectionOfGaze.around(held, pans=self.pans)
-        return made
+        gaze_rows: Rows = held if self.pans is None else DirectionOfGaze.around(held, pans=self.pans)
+        return gaze_rows
 
     def make_vector(
         self,
@@ -191,8 +191,8 @@ def active_gaze(
 
 def gaze_task(level: str = "normal", arguments: Mapping[str, Any] | None = None, **task: Any) -> GazeTask:
     """The task of `active_gaze`, with its arguments."""
-    own = {name: task.pop(name) for name in [field.name for field in fields(GazeTask)] if name in task}
-    return GazeTask(arguments={**of_level(level, scripted=True), **of_world(arguments, task)}, **own)
+    task_arguments = {name: task.pop(name) for name in [field.name for field in fields(GazeTask)] if name in task}
+    return GazeTask(arguments={**of_level(level, scripted=True), **of_world(arguments, task)}, **task_arguments)
 
 
 active_gaze_vector = vector_of(active_gaze)

@@ -104,11 +104,11 @@ class StereoOptions:
     @classmethod
     def checked(cls, given: Mapping[str, Any]) -> Self:
         """Read keyword arguments; an unknown name is refused with the nearest known one."""
-        known = [field.name for field in fields(cls)]
+        field_names = [field.name for field in fields(cls)]
         for name in given:
-            if name not in known:
-                near = did_you_mean(name, known) or "."
-                raise UnknownArgument(f"unexpected keyword argument {name!r}{near} Known: {', '.join(known)}")
+            if name not in field_names:
+                near = did_you_mean(name, field_names) or "."
+                raise UnknownArgument(f"unexpected keyword argument {name!r}{near} Known: {', '.join(field_names)}")
         return cls(**given)
 
     @property

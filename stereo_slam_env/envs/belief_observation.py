@@ -45,9 +45,9 @@ class BeliefObservationRows(RowsWrapper):
         super().__init__(rows)
         self._hold, self._most = whole_number("hold", hold, 1), whole_number("max_landmarks", max_landmarks, 1)
         camera, assumed = self.needed("camera"), assumed_noise(noise, self.needed("noise"))
-        given = dict(options or {})
+        filter_options = dict(options or {})
         self.beliefs = filter_rows(
-            lambda: make_filter(filter, camera=camera, noise=assumed, **given),
+            lambda: make_filter(filter, camera=camera, noise=assumed, **filter_options),
             filter,
             rows.count,
             int(getattr(rows.world, "threads", 1)),
@@ -211,17 +211,17 @@ def _nearest(maps: RelativeLandmarks, count: int, rows: int) -> Arrays:
     squares = np.einsum("ni,ni->n", maps.points_c[index], maps.points_c[index])
     order = index[np.lexsort((squares, owner[index]))]
     rank = np.arange(len(order)) - np.searchsorted(owner[order], np.arange(count))[owner[order]]
-    shown = np.sort(order[rank < rows])
-    b = owner[shown]
-    column = np.arange(len(shown)) - np.searchsorted(b, np.arange(count))[b]
-    found: Arrays = {
+    row_order = np.sort(order[rank < rows])
+    b = owner[row_order]
+    column = np.arange(len(row_order)) - np.searchsorted(b, np.arange(count))[b]
+    arrays: Arrays = {
         "belief_landmarks": np.zeros((count, rows, 3)),
         "belief_landmark_covariances": np.zeros((count, rows, 3, 3)),
         "belief_landmark_ids": np.full((count, rows), NO_LANDMARK),
         "belief_mask": np.zeros((count, rows), dtype=np.int8),
     }
-    found["belief_landmark_ids"][b, column] = maps.ids[shown]
-    found["belief_landmarks"][b, column] = maps.points_c[shown]
-    found["belief_landmark_covariances"][b, column] = maps.covariances[shown]
-    found["belief_mask"][b, column] = 1
-    return found
+    arrays["belief_landmark_ids"][b, column] = maps.ids[row_order]
+    arrays["belief_landmarks"][b, column] = maps.points_c[row_order]
+    arrays["belief_landmark_covariances"][b, column] = maps.covariances[row_order]
+    arrays["belief_mask"][b, column] = 1
+    return arrays

@@ -81,12 +81,12 @@ class BeliefPanoramaRows(RowsWrapper):
         return {**observation, **added}, info
 
     def _panorama(self) -> NDArray[np.float32]:
-        seen = np.empty((self.count, self._sectors, len(FEATURES)))
+        features = np.empty((self.count, self._sectors, len(FEATURES)))
         maps, angles = self._beliefs.maps, self.world.angles()
-        seen[..., :4] = panoramas(maps, angles, self._camera, self._noise, self._sectors, self._most, self._reach)
-        seen[..., 4] = self._in_view
-        seen[..., 5] = 1.0 - np.exp((self._last_seen - self._times[:, None]) / _FORGOTTEN)
-        return seen.clip(_LOW, _HIGH).astype(np.float32)
+        features[..., :4] = panoramas(maps, angles, self._camera, self._noise, self._sectors, self._most, self._reach)
+        features[..., 4] = self._in_view
+        features[..., 5] = 1.0 - np.exp((self._last_seen - self._times[:, None]) / _FORGOTTEN)
+        return features.clip(_LOW, _HIGH).astype(np.float32)
 
     def _look_around(self, which: BoolArray) -> None:
         """Remember what is in view of some rows."""
@@ -169,10 +169,12 @@ def panoramas(
     `camera` and `noise` are of the measurements that a look would bring, `angles` (B, 2) of the heads, rad; the share
     of `most` landmarks is 1; landmarks farther away than `reach`, m, do not count.
     """
-    seen = np.zeros((len(angles), sectors, 4))
+    sector_sums = np.zeros((len(angles), sectors, 4))
     along, across = noise.R[2, 2] / camera.disparity_constant**2, noise.R[0, 0] / camera.fx**2
-    _panoramas(maps.offsets, maps.points_c, maps.covariances, maps.located, angles, along, across, most, reach, seen)
-    return seen
+    _panoramas(
+        maps.offsets, maps.points_c, maps.covariances, maps.located, angles, along, across, most, reach, sector_sums
+    )
+    return sector_sums
 
 
 @entry

@@ -103,9 +103,9 @@ class BranchChoiceRows(RowsWrapper):
         added = {"branches": np.stack([self._ahead(b) for b in range(self.count)])}
         shown = {"roads_left": self._left, "mapped": self._claimed}
         added |= {key: values[:, None].astype(np.float32) for key, values in shown.items()}
-        said = {"mapped": credit, "roads": roads, "reward_map": self._gained.copy()}
+        extras = {"mapped": credit, "roads": roads, "reward_map": self._gained.copy()}
         success = (credit >= self._goal) & ~np.asarray(info["failed"])
-        return {**observation, **added}, {**info, **said, "is_success": success}
+        return {**observation, **added}, {**info, **extras, "is_success": success}
 
     @property
     def _steps(self) -> Any:
@@ -137,16 +137,16 @@ class BranchChoiceRows(RowsWrapper):
         """Knowledge of the roads to the left, straight on and to the right, (3, 5)."""
         place, streets, driven = self._places[b], self._streets(b), self._driven[b]
         assert place is not None
-        known, start = np.zeros((3, len(_MOST)), dtype=np.float32), np.zeros(streets.count, dtype=np.bool_)
+        branch_features, start = np.zeros((3, len(_MOST)), dtype=np.float32), np.zeros(streets.count, dtype=np.bool_)
         start[streets.road(streets.start)] = True
         for choice in (LEFT, STRAIGHT, RIGHT):
-            there = streets.beyond(place, choice)
-            if there is not None:
-                road = streets.road(there)
+            place_beyond = streets.beyond(place, choice)
+            if place_beyond is not None:
+                road = streets.road(place_beyond)
                 sigma = self._sigmas[b][road] if driven[road] else self._sigma(b)
-                ways = streets.roads_to(there, ~driven), streets.roads_to(there, start)
-                known[choice] = 1.0, driven[road], *ways, sigma
-        clipped: FloatArray = np.minimum(known, _MOST)
+                ways = streets.roads_to(place_beyond, ~driven), streets.roads_to(place_beyond, start)
+                branch_features[choice] = 1.0, driven[road], *ways, sigma
+        clipped: FloatArray = np.minimum(branch_features, _MOST)
         return clipped
 
     def _map(self, which: BoolArray) -> None:
@@ -260,8 +260,8 @@ def branches(
     **world
         Arguments of `StereoSlam/Drive-v0`, as in `arguments`.
     """
-    own = {"render_mode": render_mode, **_WORLD, **_UNPAID}
-    inside = inner_environment("StereoSlam/Drive-v0", level, of_world(arguments, world), many, **own)
+    defaults = {"render_mode": render_mode, **_WORLD, **_UNPAID}
+    inside = inner_environment("StereoSlam/Drive-v0", level, of_world(arguments, world), many, **defaults)
     inside = BeliefPanorama.around(BeliefObservation.around(inside, filter=filter, options=filter_options))
     paid = {"roads": roads, "accuracy": accuracy, "weight": weight, "goal": goal}
     return SelectedKeys.around(BranchChoice.around(inside, **paid), keys=KEYS)
@@ -285,6 +285,6 @@ def to_new_roads(observation: Mapping[str, Any]) -> int:
 
 def _nearest(observation: Mapping[str, Any], by: list[int]) -> int:
     """The road that is the nearest by columns of `branches`; of equal ones straight on, then right."""
-    known = np.asarray(observation["branches"])
-    there = [choice for choice in (STRAIGHT, RIGHT, LEFT) if known[choice, EXISTS]]
-    return min(there, key=lambda choice: tuple(known[choice, by]))
+    branch_rows = np.asarray(observation["branches"])
+    existing = [choice for choice in (STRAIGHT, RIGHT, LEFT) if branch_rows[choice, EXISTS]]
+    return min(existing, key=lambda choice: tuple(branch_rows[choice, by]))

@@ -63,9 +63,9 @@ def follow_route(
     right, forward = right + beside, forward + car.camera_forward
     curvatures = 2.0 * right / np.maximum(right**2 + forward**2, 1.0)
     bend = np.abs(curvatures[..., _STEER_BY : _BRAKE_BY + 1]).max(axis=-1)
-    wanted = np.minimum(speed, np.sqrt(lateral / np.maximum(bend, 1e-6)))
+    speed_wanted = np.minimum(speed, np.sqrt(lateral / np.maximum(bend, 1e-6)))
     action = np.zeros((*now.shape, actions), dtype=np.float32)
-    action[..., 0] = np.clip((wanted - now) / (car.max_acceleration * FRAME_PERIOD), -1.0, 1.0)
+    action[..., 0] = np.clip((speed_wanted - now) / (car.max_acceleration * FRAME_PERIOD), -1.0, 1.0)
     action[..., 1] = np.clip(np.arctan(car.wheelbase * curvatures[..., _STEER_BY]) / car.max_steering, -1.0, 1.0)
     return action
 
@@ -89,12 +89,12 @@ class DriveChoicesRows(RowsWrapper):
 
     def advance(self, actions: Any, going: BoolArray) -> Step:
         """Drive as was chosen until the choice ends, or the episode."""
-        chosen = np.asarray(actions)
+        decisions = np.asarray(actions)
         total, over, late, still = np.zeros(self.count), ~going, np.zeros_like(going), going
         for _ in range(self._hold):
-            seen = {"car": self.world.shown("car"), "route": self._route()}
-            driven = follow_route(seen, self._entries, speed=self._speeds[chosen])
-            rewards, ended, cut = self.rows.advance(driven + self._pans[chosen], still)
+            info = {"car": self.world.shown("car"), "route": self._route()}
+            driven = follow_route(info, self._entries, speed=self._speeds[decisions])
+            rewards, ended, cut = self.rows.advance(driven + self._pans[decisions], still)
             total, over, late = total + rewards, over | ended | cut, late | cut
             still = going & ~over
             if not still.any():
@@ -262,8 +262,8 @@ def closed_loop(
         Arguments of `StereoSlam/Drive-v0`, as in `arguments`.
     """
     odometry = {"odometry_sigma_linear": 0.2, "odometry_sigma_angular": 0.02}
-    own = {"render_mode": render_mode, "max_landmarks": 40, "tracking_weight": 0.0, **odometry}
-    inside = inner_environment("StereoSlam/Drive-v0", level, of_world(arguments, world), many, **own)
+    defaults = {"render_mode": render_mode, "max_landmarks": 40, "tracking_weight": 0.0, **odometry}
+    inside = inner_environment("StereoSlam/Drive-v0", level, of_world(arguments, world), many, **defaults)
     inside = BeliefPanorama.around(BeliefObservation.around(inside, filter=filter, options=filter_options))
     latency = LATENCIES[level] if latency is None else latency
     return SelectedKeys.around(RouteByEstimate.around(inside, latency=latency), keys=KEYS)

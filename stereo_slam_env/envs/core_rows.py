@@ -195,8 +195,8 @@ class CoreRows(Rows):
             self._pictures[b].set_frame(int(self.simulator.fleet.step[b]))
             sensor = self._image_sensors[b]
             if sensor is not None:
-                seen = self._seen[b] = sensor.observe(self.simulator.pose(b))
-                self.simulator.sense(b, seen.ids, seen.uvd)
+                observed = self._seen[b] = sensor.observe(self.simulator.pose(b))
+                self.simulator.sense(b, observed.ids, observed.uvd)
 
     # --- what is said of them ---------------------------------------------------------------------------------------
 
@@ -235,7 +235,7 @@ class CoreRows(Rows):
         """Measurements that not every sensor has, see `padded_extras`."""
         rows = int(self.options.max_landmarks)
         if self._sees_images:
-            each = [padded_extras(seen, rows) for seen in self._seen if seen is not None]
+            each = [padded_extras(images, rows) for images in self._seen if images is not None]
             return {key: np.stack([extras[key] for extras in each]) for key in each[0]}
         measured = self.simulator.measures_right
         return {
@@ -295,12 +295,12 @@ class CoreRows(Rows):
 
     def measured(self, which: BoolArray) -> Measured:
         sensed = self.simulator.sensed
-        there = (np.arange(sensed.ids.shape[1]) < sensed.number[:, None]) & which[:, None]
+        is_measured = (np.arange(sensed.ids.shape[1]) < sensed.number[:, None]) & which[:, None]
         return Measured(
-            np.concatenate([[0], np.cumsum(there.sum(axis=1))]),
-            sensed.ids[there],
-            sensed.uvd[there],
-            sensed.v_right[there],
+            np.concatenate([[0], np.cumsum(is_measured.sum(axis=1))]),
+            sensed.ids[is_measured],
+            sensed.uvd[is_measured],
+            sensed.v_right[is_measured],
             np.full(self.count, self.simulator.measures_right),
             None,
             self.times(),

@@ -102,10 +102,10 @@ class CoverageRows(RowsWrapper):
         now = self._now.copy()
         now[:, 1] = self.world.told("distance")
         maps = self._beliefs.world_maps()
-        known = np.sqrt(np.einsum("nii->n", maps.covariances)) < self._accuracy
+        accurate = np.sqrt(np.einsum("nii->n", maps.covariances)) < self._accuracy
         for b in np.flatnonzero(which).tolist():
             mine, truth = slice(*maps.offsets[b : b + 2]), self.world.landmark_truth(b).positions
-            ids, positions = maps.ids[mine][known[mine]], maps.positions[mine][known[mine]]
+            ids, positions = maps.ids[mine][accurate[mine]], maps.positions[mine][accurate[mine]]
             errors = np.linalg.norm(positions - truth[ids], axis=1)
             mapped, in_reach = self._mapped[b], self._in_reach[b]
             mapped[ids[errors < _SINCERE * self._accuracy]] = True
@@ -208,8 +208,8 @@ def explore(
         Arguments of `StereoSlam/DriveGaze-v0`, as in `arguments`.
     """
     unpaid = dict.fromkeys(("progress_weight", "tracking_weight", "goal_weight", "effort_weight"), 0.0)
-    own = {"render_mode": render_mode, "route": "random-loop", "time_weight": 0.05, **unpaid}
-    inside = inner_environment("StereoSlam/DriveGaze-v0", level, of_world(arguments, world), many, **own)
+    defaults = {"render_mode": render_mode, "route": "random-loop", "time_weight": 0.05, **unpaid}
+    inside = inner_environment("StereoSlam/DriveGaze-v0", level, of_world(arguments, world), many, **defaults)
     inside = BeliefPanorama.around(BeliefObservation.around(inside, filter=filter, options=filter_options))
     inside = RouteByEstimate.around(inside)
     weights = {"coverage_weight": coverage_weight, "path_weight": path_weight}

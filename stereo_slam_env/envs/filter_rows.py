@@ -263,21 +263,21 @@ class _Lockstep(FilterRows):
         self._batch[b].reset(start)
 
     def _use(self, world: World, which: BoolArray) -> None:
-        seen = world.measured(which)
+        measured = world.measured(which)
         moved = which & (self.frames > 0)
-        values, covariances, there = seen.odometry
-        fused = moved & there & self._use_odometry
+        values, covariances, has_odometry = measured.odometry
+        fused = moved & has_odometry & self._use_odometry
         if moved.any() and not fused.any():
             self._batch[0].options.motion.check_odometry(None)
-        dt = np.where(moved, seen.times - self._times, 0.0)
+        dt = np.where(moved, measured.times - self._times, 0.0)
         # Of its noise `coloured-noise` takes the white part.
-        R = np.repeat(self._batch.R, np.diff(seen.offsets), axis=0) if seen.R is None else seen.R
-        right = which & seen.with_right
-        observations = Observations(which, seen.offsets, seen.ids, seen.uvd, R, right, seen.v_right)
+        R = np.repeat(self._batch.R, np.diff(measured.offsets), axis=0) if measured.R is None else measured.R
+        right = which & measured.with_right
+        observations = Observations(which, measured.offsets, measured.ids, measured.uvd, R, right, measured.v_right)
         outcome = self._batch.engine.step(dt, observations, Odometry.of_velocities(fused, values, covariances))
-        self._times[which] = seen.times[which]
+        self._times[which] = measured.times[which]
         self.nis[which], self.nis_dof[which] = outcome.nis[which], outcome.dof[which]
-        reports = Reports(seen.offsets, seen.ids, outcome)
+        reports = Reports(measured.offsets, measured.ids, outcome)
         for b in np.flatnonzero(which).tolist():
             self._reports[b] = reports
 

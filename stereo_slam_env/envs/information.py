@@ -101,10 +101,10 @@ class InformationCriterion:
             P_mm = P[POSE_SIZE:, POSE_SIZE:].copy()
             P_mm.flat[:: len(P_mm) + 1] += unknown
             return (0.5 if self.name == "entropy" else 1.0) * (log_det(P) - log_det(P_mm))
-        own = _eigenvalues(np.stack([P[POSITION, POSITION], unknown * P[ROTATION, ROTATION]]))
+        reduction = _eigenvalues(np.stack([P[POSITION, POSITION], unknown * P[ROTATION, ROTATION]]))
         each = _eigenvalues(_landmark_blocks(P))
         fused = each * unknown / (each + unknown)
-        return float(self._variances(own).sum() + (self._variances(fused) - unknown).sum())
+        return float(self._variances(reduction).sum() + (self._variances(fused) - unknown).sum())
 
     def pose_potentials(self, covariances: FloatArray) -> FloatArray:
         """The potentials of many poses at once, `of` "pose": from their covariances (B, 6, 6); (B,)."""
@@ -122,11 +122,11 @@ class InformationCriterion:
         """The joint covariance without the landmarks that stand at the prior: not finite, or `FARTHEST` uncertain."""
         blocks = _landmark_blocks(joint)
         with np.errstate(invalid="ignore"):
-            known = np.einsum("nii->n", blocks) <= (FARTHEST * self.prior_sigma) ** 2
-        known &= np.isfinite(blocks).all(axis=(1, 2))
-        if known.all():
+            is_known = np.einsum("nii->n", blocks) <= (FARTHEST * self.prior_sigma) ** 2
+        is_known &= np.isfinite(blocks).all(axis=(1, 2))
+        if is_known.all():
             return joint
-        rows = np.concatenate([np.ones(POSE_SIZE, dtype=bool), known.repeat(3)])
+        rows = np.concatenate([np.ones(POSE_SIZE, dtype=bool), is_known.repeat(3)])
         rest: FloatArray = joint[np.ix_(rows, rows)]
         return rest
 

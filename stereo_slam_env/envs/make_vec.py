@@ -103,9 +103,13 @@ def stereo_vector(
 
 def drive_vector(**arguments: Any) -> RowsVectorEnv:
     """Many `StereoSlam/Drive-v0`, see `stereo_vector`."""
-    made = stereo_vector("StereoSlam/Drive-v0", **arguments)
-    made.metadata["training"] = {**STEERING, "decisions": 262_144, "arguments": {"keys": ["car", "progress", "route"]}}
-    return made
+    environments = stereo_vector("StereoSlam/Drive-v0", **arguments)
+    environments.metadata["training"] = {
+        **STEERING,
+        "decisions": 262_144,
+        "arguments": {"keys": ["car", "progress", "route"]},
+    }
+    return environments
 
 
 def gaze_vector(**arguments: Any) -> RowsVectorEnv:
@@ -195,9 +199,9 @@ def _named(env: Any) -> str:
     """Wrappers and environment with their arguments."""
     names = []
     while True:
-        told = getattr(env, "arguments", None) or getattr(env, "options", "")
+        description = getattr(env, "arguments", None) or getattr(env, "options", "")
         rows = getattr(env, "rows", None)
-        names.append(f"{type(env).__name__}({told}{_rows_named(rows) if hasattr(env, 'num_envs') else ''})")
+        names.append(f"{type(env).__name__}({description}{_rows_named(rows) if hasattr(env, 'num_envs') else ''})")
         if not hasattr(env, "env"):
             return " of ".join(names)
         env = env.env
@@ -252,12 +256,12 @@ def of_level(level: str, *, scripted: bool) -> Mapping[str, Any]:
 
 def of_world(arguments: Mapping[str, Any] | None, others: Mapping[str, Any]) -> dict[str, Any]:
     """Arguments of the environment inside a task, from the mapping of that name and those given beside it."""
-    given = {} if arguments is None else arguments
-    if not isinstance(given, Mapping):
-        raise ValueError(f"arguments must be a mapping of arguments of the environment, got {given!r}")
-    if twice := sorted(given.keys() & others.keys()):
+    world_arguments = {} if arguments is None else arguments
+    if not isinstance(world_arguments, Mapping):
+        raise ValueError(f"arguments must be a mapping of arguments of the environment, got {world_arguments!r}")
+    if twice := sorted(world_arguments.keys() & others.keys()):
         raise ValueError(f"{twice[0]} is given twice, in arguments and beside it: leave one of them out")
-    return {**given, **others}
+    return {**world_arguments, **others}
 
 
 def inner_environment(

@@ -58,12 +58,12 @@ def records(
         if frames is not None and shortest < frames:
             most = shortest or rows.route.frames
             raise ValueError(f"frames must be at most {most} on route {options.route!r}, got {frames}")
-        made = []
+        recordings = []
         for b, (taken, seed) in enumerate(zip(collected, seeds, strict=True)):
             about = {**described(options, seed), "frames": len(taken)}
             ends = rows.camera, rows.noise, rows.start(b), rows.landmark_truth(b)
-            made.append(_recording(options, seed, taken, *ends, about))
-        return made
+            recordings.append(_recording(options, seed, taken, *ends, about))
+        return recordings
 
 
 def _drives(
@@ -73,17 +73,17 @@ def _drives(
     progress: Callable[[int, int | None], None] | None,
 ) -> list[list[Frame]]:
     """The frames of every row, to the end of its drive or to so many."""
-    going, nothing = np.ones(rows.count, dtype=np.bool_), np.zeros((rows.count, 2))
-    rows.begin(going, seeds, {})
+    active, nothing = np.ones(rows.count, dtype=np.bool_), np.zeros((rows.count, 2))
+    rows.begin(active, seeds, {})
     collected = [[rows.frame(b)] for b in range(rows.count)]
     for number in count(2) if frames is None else range(2, frames + 1):
-        _, over, _ = rows.advance(nothing, going)
-        for b in np.flatnonzero(going).tolist():
+        _, over, _ = rows.advance(nothing, active)
+        for b in np.flatnonzero(active).tolist():
             collected[b].append(rows.frame(b))
-        going &= ~over
+        active &= ~over
         if progress is not None:
             progress(number, frames)
-        if not going.any():
+        if not active.any():
             break
     return collected
 

@@ -86,8 +86,8 @@ class LoopClosureRows(RowsWrapper):
             self._price[b] = generator.uniform(0.0, self._dearest)
         for numbers in (self._steps, self._total, self._learnt, self._path):
             numbers[chosen] = 0
-        while (going := chosen & (self._steps < first)).any():
-            self._drive(going)
+        while (undecided := chosen & (self._steps < first)).any():
+            self._drive(undecided)
         self._driven[chosen] = self.world.told("distance")[chosen]
 
     def advance(self, actions: Any, going: BoolArray) -> Step:
@@ -223,9 +223,9 @@ def revisit(
     **world
         Arguments of `StereoSlam/Gaze-v0`, as in `arguments`.
     """
-    own = {"render_mode": render_mode, "route": "random-loop"}
+    defaults = {"render_mode": render_mode, "route": "random-loop"}
     given = {**_ODOMETRY, **of_world(arguments, world)}
-    inside = inner_environment("StereoSlam/Gaze-v0", level, given, many, **own)
+    inside = inner_environment("StereoSlam/Gaze-v0", level, given, many, **defaults)
     dearest = DEAREST[level] if dearest is None else dearest
     inside = BeliefPanorama.around(BeliefObservation.around(inside, filter=filter, options=filter_options))
     paid = InformationGain.around(inside, of="pose", resolution=(0.01, 0.001))

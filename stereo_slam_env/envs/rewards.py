@@ -47,13 +47,13 @@ class InformationGainRows(RowsWrapper):
         one_of("belief", belief, get_args(BeliefOf))
         if nees_gate is not None and belief == "reference":
             raise ValueError("nees_gate must be None with belief='reference', which claims nothing to be judged")
-        kept = 1 if max_age is None else whole_number("max_age", max_age, 0) + 1
+        frames_kept = 1 if max_age is None else whole_number("max_age", max_age, 0) + 1
         self._criterion = InformationCriterion(criterion, of, prior_sigma, tuple(resolution))
         self._limit = np.inf if nees_gate is None else mean_band(6, 1, nees_gate)[1]
         self._paid, self._weight, self._keep_reward = belief, finite_number("weight", weight), keep_reward
         self._both, self._use_odometry = report_both, use_odometry
         self._ages = max_age is not None
-        self._recent: list[deque[IntArray]] = [deque(maxlen=kept) for _ in range(rows.count)]
+        self._recent: list[deque[IntArray]] = [deque(maxlen=frames_kept) for _ in range(rows.count)]
         self._beliefs: FilterRows | None = None
         if belief == "filter" or report_both:
             self._beliefs = self.needed("beliefs")

@@ -35,9 +35,9 @@ class RowWrapper(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs, Kept):
 
     def __new__(cls, env: gym.Env[Any, Any], *args: Any, **arguments: Any) -> RowWrapper:
         """Keep the arguments of the subclass, defaults included."""
-        made = super().__new__(cls)
-        made.arguments = cls._bound(env, *args, **arguments)
-        return made
+        wrapper = super().__new__(cls)
+        wrapper.arguments = cls._bound(env, *args, **arguments)
+        return wrapper
 
     def __init__(self, env: gym.Env[Any, Any]) -> None:
         RecordConstructorArgs.__init__(self, **self.arguments)
@@ -53,8 +53,8 @@ class RowWrapper(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs, Kept):
         """All arguments beside `env`, defaults included."""
         bound = signature(cls).bind(env, *args, **arguments)
         bound.apply_defaults()
-        given = list(bound.arguments.items())[1:]
-        return {name: list(value) if isinstance(value, tuple) else value for name, value in given}
+        bound_arguments = list(bound.arguments.items())[1:]
+        return {name: list(value) if isinstance(value, tuple) else value for name, value in bound_arguments}
 
     def inner(self, name: str) -> Any:
         """Attribute `name` of the environment or of a wrapper inside; a `ValueError` says what would offer it."""

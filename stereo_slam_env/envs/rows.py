@@ -296,18 +296,18 @@ class OneRow(Rows):
 
     def measured(self, which: BoolArray) -> Measured:
         frame = self.frame(0)
-        seen, odometry = frame.observation.ordered(), frame.odometry
-        right = np.zeros(len(seen)) if seen.v_right is None else seen.v_right
+        observation, odometry = frame.observation.ordered(), frame.odometry
+        right = np.zeros(len(observation)) if observation.v_right is None else observation.v_right
         values, covariance = np.zeros((1, 6)), np.zeros((6, 6))
         if odometry is not None:
             values[0, :3], values[0, 3:], covariance = odometry.linear, odometry.angular, odometry.covariance
         return Measured(
-            np.array([0, len(seen)]),
-            seen.ids,
-            seen.uvd,
+            np.array([0, len(observation)]),
+            observation.ids,
+            observation.uvd,
             right,
-            np.array([seen.v_right is not None]),
-            seen.R,
+            np.array([observation.v_right is not None]),
+            observation.R,
             np.array([frame.timestamp]),
             (values, covariance, np.array([odometry is not None])),
         )
@@ -322,12 +322,12 @@ def checked_actions(name: str, actions: Any, space: gym.Space[Any], count: int) 
     if isinstance(space, spaces.Box):
         return np.clip(finite_array(name, actions, (count, *space.shape)), space.low, space.high)
     numbers, last = np.asarray(actions), getattr(space, "n", 1) - 1
-    whole = np.issubdtype(numbers.dtype, np.integer) and numbers.shape == (count,)
-    if not whole or numbers.min() < 0 or numbers.max() > last:
-        wanted, got = f"{count} whole numbers", numbers.tolist()
+    is_whole = np.issubdtype(numbers.dtype, np.integer) and numbers.shape == (count,)
+    if not is_whole or numbers.min() < 0 or numbers.max() > last:
+        wanted_words, got = f"{count} whole numbers", numbers.tolist()
         if name == "action":
-            wanted, got = "a whole number", got[0]
-        raise ValueError(f"{name} must be {wanted} from 0 to {last}, got {got!r}")
+            wanted_words, got = "a whole number", got[0]
+        raise ValueError(f"{name} must be {wanted_words} from 0 to {last}, got {got!r}")
     return numbers
 
 

@@ -63,10 +63,10 @@ class RowsVectorEnv(gym.vector.VectorEnv[Arrays, NDArray[Any], NDArray[Any]], Ke
         """
         if self.closed:
             raise RuntimeError("the environments are closed: make them again")
-        given = dict(options or {})
+        reset_options = dict(options or {})
         everybody = np.ones(self.num_envs, dtype=np.bool_)
-        chosen = _mask(given.pop("reset_mask"), self._begun) if "reset_mask" in given else everybody
-        self._begin(chosen, _seeds_of(seed, self.num_envs), given)
+        selected = _mask(reset_options.pop("reset_mask"), self._begun) if "reset_mask" in reset_options else everybody
+        self._begin(selected, _seeds_of(seed, self.num_envs), reset_options)
         return self._look()
 
     def step(self, actions: NDArray[Any]) -> tuple[Arrays, FloatArray, BoolArray, BoolArray, Arrays]:
@@ -206,14 +206,14 @@ def core_rows(
     ValueError
         An argument is impossible, or only single environments have it.
     """
-    given = dict(options)
-    mode = given.pop("render_mode", None)
+    world_options = dict(options)
+    mode = world_options.pop("render_mode", None)
     if mode not in (None, "rgb_array"):
         raise ValueError(
             f"render_mode must be None or 'rgb_array' in a native vector environment, got {mode!r}: "
             "use vectorization_mode='sync'"
         )
-    checked = kind.checked(given)
+    checked = kind.checked(world_options)
     for name, value in {"sensor": "landmarks", "render_images": False}.items():
         if getattr(checked, name) != value:
             raise ValueError(

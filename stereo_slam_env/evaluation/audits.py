@@ -73,6 +73,6 @@ def rig_errors(recording: Recording) -> Mapping[str, tuple[float, float]]:
         return {}
     *_, last = run("coloured-noise", recording, use_odometry=False)
     assert isinstance(last.slam, StereoEKF)
-    found = last.slam.belief("calibration")
-    sigmas = np.sqrt(np.diag(found.covariance))
-    return {name: (float(x), float(s)) for name, x, s in zip(names, found.value, sigmas, strict=True)}
+    calibration = last.slam.belief("calibration")
+    sigmas = np.sqrt(np.diag(calibration.covariance))
+    return {name: (float(x), float(s)) for name, x, s in zip(names, calibration.value, sigmas, strict=True)}

@@ -213,9 +213,9 @@ def share_inside(values: FloatArray, band: tuple[float, float]) -> float:
 
 def consistency_figures(runs: Sequence[FilterRun]) -> dict[str, ConsistencyFigure]:
     """NEES and NIS of runs that went through, against their bands, by quantity; what is not known is left out."""
-    found = {what: _nees_figure(runs, what) for what in ("pose", "position", "rotation")}
-    found |= {"landmark": _landmark_figure(runs), "nis": _nis_figure(runs)}
-    return {what: figure for what, figure in found.items() if figure is not None}
+    figures = {what: _nees_figure(runs, what) for what in ("pose", "position", "rotation")}
+    figures |= {"landmark": _landmark_figure(runs), "nis": _nis_figure(runs)}
+    return {what: figure for what, figure in figures.items() if figure is not None}
 
 
 def pooled(runs: Sequence[FilterRun], name: str) -> FloatArray:
@@ -255,20 +255,20 @@ def _nis_figure(runs: Sequence[FilterRun]) -> ConsistencyFigure | None:
     some = dof_by_frame > 0
     by_frame = np.nansum(nis, axis=0)[some] / dof_by_frame[some]
     inside = _percent_inside(by_frame, mean_bands(1, dof_by_frame[some]))
-    known = sum(int(run.nis_dof.sum()) > 0 for run in runs)
-    return ConsistencyFigure(nis_per_dof(runs), 1, mean_band(1, total), inside, known)
+    known_runs = sum(int(run.nis_dof.sum()) > 0 for run in runs)
+    return ConsistencyFigure(nis_per_dof(runs), 1, mean_band(1, total), inside, known_runs)
 
 
 def _figure(values: FloatArray, average: float, dof: int, band: Band) -> ConsistencyFigure | None:
     """The average with the band of the means (N,) of the runs, and the share of frames inside theirs."""
-    known = np.isfinite(values)
-    runs, frames = known.any(axis=1), known.any(axis=0)
+    finite = np.isfinite(values)
+    runs, frames = finite.any(axis=1), finite.any(axis=0)
     if not np.isfinite(average) or not runs.any():
         return None
     by_run = np.nanmean(values[runs], axis=1)[:, None]
     low, high = band(by_run, np.array([len(by_run)]))
     some = values[:, frames]
-    inside = _percent_inside(np.nanmean(some, axis=0), band(some, known[:, frames].sum(axis=0)))
+    inside = _percent_inside(np.nanmean(some, axis=0), band(some, finite[:, frames].sum(axis=0)))
     return ConsistencyFigure(average, dof, (float(low[0]), float(high[0])), inside, len(by_run))
 
 

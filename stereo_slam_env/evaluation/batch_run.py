@@ -47,15 +47,15 @@ def run_batch(
         None where the filter or the recordings cannot be run so; what the filter raises is passed on.
     """
     first = recordings[0]
-    made: list[MadeFilter] = []
+    filters_made: list[MadeFilter] = []
     with threadpool_limits(limits=1):
         for recording, noise in zip(recordings, noises, strict=True):
-            made.append(make_with_common_options(filter_name, recording.camera, noise, options, common_options))
+            filters_made.append(make_with_common_options(filter_name, recording.camera, noise, options, common_options))
         alike = all(r.camera == first.camera and r.reference.is_exact and len(r) > 0 for r in recordings)
         if use_odometry and any(frame.inertial is not None for frame in first.frames):
             return None  # a filter that takes samples fuses odometry by itself
-        filters = [one.filter for one in made if goes_in_a_batch(one.filter)]
-        if not alike or len(filters) < len(made):
+        filters = [one.filter for one in filters_made if goes_in_a_batch(one.filter)]
+        if not alike or len(filters) < len(filters_made):
             return None
         if any(type(slam.options.error).pose_error not in _POSE_ERRORS for slam in filters):
             return None  # a stranger's definition, which is not to see the truth
@@ -71,7 +71,7 @@ def run_batch(
             progress(k + 1, longest)
         return [
             row.log.result(label, one.options, seed, row.failure or row.log.fault(), float("nan"), one.not_given)
-            for row, one, seed in zip(rows, made, seeds, strict=True)
+            for row, one, seed in zip(rows, filters_made, seeds, strict=True)
         ]
 
 
@@ -98,9 +98,11 @@ def _step(batch: FilterBatch, rows: Sequence[_BatchRow], k: int, *, use_odometry
             _LAST_STEP if frame is None else frame.timestamp - row.recording.frames[k - 1].timestamp
             for row, frame in zip(rows, frames, strict=True)
         ]
-        given = [frame.odometry if use_odometry and frame is not None else None for frame in frames]
+        odometries = [frame.odometry if use_odometry and frame is not None else None for frame in frames]
         samples = [None if frame is None else frame.inertial for frame in frames]
-        reports = batch.step(dt, observations, given if any(given) else None, samples if any(samples) else None)
+        reports = batch.step(
+            dt, observations, odometries if any(odometries) else None, samples if any(samples) else None
+        )
     beliefs = _beliefs(batch)
     forecasts = batch.forecasts() if score_map else None
     for b, (row, frame) in enumerate(zip(rows, frames, strict=True)):

@@ -54,14 +54,14 @@ class BodyOffset:
             return ""
         phi = rotations.log(self.T_bc.R_wc)
         angle, axis = float(np.linalg.norm(phi)), phi / max(float(np.linalg.norm(phi)), 1e-12)
-        said = []
+        sentences = []
         if self.turned:
-            said.append(f"turned by {np.rad2deg(angle):.3g}° about ({axis[0]:.2f}, {axis[1]:.2f}, {axis[2]:.2f})")
+            sentences.append(f"turned by {np.rad2deg(angle):.3g}° about ({axis[0]:.2f}, {axis[1]:.2f}, {axis[2]:.2f})")
         if self.apart:
-            said.append(f"{np.linalg.norm(self.T_bc.position):.3g} m away")
+            sentences.append(f"{np.linalg.norm(self.T_bc.position):.3g} m away")
         return (
-            f"the reference's body seems to be {' and '.join(said)}, as seen from the estimate's: give its pose by "
-            "--body, or let --body-estimated apply what is found"
+            f"the reference's body seems to be {' and '.join(sentences)}, as seen from the estimate's: give its pose "
+            "by --body, or let --body-estimated apply what is found"
         )
 
 
@@ -116,10 +116,10 @@ def find_body_offset(estimate: Trajectory, reference: Trajectory) -> BodyOffset:
     ]
     if not on_a_line:  # a drift to the side turns positions against orientations that are right, too
         by_turns = _mean_rotation(R_ref @ R.swapaxes(1, 2))
-        left = [
+        remaining = [
             metrics.root_mean_square((q - q.mean(0)) - (p_ref - p_ref.mean(0))) for q in (p @ by_turns.T, p @ plain.T)
         ]
-        if left[0] < _DOMINATES * left[1]:
+        if remaining[0] < _DOMINATES * remaining[1]:
             error = metrics.root_mean_square(rotations.log((by_turns @ R).swapaxes(1, 2) @ R_ref))
             turned[0] = min(turned[0], error)
     apart = [metrics.ate_rigid(p + R @ lever, p_ref) for lever in (np.zeros(3), t_bc)]
@@ -200,10 +200,10 @@ def _misfit(estimate: Trajectory, reference: Trajectory) -> tuple[float, float, 
     R_bc = _of_relative_motions(R, p, R_ref, p_ref, np.zeros(3))
     step = max(1, len(rows) // 20)
     turn, turn_ref = (one[:-step].swapaxes(1, 2) @ one[step:] for one in (R, R_ref))
-    left = rotations.log((R_bc.T @ turn @ R_bc).swapaxes(1, 2) @ turn_ref)
+    turns_left = rotations.log((R_bc.T @ turn @ R_bc).swapaxes(1, 2) @ turn_ref)
     G, _ = metrics.rigid_motion(p, p_ref)
-    whole = rotations.log((G @ R).swapaxes(1, 2) @ R_ref)
-    return metrics.root_mean_square(left), metrics.ate_rigid(p, p_ref), metrics.root_mean_square(whole)
+    turns_of_world = rotations.log((G @ R).swapaxes(1, 2) @ R_ref)
+    return metrics.root_mean_square(turns_left), metrics.ate_rigid(p, p_ref), metrics.root_mean_square(turns_of_world)
 
 
 def seen_from(R: FloatArray, vectors: FloatArray) -> FloatArray:

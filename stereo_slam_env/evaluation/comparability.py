@@ -142,8 +142,8 @@ def explanation(bands: Mapping[str, tuple[float, float]], pair: AlignedPair) -> 
         (_EXCHANGED, errors, transformed(_exchange(first, second), covariances), 1.0)
         for first, second in ((np.eye(3), np.eye(3)), (R, R_inverse))  # as given; or about the axes of the world
     ]
-    for words, left in _constant_offsets(estimate.tangent, R, errors):
-        readings.append((words, left, covariances, _MUCH**2))
+    for words, errors_left in _constant_offsets(estimate.tangent, R, errors):
+        readings.append((words, errors_left, covariances, _MUCH**2))
     if _fits(errors, covariances, bands):
         return ""
     as_written = float(np.mean(nees(errors, covariances)))
@@ -182,15 +182,15 @@ def _constant_offsets(tangent: Tangent, R: FloatArray, errors: FloatArray) -> It
     turn = f"a constant turn of {np.rad2deg(np.linalg.norm(offset[ROTATION])):.3g}°"
     lever = f"a constant lever arm of {_length(float(np.linalg.norm(offset[POSITION])))}"
     for words, parts in ((turn, [ROTATION]), (lever, [POSITION]), (f"{turn} and {lever}", [ROTATION, POSITION])):
-        left = np.array(inside)
+        errors_left = np.array(inside)
         for part in parts:
-            left[:, part] -= offset[part]
+            errors_left[:, part] -= offset[part]
         if tangent != "right":
-            left[:, POSITION] = rotations.turned(R, left[:, POSITION])
+            errors_left[:, POSITION] = rotations.turned(R, errors_left[:, POSITION])
         yield (
             f"{words} between the bodies explains the errors: give it by --body, or let --body-estimated apply what is "
             "found",
-            left,
+            errors_left,
         )
 
 
@@ -295,8 +295,8 @@ def _diverged_at(aligned: Trajectory, reference: Trajectory, path: float) -> flo
     if off.max() > path:
         row = int(np.flatnonzero(off <= _ASTRAY * path)[-1])
     else:
-        gone = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(reference.positions, axis=0), axis=1))])
-        ends = np.searchsorted(gone, np.linspace(0.0, path * (1.0 - 1e-9), _PIECES + 1))
+        distances = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(reference.positions, axis=0), axis=1))])
+        ends = np.searchsorted(distances, np.linspace(0.0, path * (1.0 - 1e-9), _PIECES + 1))
         ours, theirs = (np.linalg.norm(np.diff(one.positions[ends], axis=0), axis=1) for one in (aligned, reference))
         well = np.flatnonzero(np.abs(ours - theirs) <= path / _PIECES)
         first_bad = int(well[-1]) + 1 if len(well) else 0

@@ -63,8 +63,8 @@ def cramer_rao_bound(
     is the parametrisation to calculate in, None: XYZ; the result does not depend on it. `progress` is called with
     (frames done, frames).
     """
-    given: dict[str, Any] = {"use_odometry": use_odometry, "right_row": right_row, "landmark": landmark}
-    (bound,) = cramer_rao_bounds([recording], motion, progress=progress, **given)
+    arguments: dict[str, Any] = {"use_odometry": use_odometry, "right_row": right_row, "landmark": landmark}
+    (bound,) = cramer_rao_bounds([recording], motion, progress=progress, **arguments)
     return bound
 
 
@@ -227,17 +227,17 @@ class ReferenceBelief:
         """
         if self._step is not None:
             self._move_to(frame, *self._step)
-        seen = frame.observation
-        known = _are_in(seen.ids, landmarks.ids)
-        if not known.all():
-            seen = seen.select(known)
+        observation = frame.observation
+        in_map = _are_in(observation.ids, landmarks.ids)
+        if not in_map.all():
+            observation = observation.select(in_map)
         pose = self._slam.camera_state
-        points_w = landmarks.positions[np.searchsorted(landmarks.ids, seen.ids)]
+        points_w = landmarks.positions[np.searchsorted(landmarks.ids, observation.ids)]
         points_c = Pose(pose.position, pose.orientation).to_camera(points_w)
         # A point behind the camera is not what was measured: the id is wrong.
         sound = points_c[:, 2] > 0
-        uvd, R = self._rig.project(points_c[sound]), self._noise_of(seen)[sound]
-        return unchecked(StereoObservation, ids=seen.ids[sound], uvd=uvd, v_right=None, R=R)
+        uvd, R = self._rig.project(points_c[sound]), self._noise_of(observation)[sound]
+        return unchecked(StereoObservation, ids=observation.ids[sound], uvd=uvd, v_right=None, R=R)
 
     def _move_to(self, frame: Frame, dt: float, linear: FloatArray, angular: FloatArray) -> None:
         """Move to the true pose, and learn as much as the odometry of the step says."""
@@ -263,8 +263,8 @@ class ReferenceBelief:
 
     def keep(self, ids: IntArray) -> None:
         """Marginalise all other landmarks out; those never measured again take nothing with them."""
-        there = self.ids
-        self.forget(there[~_are_in(there, np.sort(ids))])
+        own_ids = self.ids
+        self.forget(own_ids[~_are_in(own_ids, np.sort(ids))])
 
     def forget(self, ids: IntArray) -> None:
         """Marginalise landmarks out; others are ignored."""
@@ -276,8 +276,8 @@ def _are_in(ids: IntArray, known: IntArray) -> BoolArray:
     """Mask of ids that are among some sorted ones."""
     if not len(known):
         return np.zeros(len(ids), dtype=np.bool_)
-    found: BoolArray = known[np.minimum(np.searchsorted(known, ids), len(known) - 1)] == ids
-    return found
+    members: BoolArray = known[np.minimum(np.searchsorted(known, ids), len(known) - 1)] == ids
+    return members
 
 
 def _noise_of_uvd(observation: StereoObservation, noise: StereoNoise, right_row: bool) -> FloatArray:

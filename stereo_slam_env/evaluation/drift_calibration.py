@@ -193,9 +193,9 @@ def _fitted(drives: Sequence[_Windows]) -> FloatArray:
     parts = np.concatenate([drive.parts for drive in drives], axis=1)
     count = len(errors)
     # Begin with what each would be if it explained its own axis, all alike.
-    own = np.tile(np.arange(POSE_SIZE), len(DRIVERS) + 2)
-    explained = np.array([weights @ part[:, axis, axis] for part, axis in zip(parts, own, strict=True)])
-    variances = (weights @ errors**2)[own] / np.maximum(explained, _LEAST) / (len(DRIVERS) + 2)
+    axes = np.tile(np.arange(POSE_SIZE), len(DRIVERS) + 2)
+    explained = np.array([weights @ part[:, axis, axis] for part, axis in zip(parts, axes, strict=True)])
+    variances = (weights @ errors**2)[axes] / np.maximum(explained, _LEAST) / (len(DRIVERS) + 2)
     flat = parts.reshape(len(parts), -1)
     for _ in range(_ROUNDS):
         variances[:POSE_SIZE] = np.maximum(variances[:POSE_SIZE], _LEAST)
@@ -239,11 +239,11 @@ def _drive_range(drives: Sequence[_Windows], scores: Sequence[FloatArray]) -> tu
 
 def _checks(drives: Sequence[_Windows], scores: Sequence[FloatArray]) -> tuple[LengthCheck, ...]:
     ideal = chi_square_quantile(COVERED, POSE_SIZE)
-    found = []
+    checks = []
     for length in LENGTHS:
         each = [score[at] for drive, score in zip(drives, scores, strict=True) if (at := drive.lengths == length).any()]
         if each:
-            found.append(
+            checks.append(
                 LengthCheck(
                     length,
                     len(each),
@@ -252,4 +252,4 @@ def _checks(drives: Sequence[_Windows], scores: Sequence[FloatArray]) -> tuple[L
                     float(np.mean([np.mean(values <= ideal) for values in each])),
                 )
             )
-    return tuple(found)
+    return tuple(checks)

@@ -128,8 +128,8 @@ class DriftModel:
                 None if spread is None else (float(spread[0]), float(spread[1])),
             )
         except (KeyError, TypeError, ValueError, OverflowError) as error:
-            said = f"{error.args[0]!r} is missing" if isinstance(error, KeyError) else error
-            raise ValueError(f"{path} is no drift model ({said}): `stereo-slam calibrate` makes one") from error
+            reason = f"{error.args[0]!r} is missing" if isinstance(error, KeyError) else error
+            raise ValueError(f"{path} is no drift model ({reason}): `stereo-slam calibrate` makes one") from error
 
 
 def claim(trajectory: Trajectory, model: DriftModel) -> Trajectory:
@@ -186,8 +186,8 @@ def basis(trajectory: Trajectory, first: IntArray, last: IntArray) -> Iterator[F
         for axis in range(POSE_SIZE):
             grown = np.cumsum(driver[:, None, None] * _squared(A[:, :, axis]), axis=0)
             yield into_last @ (grown[last] - grown[first]) @ into_last.swapaxes(1, 2)
-    whole = np.cumsum(driven[0][:, None, None] * A, axis=0)
-    lasting = into_last @ (whole[last] - whole[first])
+    summed = np.cumsum(driven[0][:, None, None] * A, axis=0)
+    lasting = into_last @ (summed[last] - summed[first])
     for axis in range(POSE_SIZE):
         yield _squared(lasting[:, :, axis])
 

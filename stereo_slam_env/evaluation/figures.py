@@ -218,8 +218,8 @@ def has_diverged(figures: Mapping[str, Any], divergence_percent: float) -> int:
 
 
 def _diverged(trial: Trial) -> int:
-    found = {"failure": trial.run.failure, "end_drift_percent": trial.end_drift_percent}
-    return has_diverged(found, trial.divergence_percent)
+    outcome = {"failure": trial.run.failure, "end_drift_percent": trial.end_drift_percent}
+    return has_diverged(outcome, trial.divergence_percent)
 
 
 # ---- over runs ------------------------------------------------------------------------------------------------------
@@ -229,8 +229,8 @@ def _of_known(words: str, combine: Callable[[FloatArray], float]) -> Combination
     """Combination of the runs in which a figure is known; None where there are none."""
 
     def of(sample: Sample, name: str) -> float | None:
-        known = sample.known(name)
-        return number(combine(known)) if len(known) else None
+        known_values = sample.known(name)
+        return number(combine(known_values)) if len(known_values) else None
 
     return Combination(words, of, combine)
 

@@ -103,16 +103,16 @@ def run_filter(
     final_map: LandmarkBelief | None = None
     with threadpool_limits(limits=1):
         try:
-            made = make_with_common_options(
+            made_filter = make_with_common_options(
                 filter_name,
                 recording.camera,
                 setup.assumed_noise(recording.noise) if noise is None else noise,
                 options or {},
                 setup.common_options(options or {}) if common_options is None else common_options,
             )
-            used, not_given = made.options, made.not_given
-            moments = run(made.filter, recording, use_odometry=use_odometry, observe=observe)
-            scores = WindowScores(made.filter, recording) if windows else None
+            used, not_given = made_filter.options, made_filter.not_given
+            moments = run(made_filter.filter, recording, use_odometry=use_odometry, observe=observe)
+            scores = WindowScores(made_filter.filter, recording) if windows else None
             frame_number = 0
             for moment in moments:
                 log.add(moment, 0 if scores is None else scores.open)
@@ -122,7 +122,7 @@ def run_filter(
                 frame_number = moment.number + 1
                 if progress is not None:
                     progress(frame_number, len(recording))
-            final_map = made.filter.landmarks if score_map else None
+            final_map = made_filter.filter.landmarks if score_map else None
             failure = log.fault()
         except ContractBroken as error:
             failure = log.fault() or str(error)
@@ -321,8 +321,8 @@ class RunLog:
         for one in maps:
             behind = one.forecast.uvd[:, 2] <= 0
             if behind.any():
-                seen = np.isin(one.forecast.ids[behind], one.frame.observation.ids)
-                self._counts["negative_depth"][one.number] = seen.sum()
+                sighted = np.isin(one.forecast.ids[behind], one.frame.observation.ids)
+                self._counts["negative_depth"][one.number] = sighted.sum()
         self._scorer.add(score, frames)
         self._traces.add(view, maps)
 

@@ -143,8 +143,10 @@ def left_coordinates(trajectory: Trajectory, centre: FloatArray) -> FloatArray:
 
     These are the rotation about the axes of W, and the displacement that is left at `centre`.
     """
-    own = tangent_jacobian(trajectory.tangent, trajectory.positions, trajectory.orientations)
-    return tangent_jacobian("left", trajectory.positions - centre, trajectory.orientations) @ np.linalg.inv(own)
+    own_jacobian = tangent_jacobian(trajectory.tangent, trajectory.positions, trajectory.orientations)
+    return tangent_jacobian("left", trajectory.positions - centre, trajectory.orientations) @ np.linalg.inv(
+        own_jacobian
+    )
 
 
 def own_gauge(trajectory: Trajectory) -> AlignmentKind:

@@ -83,14 +83,14 @@ class LandmarkScorer:
         """Note the errors of the maps in the next frames."""
         ages, classes = self._grow_older(score, frames)
         self._add_by_range(score)
-        known = np.isfinite(score.disparity_error) & np.isfinite(score.disparity_variance)
-        self._add_by_age(score, ages, classes, known & (classes >= 0) & (ages < AGES))
+        finite = np.isfinite(score.disparity_error) & np.isfinite(score.disparity_variance)
+        self._add_by_age(score, ages, classes, finite & (classes >= 0) & (ages < AGES))
 
     def _add_by_range(self, score: MapScore) -> None:
         sums, bins = self.statistics, np.searchsorted(self._edges, score.distance, side="right")
-        known = np.isfinite(score.nees)
-        _add(sums.nees_count, bins[known])
-        _add(sums.nees, bins[known], score.nees[known])
+        finite = np.isfinite(score.nees)
+        _add(sums.nees_count, bins[finite])
+        _add(sums.nees, bins[finite], score.nees[finite])
         with np.errstate(invalid="ignore"):
             located = score.in_view & (np.linalg.norm(score.points, axis=1) <= AT_INFINITY * score.distance)
         error = score.points[located] - score.true_points[located]

@@ -36,8 +36,10 @@ class FrameMap:
     @classmethod
     def of(cls, moment: Moment) -> FrameMap:
         """The map of a moment; a copy, for what a filter gives may change when it goes on."""
-        told = moment.slam.forecast()
-        copy = Forecast(np.array(told.ids), np.array(told.uvd), np.array(told.S), np.array(told.in_view))
+        forecast = moment.slam.forecast()
+        copy = Forecast(
+            np.array(forecast.ids), np.array(forecast.uvd), np.array(forecast.S), np.array(forecast.in_view)
+        )
         count = len(copy.ids)
         if copy.uvd.shape != (count, 3) or copy.S.shape != (count, 3, 3):
             raise ValueError(f"forecast of {count} ids must have uvd ({count}, 3) and S ({count}, 3, 3)")
@@ -70,11 +72,11 @@ def view_maps(maps: Sequence[FrameMap], landmarks: LandmarkTruth | None) -> MapV
     poses = [one.frame.truth for one in maps]
     if landmarks is not None and len(landmarks.ids):
         place = np.minimum(np.searchsorted(landmarks.ids, ids), len(landmarks.ids) - 1)
-        known = (landmarks.ids[place] == ids) & np.array([pose is not None for pose in poses])[row]
+        has_truth = (landmarks.ids[place] == ids) & np.array([pose is not None for pose in poses])[row]
         positions = np.array([np.zeros(3) if pose is None else pose.position for pose in poses])
         R_wc = rotations.matrix(np.array([_NO_TURN if pose is None else pose.orientation for pose in poses]))
-        shifts = landmarks.positions[place[known]] - positions[row[known]]
-        true_points[known] = np.einsum("ni,nij->nj", shifts, R_wc[row[known]])
+        shifts = landmarks.positions[place[has_truth]] - positions[row[has_truth]]
+        true_points[has_truth] = np.einsum("ni,nij->nj", shifts, R_wc[row[has_truth]])
     return MapView(numbers[row], ids, uvd, covariance, true_points)
 
 
@@ -182,14 +184,14 @@ def choose_landmarks(recording: Recording) -> dict[str, int]:
     disparities = _disparities_at(first, recording)
     long = lengths >= min(ENOUGH_FRAMES, int(lengths.max()))
     landmarks, first, disparities = landmarks[long], first[long], disparities[long]
-    chosen: dict[str, int] = {}
+    landmark_ids: dict[str, int] = {}
     for label, depth in TRACED_DEPTHS.items():
         miss = np.abs(disparities - recording.camera.disparity_constant / depth)
-        miss[np.isin(landmarks, list(chosen.values()))] = np.inf
+        miss[np.isin(landmarks, list(landmark_ids.values()))] = np.inf
         best = np.lexsort((landmarks, first, miss))[0]
         if np.isfinite(miss[best]):
-            chosen[label] = int(landmarks[best])
-    return chosen
+            landmark_ids[label] = int(landmarks[best])
+    return landmark_ids
 
 
 def _disparities_at(sightings: IntArray, recording: Recording) -> FloatArray:
@@ -220,12 +222,16 @@ class TraceRecorder:
         """Note the traced landmarks in the maps of the next frames."""
         observations = {one.number: one.frame.observation for one in maps}
         for label, landmark in self._chosen.items():
-            own = view[view.ids == landmark]
+            of_landmark = view[view.ids == landmark]
             for number, depth, sigma, point in zip(
-                own.frames.tolist(), *depths(own, self._camera), own.true_points, strict=True
+                of_landmark.frames.tolist(), *depths(of_landmark, self._camera), of_landmark.true_points, strict=True
             ):
-                seen = observations[number].uvd[observations[number].ids == landmark, 2]
-                measured = self._camera.disparity_constant / seen[0] if seen.size and seen[0] > 0 else np.nan
+                measurement = observations[number].uvd[observations[number].ids == landmark, 2]
+                measured = (
+                    self._camera.disparity_constant / measurement[0]
+                    if measurement.size and measurement[0] > 0
+                    else np.nan
+                )
                 self._rows[label].append((number, depth, sigma, point[2], measured))
 
     def traces(self) -> tuple[LandmarkTrace, ...]:

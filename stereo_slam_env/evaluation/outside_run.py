@@ -110,12 +110,12 @@ def _in_world(poses: Trajectory, recording: Recording, frame: int) -> Trajectory
     """The poses in the world of the recording, by the pose of the vehicle in the first frame that they have."""
     if poses.gauge == "fixed":
         return poses
-    there = recording.frames[frame].truth
-    if there is None:
+    vehicle_pose = recording.frames[frame].truth
+    if vehicle_pose is None:
         if frame:
             raise ValueError(f"{poses.name} begins at frame {frame}, where no pose of the vehicle is known: give one")
-        there = Pose(recording.start.position, recording.start.orientation)
-    at_first = Alignment("start", there @ poses.pose(0).inverse(), 1.0, np.arange(len(poses)) == 0, up=2)
+        vehicle_pose = Pose(recording.start.position, recording.start.orientation)
+    at_first = Alignment("start", vehicle_pose @ poses.pose(0).inverse(), 1.0, np.arange(len(poses)) == 0, up=2)
     aligned = at_first.apply(poses)
     if aligned.covariances is None or is_zero_at_start(poses):
         return aligned
@@ -131,16 +131,16 @@ def _score(log: RunLog, recording: Recording, poses: Trajectory, frames: IntArra
     assert claimed is not None
     assert pose_covariances is not None
     truth, truly_turned = log.given["true_positions"][frames], log.given["true_orientations"][frames]
-    known = np.isfinite(truth).all(axis=1)
+    known_truth = np.isfinite(truth).all(axis=1)
     errors = np.full((len(frames), POSE_SIZE), np.nan)
-    estimated = poses.positions[known], poses.orientations[known]
-    errors[known] = pose_errors(poses.tangent, *estimated, truth[known], truly_turned[known])
+    estimated = poses.positions[known_truth], poses.orientations[known_truth]
+    errors[known_truth] = pose_errors(poses.tangent, *estimated, truth[known_truth], truly_turned[known_truth])
     scored = claimed
     if not reference.is_exact:
         truths = [recording.frames[k].truth for k in frames]
         doubt = np.array([np.zeros((6, 6)) if t is None else reference.covariance(start, t) for t in truths])
         scored = claimed + transformed(tangent_jacobian(poses.tangent, poses.positions, poses.orientations), doubt)
-    settled = known & reference.has_settled(log.given["timestamps"][frames]) & reference.counts_as_truth
+    settled = known_truth & reference.has_settled(log.given["timestamps"][frames]) & reference.counts_as_truth
     counts = settled.copy()
     counts[0] = poses.gauge == "fixed"  # else both are put together there
     log.note_series(frames, pose_covariances=pose_covariances)

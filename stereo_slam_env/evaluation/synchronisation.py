@@ -179,11 +179,11 @@ def _lag(a: FloatArray, b: FloatArray) -> int | None:
     var_a = common(a**2, ones[1]) - sum_a**2 / count
     var_b = common(ones[0], b**2) - sum_b**2 / count
     least = 1e-6 * min(float(np.sum(a**2)), float(np.sum(b**2)))
-    known = (count >= max(_FEWEST_SAMPLES, 0.5 * min(len(a), len(b)))) & (np.minimum(var_a, var_b) > least)
-    if not known.any():
+    reliable = (count >= max(_FEWEST_SAMPLES, 0.5 * min(len(a), len(b)))) & (np.minimum(var_a, var_b) > least)
+    if not reliable.any():
         return None
     with np.errstate(invalid="ignore", divide="ignore"):
-        correlation = np.where(known, (common(a, b) - sum_a * sum_b / count) / np.sqrt(var_a * var_b), -np.inf)
+        correlation = np.where(reliable, (common(a, b) - sum_a * sum_b / count) / np.sqrt(var_a * var_b), -np.inf)
     return int(np.argmax(correlation)) - (len(a) - 1)
 
 
@@ -260,15 +260,17 @@ def _interpolated(estimate: Trajectory, reference: Trajectory) -> PosePairs:
 
 def _apart(common: int, a: FloatArray, b: FloatArray, max_gap: float) -> str:
     """Reason why too few poses belong together, and what to do."""
-    said = f"estimate and reference have {common} poses in common, more than {FEWEST} are needed: "
+    message = f"estimate and reference have {common} poses in common, more than {FEWEST} are needed: "
     ours, theirs = float(np.ptp(a)), float(np.ptp(b))
     for unit, name in ((1e9, "nanoseconds"), (1e6, "microseconds"), (1e3, "milliseconds")):
         for longer, shorter, whose in ((ours, theirs, "estimate"), (theirs, ours, "reference")):
             if common < 2 and shorter > 0 and 0.1 < longer / shorter / unit < 10.0:
-                return said + f"the times of the {whose} seem to be {name}, write them in seconds"
+                return message + f"the times of the {whose} seem to be {name}, write them in seconds"
     if a[0] > b[-1] or b[0] > a[-1]:
-        return said + (
+        return message + (
             f"the estimate lasts from {a[0]:.9g} to {a[-1]:.9g} s, the reference from {b[0]:.9g} to {b[-1]:.9g} s; if "
             "it is another clock, say by how much with time_offset"
         )
-    return said + f"their clocks may differ, or give a max_gap larger than {max_gap:g} s, or interpolate the reference"
+    return (
+        message + f"their clocks may differ, or give a max_gap larger than {max_gap:g} s, or interpolate the reference"
+    )

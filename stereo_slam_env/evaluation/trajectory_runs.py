@@ -122,11 +122,11 @@ def score_runs(scores: Sequence[TrajectoryScore]) -> RunsScore:
         values = np.full((len(judged), len(times)), np.nan)
         for row, score in zip(values, judged, strict=True):
             row[np.searchsorted(times, score.times)] = score.nees[name]
-        known = np.isfinite(values)
-        some = known.any(axis=0)
+        finite = np.isfinite(values)
+        some = finite.any(axis=0)
         by_frame = np.full(len(times), np.nan)
         by_frame[some] = np.nanmean(values[:, some], axis=0)
-        low, high = mean_bands(dof, np.maximum(known.sum(axis=0), 1))
+        low, high = mean_bands(dof, np.maximum(finite.sum(axis=0), 1))
         claims[name] = RunsClaim(
             dof=dof,
             mean=float(np.nanmean(values)),

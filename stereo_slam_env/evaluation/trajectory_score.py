@@ -117,9 +117,12 @@ class TrajectoryScore:
             return "none: no covariance is claimed"
         if not self.depends_on_the_gauge or claim.obstacle:
             return claim.verdict
-        dof, others = self.gauges[0].dof, (f"{one.nees / one.dof:.3g} ({one.alignment})" for one in self.gauges)
+        dof, other_alignments = (
+            self.gauges[0].dof,
+            (f"{one.nees / one.dof:.3g} ({one.alignment})" for one in self.gauges),
+        )
         doubt = "but it depends on the alignment, which no header says"
-        return f"{claim.verdict}; {doubt}: NEES / {dof} is {', '.join(others)}"
+        return f"{claim.verdict}; {doubt}: NEES / {dof} is {', '.join(other_alignments)}"
 
     def _repr_html_(self) -> str:
         from stereo_slam_env.recording import notebook_html as html
@@ -137,8 +140,8 @@ class TrajectoryScore:
             rows[f"NEES / {claim.dof}, {name}"] = f"{claim.nees.mean / claim.dof:.3g}"
         distances = np.linalg.norm(self.position_errors, axis=1)
         chart = html.lines_chart({"distance from the reference": (self.times, distances)}, "s", "m")
-        said = "".join(map(html.paragraph, self.notes))
-        return html.heading(f"{self.estimate} against {self.reference}") + html.facts(rows) + chart + said
+        notes_html = "".join(map(html.paragraph, self.notes))
+        return html.heading(f"{self.estimate} against {self.reference}") + html.facts(rows) + chart + notes_html
 
     def as_dict(self) -> dict[str, Any]:
         """All figures as plain data for JSON, without the series; `docs/evaluate.md` has what they are."""
@@ -151,8 +154,12 @@ class TrajectoryScore:
         }
         gauges = [asdict(one) | {"verdict": one.verdict} for one in self.gauges]
         lists = {"gauges": gauges, "windows": [asdict(one) for one in self.windows]}
-        said = {"verdict": self.verdict, "depends_on_the_gauge": self.depends_on_the_gauge, "notes": list(self.notes)}
-        return {"schema": SCHEMA} | plain | {"claims": claims} | lists | said
+        verdict_words = {
+            "verdict": self.verdict,
+            "depends_on_the_gauge": self.depends_on_the_gauge,
+            "notes": list(self.notes),
+        }
+        return {"schema": SCHEMA} | plain | {"claims": claims} | lists | verdict_words
 
     def against(self, other: TrajectoryScore) -> PairedVerdict:
         """This estimate against another one of the same drive, on the frames that both have.
@@ -162,13 +169,13 @@ class TrajectoryScore:
         ValueError
             They have too few frames in common.
         """
-        _, mine, others = np.intersect1d(self.times, other.times, return_indices=True)
+        _, mine, theirs = np.intersect1d(self.times, other.times, return_indices=True)
         if len(mine) < FEWEST:
             raise ValueError(
                 f"{self.estimate} and {other.estimate} have {len(mine)} scored poses in common, {FEWEST} are needed: "
                 "give estimates of the same drive"
             )
-        a, b = np.square(self.position_errors[mine]).sum(axis=1), np.square(other.position_errors[others]).sum(axis=1)
+        a, b = np.square(self.position_errors[mine]).sum(axis=1), np.square(other.position_errors[theirs]).sum(axis=1)
         rows = stationary_rows(len(a), max(block_length(a - b), 1.0), np.random.default_rng(0))
         with np.errstate(divide="ignore", invalid="ignore"):
             ratio = float(np.sqrt(a.mean() / b.mean()))
@@ -177,7 +184,7 @@ class TrajectoryScore:
         judged = [one.claim and not one.unusable and not one.claim.obstacle for one in (self, other)]
         name = "pose" if "pose" in self.claims else "position"
         if all(judged) and name in other.claims and self.claims[name].dof == other.claims[name].dof:
-            scores = mean_interval(self.log_scores[name][mine] - other.log_scores[name][others])
+            scores = mean_interval(self.log_scores[name][mine] - other.log_scores[name][theirs])
         return PairedVerdict(self.estimate, other.estimate, len(mine), (ratio, float(low), float(high)), scores)
 
 
@@ -200,12 +207,13 @@ class PairedVerdict:
     def words(self) -> str:
         """The verdict in two sentences."""
         ratio, low, high = self.error_ratio
-        shown = self._better(high < 1.0, low > 1.0)
-        text = f"Position error: {ratio:.3g} [{low:.3g}, {high:.3g}] times that of {self.other}: {shown}."
-        if (found := self.log_score_difference) is None:
+        better = self._better(high < 1.0, low > 1.0)
+        text = f"Position error: {ratio:.3g} [{low:.3g}, {high:.3g}] times that of {self.other}: {better}."
+        if (difference := self.log_score_difference) is None:
             return text
-        shown = self._better(found.high < 0.0, found.low > 0.0)
-        return f"{text} Log score of the pose: {found.mean:+.3g} [{found.low:+.3g}, {found.high:+.3g}] nats: {shown}."
+        better = self._better(difference.high < 0.0, difference.low > 0.0)
+        interval = f"[{difference.low:+.3g}, {difference.high:+.3g}]"
+        return f"{text} Log score of the pose: {difference.mean:+.3g} {interval} nats: {better}."
 
     def _better(self, first: bool, second: bool) -> str:
         return f"{self.estimate} is better" if first else f"{self.other} is better" if second else "not significant"
@@ -292,27 +300,29 @@ def evaluate_trajectory(
     pairs = replace(pairs, estimate=matched, reference=truth)
     notes += fillers
     if not matched.is_oriented and (body is not None or align == "start"):
-        wanted = "body" if body is not None else "align 'start'"
-        raise ValueError(f"{wanted} needs orientations, and positions alone are to be had: align by 'rigid', or 'none'")
+        argument = "body" if body is not None else "align 'start'"
+        raise ValueError(
+            f"{argument} needs orientations, and positions alone are to be had: align by 'rigid', or 'none'"
+        )
     if body is not None:
         T_bc = body if isinstance(body, Pose) else find_body_offset(pairs.estimate, pairs.reference).T_bc
         pairs = replace(pairs, estimate=pairs.estimate.of_body(T_bc))
         if not isinstance(body, Pose):
             notes.append(f"the body was moved {np.linalg.norm(T_bc.position):.3g} m by what fits best: errors are low")
     matched, truth = pairs.estimate, pairs.reference
-    asked, said = gauge_of(matched, truth)
+    asked_alignment, said = gauge_of(matched, truth)
     if pair:
         if truth.covariances is None or matched.covariances is None:
             raise ValueError("pair needs covariances in both files: without a truth they are all there is to judge")
-        asked, said = ("start" if is_zero_at_start(matched) and is_zero_at_start(truth) else "rigid"), ""
-    if not matched.is_oriented and asked == "start":
-        asked = "rigid"
+        asked_alignment, said = ("start" if is_zero_at_start(matched) and is_zero_at_start(truth) else "rigid"), ""
+    if not matched.is_oriented and asked_alignment == "start":
+        asked_alignment = "rigid"
     if align is None and said:
         notes.append(said)
     rows = _rows_within(truth, align_seconds)
-    if not matched.is_oriented and np.count_nonzero(rows) < FEWEST and (align or asked) != "none":
+    if not matched.is_oriented and np.count_nonzero(rows) < FEWEST and (align or asked_alignment) != "none":
         raise ValueError(f"align_seconds leaves {np.count_nonzero(rows)} positions to align by: give more seconds")
-    alignment = find_alignment(align or asked, matched, truth, rows, UP[up])
+    alignment = find_alignment(align or asked_alignment, matched, truth, rows, UP[up])
     in_world = aligned_pair(matched, truth, alignment)
     findings = find_obstacles(pairs, (estimate, reference), in_world)
     stamps = truth.timestamps if truth.timestamps is not None else matched.timestamps
@@ -320,7 +330,7 @@ def evaluate_trajectory(
     timed = stamps is not None and in_world.estimate.is_oriented
     windows = [score_windows(s, in_world.estimate, in_world.reference, times) for s in LENGTHS if timed]
     scored = in_world.rows(in_world.scored)
-    own, truth = scored.estimate, scored.reference
+    aligned, truth = scored.estimate, scored.reference
     obstacles = findings.verdicts
     claims = score_claims(scored, obstacles, pair)
     bands = {name: claim.band for name, claim in claims.claims.items()}
@@ -337,14 +347,14 @@ def evaluate_trajectory(
         scale=alignment.scale,
         correlation=in_world.correlation,
         time_offset_s=offset,
-        frames=len(own),
+        frames=len(aligned),
         unmatched=len(estimate) - len(pairs.rows),
         unusable=next((claim.unusable for claim in claims.claims.values()), 0),
         path_m=path,
-        position_rmse_m=metrics.ate_unaligned(own.positions, truth.positions),
-        rotation_rmse_deg=_rotation_rmse_deg(own.orientations, truth.orientations) if own.is_oriented else None,
-        ate_rigid_m=metrics.ate_rigid(own.positions, truth.positions),
-        end_drift_percent=metrics.end_drift_percent(own.positions, truth.positions) if path > 0 else None,
+        position_rmse_m=metrics.ate_unaligned(aligned.positions, truth.positions),
+        rotation_rmse_deg=_rotation_rmse_deg(aligned.orientations, truth.orientations) if aligned.is_oriented else None,
+        ate_rigid_m=metrics.ate_rigid(aligned.positions, truth.positions),
+        end_drift_percent=metrics.end_drift_percent(aligned.positions, truth.positions) if path > 0 else None,
         diverged_at_s=findings.diverged_at_s,
         claims=claims.claims,
         gauges=score_gauges(matched, pairs.reference, in_world),
@@ -352,7 +362,7 @@ def evaluate_trajectory(
         windows=tuple(window for window in windows if window is not None),
         notes=(*notes, *findings.notes),
         times=times[in_world.scored],
-        poses=replace(own, covariances=scored.covariances),
+        poses=replace(aligned, covariances=scored.covariances),
         reference_poses=truth,
         nees=claims.nees,
         log_scores=claims.log_scores,

@@ -24,23 +24,23 @@ BODY = "left_camera"
 
 def estimate_of(run: FilterRun) -> Trajectory | None:
     """The estimated poses, with their covariances for the filter's own error; None where there are none."""
-    known = _finite(run.positions, run.orientations, run.pose_covariances)
-    if not known.any():
+    finite = _finite(run.positions, run.orientations, run.pose_covariances)
+    if not finite.any():
         return None
-    positions, orientations = run.positions[known], run.orientations[known]
+    positions, orientations = run.positions[finite], run.orientations[finite]
     tangent = tangent_of(run)
     J = tangent_jacobian(tangent, positions, orientations)
-    covariances = transformed(J, run.pose_covariances[known])
-    return Trajectory(positions, orientations, run.timestamps[known], covariances, tangent, run.filter_name, body=BODY)
+    covariances = transformed(J, run.pose_covariances[finite])
+    return Trajectory(positions, orientations, run.timestamps[finite], covariances, tangent, run.filter_name, body=BODY)
 
 
 def truth_of(run: FilterRun) -> Trajectory | None:
     """The true poses; None where there are none."""
-    known = _finite(run.true_positions, run.true_orientations)
-    if not known.any():
+    finite = _finite(run.true_positions, run.true_orientations)
+    if not finite.any():
         return None
     return Trajectory(
-        run.true_positions[known], run.true_orientations[known], run.timestamps[known], name="truth", body=BODY
+        run.true_positions[finite], run.true_orientations[finite], run.timestamps[finite], name="truth", body=BODY
     )
 
 
@@ -62,14 +62,14 @@ def reference_of(run: FilterRun) -> Trajectory | None:
 
 def tangent_of(run: FilterRun) -> Tangent:
     """Definition of the error that the run's `pose_errors` are of; without any, that of `PoseBelief`."""
-    known = _finite(run.positions, run.orientations, run.true_positions, run.true_orientations, run.pose_errors)
-    if not known.any():
+    finite = _finite(run.positions, run.orientations, run.true_positions, run.true_orientations, run.pose_errors)
+    if not finite.any():
         return "position-rotation"
     poses = (run.positions, run.orientations, run.true_positions, run.true_orientations)
 
     def difference(tangent: Tangent) -> float:
-        errors = pose_errors(tangent, *(part[known] for part in poses))
-        return float(np.abs(errors - run.pose_errors[known]).max())
+        errors = pose_errors(tangent, *(part[finite] for part in poses))
+        return float(np.abs(errors - run.pose_errors[finite]).max())
 
     return min(get_args(Tangent), key=difference)
 
@@ -109,9 +109,11 @@ class Trial:
     @cached_property
     def scored(self) -> BoolArray:
         """Frames with a finite position and a truth that has settled, but for the first; (K,)."""
-        known = np.array(np.isfinite(self.run.positions).all(axis=1) & np.isfinite(self.run.true_positions).all(axis=1))
-        known[:1] = False
-        return known & self.run.truth_from.has_settled(self.run.timestamps)
+        finite = np.array(
+            np.isfinite(self.run.positions).all(axis=1) & np.isfinite(self.run.true_positions).all(axis=1)
+        )
+        finite[:1] = False
+        return finite & self.run.truth_from.has_settled(self.run.timestamps)
 
     @cached_property
     def not_scored(self) -> int:

@@ -82,8 +82,8 @@ class WindowScores:
         self._recording, self._slam = recording, slam if isinstance(slam, Cloning) else None
         reference, count = recording.reference, len(recording)
         times = np.array([frame.timestamp for frame in recording.frames])
-        known = np.array([frame.truth is not None for frame in recording.frames]) & reference.has_settled(times)
-        rows = np.flatnonzero(known if reference.counts_as_truth else np.zeros(count, dtype=bool))
+        known_truth = np.array([frame.truth is not None for frame in recording.frames]) & reference.has_settled(times)
+        rows = np.flatnonzero(known_truth if reference.counts_as_truth else np.zeros(count, dtype=bool))
         self._ends = {s: {int(rows[j]): int(rows[i]) for i, j in window_ends(times[rows], s)} for s in WINDOWS}
         self._starts = {s: set(ends.values()) for s, ends in self._ends.items()}
         self.series = {name: np.full(count, np.nan) for name in WINDOW_SERIES if self._slam is not None}
@@ -215,9 +215,11 @@ def motion_covariances(trajectory: Trajectory, first: IntArray, last: IntArray) 
     )  # from errors in the first body to those in the last one
     if (drift := trajectory.drift) is None:
         return P[last] + transformed(back, P[first])
-    own, lasting = transformed(J, drift.own), J @ drift.lasting
-    grown = P - own - lasting @ lasting.swapaxes(1, 2)
-    left = lasting[last] - back @ lasting[first]
+    own_part, lasting = transformed(J, drift.own), J @ drift.lasting
+    grown = P - own_part - lasting @ lasting.swapaxes(1, 2)
+    lasting_left = lasting[last] - back @ lasting[first]
     increments = grown[last] - transformed(back, grown[first])
-    found: FloatArray = increments + left @ left.swapaxes(1, 2) + own[last] + transformed(back, own[first])
-    return found
+    covariance: FloatArray = (
+        increments + lasting_left @ lasting_left.swapaxes(1, 2) + own_part[last] + transformed(back, own_part[first])
+    )
+    return covariance

@@ -336,11 +336,11 @@ def check_definitions(path: Path, definitions: Iterable[tuple[str, str]]) -> Non
     fields, empty, arrays = 0, set(), set()
     for section, name in sections.items():
         plain = re.sub(r"#.*", "", section)
-        found = _FIELD.findall(plain)
-        fields += max(len(found), plain.count("\n"))
-        if not found:
+        fields_found = _FIELD.findall(plain)
+        fields += max(len(fields_found), plain.count("\n"))
+        if not fields_found:
             empty.add(name.rpartition("/")[2])
-        for kind, brackets in found:
+        for kind, brackets in fields_found:
             short = kind.rpartition("/")[2]
             if brackets:
                 arrays.add(short)

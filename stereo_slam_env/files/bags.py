@@ -191,10 +191,10 @@ def _check_database(path: Path, size: int, *, packed_messages: bool) -> None:
 
 def _check_schema(path: Path, database: sqlite3.Connection) -> None:
     """Views, triggers and virtual tables run what their maker wrote; computed columns as well."""
-    made = database.execute("SELECT type, name, sql FROM sqlite_master LIMIT 200").fetchall()
-    if len(made) == 200:
+    schema = database.execute("SELECT type, name, sql FROM sqlite_master LIMIT 200").fetchall()
+    if len(schema) == 200:
         raise BagTooLarge(f"{path} has 200 tables and more, which no bag has")
-    for kind, name, sql in made:
+    for kind, name, sql in schema:
         text = " ".join(str(sql or "").upper().split())
         if kind not in ("table", "index") or text.startswith("CREATE VIRTUAL"):
             raise ValueError(f"{path} has a {kind}, {str(name)[:50]!r}, which no bag needs: convert it by ROS")

@@ -79,9 +79,9 @@ def require_writable(path: Path) -> None:
 
     Nothing is made and nothing stays behind.
     """
-    there = next((one for one in (path, *path.absolute().parents) if one.exists()), path)
+    existing_parent = next((one for one in (path, *path.absolute().parents) if one.exists()), path)
     try:
-        with tempfile.TemporaryFile(dir=there):
+        with tempfile.TemporaryFile(dir=existing_parent):
             return
     except OSError as error:
         raise OSError(f"output {path} cannot be written ({error.strerror}): choose another directory") from error
@@ -204,8 +204,8 @@ def remove_own_files(folder: Path, below: Iterable[str]) -> None:
         if path.parent.is_dir() and not path.parent.is_symlink() and (path.is_file() or path.is_symlink()):
             path.unlink()
     if stale:
-        kept = [name for name in listed if name not in stale]
-        about = {"made by": "stereo-slam-env", "run": replaces_any, "files": kept}
+        remaining = [name for name in listed if name not in stale]
+        about = {"made by": "stereo-slam-env", "run": replaces_any, "files": remaining}
         write_text(folder / LIST, json.dumps(about, indent=1) + "\n")
 
 

@@ -33,19 +33,19 @@ __version__ = version_of("stereo-slam-env")
 
 def commit() -> str | None:
     """Commit of the checkout that this package runs from, with "+" where it was edited; None where it is installed."""
-    folder, told = Path(__file__).parent, []
-    for asked in (
+    folder, words = Path(__file__).parent, []
+    for command in (
         ("ls-files", "--error-unmatch", Path(__file__).name),
         ("describe", "--always", "--dirty=+", "--abbrev=40"),
     ):
         try:
-            done = subprocess.run(["git", "-C", str(folder), *asked], capture_output=True, text=True, timeout=10)
+            done = subprocess.run(["git", "-C", str(folder), *command], capture_output=True, text=True, timeout=10)
         except (OSError, subprocess.TimeoutExpired):
             return None
         if done.returncode:
             return None
-        told.append(done.stdout.strip())
-    return told[-1]
+        words.append(done.stdout.strip())
+    return words[-1]
 
 
 def show_versions() -> None:

@@ -219,10 +219,10 @@ def read_archive(path: Path, shapes: Mapping[str, Shape]) -> dict[str, FloatArra
     for key, shape in shapes.items():
         flat = not isinstance(shape, tuple)
         array = found[key] = found[key].reshape(-1) if flat else found[key]
-        wanted = (shape,) if isinstance(shape, int | str) else shape
-        if array.ndim == len(wanted):
-            lengths = {n: got for n, got in zip(wanted, array.shape, strict=True) if isinstance(n, str)} | lengths
-        expected = tuple(lengths.get(n, n) if isinstance(n, str) else n for n in wanted)
+        wanted_shape = (shape,) if isinstance(shape, int | str) else shape
+        if array.ndim == len(wanted_shape):
+            lengths = {n: got for n, got in zip(wanted_shape, array.shape, strict=True) if isinstance(n, str)} | lengths
+        expected = tuple(lengths.get(n, n) if isinstance(n, str) else n for n in wanted_shape)
         if array.shape != expected:
             counted = f"{array.size} numbers, expected {expected[0]}"
             raise ValueError(

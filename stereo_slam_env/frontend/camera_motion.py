@@ -72,11 +72,11 @@ def _steps_between(camera: StereoCamera, observations: tuple[StereoObservation, 
     for before, now in pairwise(observations):
         pairs = Pairs.between(before, now, FIRST_GUESS)
         last = steps[-1] if steps else None
-        found = robust_step(camera, pairs, None if last is None else last.step)
-        if found is None:
+        step_found = robust_step(camera, pairs, None if last is None else last.step)
+        if step_found is None:
             steps.append(None)
         else:
-            steps.append(CameraStep(found.step, np.diag(found.estimate.covariance).copy(), pairs))
+            steps.append(CameraStep(step_found.step, np.diag(step_found.estimate.covariance).copy(), pairs))
     return tuple(steps)
 
 
@@ -108,13 +108,13 @@ def needed_motion(recording: Recording, usual: ConstantVelocity | None = None) -
     squares: list[FloatArray] = []
     last: tuple[FloatArray, FloatArray, FloatArray] | None = None
     steps = camera_steps(recording.camera, recording.frames)
-    for (before, now), found in zip(pairwise(recording.frames), steps, strict=True):
-        if found is None:
+    for (before, now), step_found in zip(pairwise(recording.frames), steps, strict=True):
+        if step_found is None:
             last = None
             continue
-        dt, R = now.timestamp - before.timestamp, found.step.R
-        velocity = np.concatenate([found.step.t, rotations.log(R)]) / dt
-        variance = _variances(recording, now, found) / dt**2
+        dt, R = now.timestamp - before.timestamp, step_found.step.R
+        velocity = np.concatenate([step_found.step.t, rotations.log(R)]) / dt
+        variance = _variances(recording, now, step_found) / dt**2
         if last is not None:
             R_last, earlier, earlier_variance = last
             change = np.concatenate([R_last @ velocity[:3], velocity[3:]]) - earlier
@@ -196,10 +196,10 @@ def require_gyro_units(recording: Recording) -> None:
     if not any(frame.inertial is not None for frame in recording.frames):
         return
     ratios = []
-    for frame, found in zip(recording.frames[1:], camera_steps(recording.camera, recording.frames), strict=True):
-        if frame.inertial is None or found is None:
+    for frame, step_found in zip(recording.frames[1:], camera_steps(recording.camera, recording.frames), strict=True):
+        if frame.inertial is None or step_found is None:
             continue
-        turn, samples = rotations.log(found.step.R), frame.inertial
+        turn, samples = rotations.log(step_found.step.R), frame.inertial
         if np.linalg.norm(turn) > _TURNING:
             rates = samples.angular_rates @ rotations.matrix(samples.unit.orientation).T
             by_gyro = np.diff(samples.times, prepend=0.0) @ rates
@@ -254,12 +254,12 @@ def odometry_errors(recording: Recording) -> OdometryErrors | None:
             variance = 2.0 / curvature * at / (3 * len(times)) * frame**2
             share = _DELAY**2 / (_DELAY**2 + variance)
             delay, delay_sigma = share * frames * frame, float(np.sqrt(share * variance))
-    left = _at(times, rates, times + delay) - turned
-    left = left[np.isfinite(left).all(axis=1)]
-    left = left[(np.abs(left - np.median(left, axis=0)) < 2.0 * _OUTLIER * sigma).all(axis=1)]
-    blocks = np.array([block.mean(axis=0) for block in np.array_split(left, max(len(left) // _BLOCK, 2))])
+    rates_left = _at(times, rates, times + delay) - turned
+    rates_left = rates_left[np.isfinite(rates_left).all(axis=1)]
+    rates_left = rates_left[(np.abs(rates_left - np.median(rates_left, axis=0)) < 2.0 * _OUTLIER * sigma).all(axis=1)]
+    blocks = np.array([block.mean(axis=0) for block in np.array_split(rates_left, max(len(rates_left) // _BLOCK, 2))])
     # Of few blocks the scatter may be small by chance: no less than that of white noise.
-    variances = np.maximum(blocks.var(axis=0, ddof=1) / len(blocks), left.var(axis=0) / len(left))
+    variances = np.maximum(blocks.var(axis=0, ddof=1) / len(blocks), rates_left.var(axis=0) / len(rates_left))
     share = _BIAS**2 / (_BIAS**2 + variances)
     return OdometryErrors(delay, delay_sigma, share * blocks.mean(axis=0), np.sqrt(share * variances))
 
@@ -317,8 +317,8 @@ def _misfit(rates: FloatArray, turned: FloatArray, sigma: FloatArray, frames: in
 
 def _at(times: FloatArray, velocities: FloatArray, when: FloatArray) -> FloatArray:
     """Velocities at other times, linear in between; unknown ones are bridged."""
-    known = np.isfinite(velocities).all(axis=1)
-    return np.column_stack([np.interp(when, times[known], column[known]) for column in velocities.T])
+    finite = np.isfinite(velocities).all(axis=1)
+    return np.column_stack([np.interp(when, times[finite], column[finite]) for column in velocities.T])
 
 
 def median_residual(camera: StereoCamera, pairs: Pairs, step: Step) -> float:
@@ -337,10 +337,10 @@ def audit_of(recording: Recording) -> ReferenceAudit | None:
         return None
     rows = []
     steps = camera_steps(recording.camera, recording.frames)
-    for k, ((before, now), found) in enumerate(zip(pairwise(recording.frames), steps, strict=True), start=1):
-        if found is None or before.truth is None or now.truth is None:
+    for k, ((before, now), step_found) in enumerate(zip(pairwise(recording.frames), steps, strict=True), start=1):
+        if step_found is None or before.truth is None or now.truth is None:
             continue
         true = before.truth.inverse() @ now.truth
-        of_both = (Step(true.R_wc, true.position), found.step)
-        rows.append((k, *(median_residual(recording.camera, found.pairs, step) for step in of_both)))
+        of_both = (Step(true.R_wc, true.position), step_found.step)
+        rows.append((k, *(median_residual(recording.camera, step_found.pairs, step) for step in of_both)))
     return ReferenceAudit(*np.array(rows, dtype=np.float64).reshape(-1, 3).T)

@@ -70,8 +70,8 @@ class CausalNoiseEKF(ColouredNoiseEKF):
             assumed: dict[str, Any] = {"drift": noise.drift, "gauge_walk": noise.gauge_walk}
             if isinstance(self.options.landmark, LastingErrors):  # the errors are assumed once, kept or as a walk
                 lasting = noise.lasting_covariance
-                kept = np.zeros((3, 3)) if lasting is None else lasting
-                assumed["landmark"] = LastingErrors(kept, LASTING_TIME)
+                lasting_part = np.zeros((3, 3)) if lasting is None else lasting
+                assumed["landmark"] = LastingErrors(lasting_part, LASTING_TIME)
                 assumed["drift"] = noise.drift if lasting is None else None
             self.assume(StereoNoise(noise.R if noise.white is None else noise.white), **assumed)
         used = observation

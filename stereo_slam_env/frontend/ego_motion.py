@@ -192,7 +192,7 @@ def perspective_n_point(
     variance = 2.0 * np.median(pairs.R_second[:, [0, 1], [0, 1]].max(axis=1))
     radius = float(np.sqrt(chi_square_quantile(RANSAC_GATE, 2) * variance))
     cv2.setRNGSeed(RANSAC_SEED)
-    found, turn, shift, inliers = cv2.solvePnPRansac(
+    is_solved, turn, shift, inliers = cv2.solvePnPRansac(
         points,
         pixels,
         K,
@@ -201,15 +201,15 @@ def perspective_n_point(
         reprojectionError=radius,
         confidence=RANSAC_CONFIDENCE,
     )
-    if not found or inliers is None or len(inliers) < min_points:
+    if not is_solved or inliers is None or len(inliers) < min_points:
         return None
-    chosen = np.sort(inliers.reshape(-1)).astype(np.int64)
+    inlier_rows = np.sort(inliers.reshape(-1)).astype(np.int64)
     if polished:
-        turn, shift = cv2.solvePnPRefineLM(points[chosen], pixels[chosen], K, None, turn, shift)
+        turn, shift = cv2.solvePnPRefineLM(points[inlier_rows], pixels[inlier_rows], K, None, turn, shift)
     if not (np.isfinite(turn).all() and np.isfinite(shift).all()):
         return None
     R = rotations.exp(np.asarray(turn, dtype=np.float64).reshape(3)).T  # OpenCV takes points into the camera
-    return Step(R, -R @ np.asarray(shift, dtype=np.float64).reshape(3)), chosen
+    return Step(R, -R @ np.asarray(shift, dtype=np.float64).reshape(3)), inlier_rows
 
 
 def _innovation_covariances(pairs: Pairs, by_first: FloatArray) -> FloatArray:
@@ -256,19 +256,19 @@ def robust_step(camera: StereoCamera, pairs: Pairs, start: Step | None, *, gate:
     """
     if len(pairs) < MIN_POINTS:
         return None
-    found = None if start is None else _closing_in(camera, pairs, start, gate)
-    if found is None or found.inliers.sum() < _TRUSTED_SHARE * len(pairs):
+    fit = None if start is None else _closing_in(camera, pairs, start, gate)
+    if fit is None or fit.inliers.sum() < _TRUSTED_SHARE * len(pairs):
         near = np.flatnonzero(pairs.first[:, 2] > 1.0)
         ransac = perspective_n_point(camera, pairs.select(near), MIN_POINTS) if len(near) >= MIN_POINTS else None
         other = None if ransac is None else _closing_in(camera, pairs, ransac[0], gate)
-        if other is not None and (found is None or other.inliers.sum() > found.inliers.sum()):
+        if other is not None and (fit is None or other.inliers.sum() > fit.inliers.sum()):
             return other
-    return found
+    return fit
 
 
 def _closing_in(camera: StereoCamera, pairs: Pairs, step: Step, gate: float) -> RobustStep | None:
     limit = gate_limit(gate, 3)
-    chosen: BoolArray | None = None
+    inliers_chosen: BoolArray | None = None
     estimate: StepEstimate | None = None
     distances = squared_distances(camera, pairs, step)
     for _ in range(_ROUNDS):
@@ -276,10 +276,10 @@ def _closing_in(camera: StereoCamera, pairs: Pairs, step: Step, gate: float) -> 
         inliers &= np.isfinite(distances)
         if inliers.sum() < MIN_POINTS:
             return None
-        if chosen is not None and np.array_equal(chosen, inliers):
+        if inliers_chosen is not None and np.array_equal(inliers_chosen, inliers):
             break
-        chosen = inliers
-        estimate = most_likely_step(camera, pairs.select(chosen), step, converged=_CONVERGED)
+        inliers_chosen = inliers
+        estimate = most_likely_step(camera, pairs.select(inliers_chosen), step, converged=_CONVERGED)
         if estimate is None:
             return None
         step = estimate.step

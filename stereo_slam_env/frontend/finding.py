@@ -100,12 +100,12 @@ def _emptiest_first(
         number: IntArray = at[:, 1] * columns + at[:, 0]
         return number
 
-    own, others = cell_of(found), np.bincount(cell_of(taken), minlength=columns * rows)
-    by_cell = np.lexsort((-value, own))
-    starts = np.searchsorted(own[by_cell], own[by_cell])
+    own_cells, taken_counts = cell_of(found), np.bincount(cell_of(taken), minlength=columns * rows)
+    by_cell = np.lexsort((-value, own_cells))
+    starts = np.searchsorted(own_cells[by_cell], own_cells[by_cell])
     rank = np.empty(len(found), dtype=np.int64)
     rank[by_cell] = np.arange(len(found)) - starts
-    order: IntArray = np.lexsort((-value, rank + others[own]))
+    order: IntArray = np.lexsort((-value, rank + taken_counts[own_cells]))
     return order
 
 
@@ -169,10 +169,10 @@ class PairFinder:
         count, settings = len(tracks), self.settings
         uvd, R = np.full((count, 3), np.nan), np.full((count, 3, 3), np.nan)
         outcome = np.full(count, int(Outcome.OUT_OF_VIEW), dtype=np.int64)
-        wanted = np.flatnonzero(expected.in_view & which)
-        if len(wanted) == 0:
+        expected_rows = np.flatnonzero(expected.in_view & which)
+        if len(expected_rows) == 0:
             return Found(uvd, R, outcome)
-        sought = tracks.select(wanted)
+        sought = tracks.select(expected_rows)
         R_now_then = R_vn.T @ sought.first_R
         t_now_then = (sought.first_position - position_v) @ R_vn
         affine = local_affine(self.camera, sought.first_uvd, R_now_then, t_now_then)
@@ -180,16 +180,16 @@ class PairFinder:
         result = search(
             self.left,
             templates,
-            expected.uvd[wanted, :2],
-            expected.S[wanted, :2, :2],
+            expected.uvd[expected_rows, :2],
+            expected.S[expected_rows, :2, :2],
             gate=float(np.sqrt(gate_limit(settings.search_gate, 2))),
             max_radius=settings.max_radius,
         )
         good = (result.score >= settings.min_score) & (result.second <= settings.uniqueness * result.score)
         good &= ~result.on_border & self.inside(result.position)
-        outcome[wanted] = np.where(good, Outcome.NO_DISPARITY, Outcome.NO_MATCH)
+        outcome[expected_rows] = np.where(good, Outcome.NO_DISPARITY, Outcome.NO_MATCH)
         hit = np.flatnonzero(good)
-        at = wanted[hit]
+        at = expected_rows[hit]
         reach = _ROW_SLACK + np.sqrt(gate_limit(settings.search_gate, 1) * expected.S[at, 2, 2])
         disparity, variance, accepted = self.disparities(
             result.position[hit], expected.uvd[at, 2] - reach, expected.uvd[at, 2] + reach

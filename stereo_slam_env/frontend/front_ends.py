@@ -79,18 +79,18 @@ def make_front_end(camera: StereoCamera, settings: TrackerSettings | None = None
         Unknown name, a front end of a third party that cannot be loaded, or settings that it refuses.
     """
     settings = TrackerSettings() if settings is None else settings
-    made = front_end_factory(settings.method)(camera, settings)
-    if not callable(getattr(made, "track", None)) or not callable(getattr(made, "reset", None)):
-        raise ValueError(f"front end {settings.method!r} made a {type(made).__name__} without track and reset")
-    return made
+    front_end = front_end_factory(settings.method)(camera, settings)
+    if not callable(getattr(front_end, "track", None)) or not callable(getattr(front_end, "reset", None)):
+        raise ValueError(f"front end {settings.method!r} made a {type(front_end).__name__} without track and reset")
+    return front_end
 
 
 def front_end_factory(name: str) -> FrontEndFactory:
     """Factory of the front end of that name; raises as `make_front_end`."""
     points = _points()
     if name not in points:
-        known = ", ".join(points)
-        raise ValueError(f"front end must be one of {known}, got {name!r}{did_you_mean(name, points)}")
+        names = ", ".join(points)
+        raise ValueError(f"front end must be one of {names}, got {name!r}{did_you_mean(name, points)}")
     factory: FrontEndFactory = load_factory("front end", points[name])
     return factory
 
@@ -216,11 +216,11 @@ def _measures_parts_of_a_pixel(make: Make) -> str:
 
 def _never_reuses_ids(make: Make) -> str:
     """An id that was dropped does not come again."""
-    gone: set[int] = set()
+    gone_ids: set[int] = set()
     for number, pair in enumerate(_run(make())):
-        if back := gone & set(pair.ids.tolist()):
+        if back := gone_ids & set(pair.ids.tolist()):
             return f"pair {number} has {min(back)} again"
-        gone |= set(np.asarray(pair.dropped).tolist())
+        gone_ids |= set(np.asarray(pair.dropped).tolist())
     return ""
 
 

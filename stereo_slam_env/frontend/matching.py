@@ -187,15 +187,15 @@ def search(
     extent = np.minimum(gate * np.sqrt(np.diagonal(reach, axis1=1, axis2=2)), max_radius)
 
     peaks = best_peaks(image, templates, np.ceil(c - extent), np.floor(c + extent), (c, whiten))
-    found = peaks.score > -1.0
+    has_peak = peaks.score > -1.0
     position, score = np.full(c.shape, np.nan), np.full(len(c), -1.0)
     spread = np.full((len(c), 2, 2), np.nan)
-    refined = refine(image, templates[found], peaks.pixel[found], peaks.offset[found])
-    position[found], score[found], spread[found] = refined.position, refined.score, refined.covariance
+    refined = refine(image, templates[has_peak], peaks.pixel[has_peak], peaks.offset[has_peak])
+    position[has_peak], score[has_peak], spread[has_peak] = refined.position, refined.score, refined.covariance
     away = position - c
     with np.errstate(invalid="ignore"):
         outside = (np.einsum("nij,nj->ni", whiten, away) ** 2).sum(axis=1) > 1.0
-    outside[found] |= peaks.rising[found] & ~refined.converged
+    outside[has_peak] |= peaks.rising[has_peak] & ~refined.converged
     return SearchResult(position, score, peaks.second, outside, spread)
 
 
@@ -241,19 +241,19 @@ def match_rows(
     peaks = best_peaks(right, templates, first, last)
 
     position, score, variance = np.full((n, 2), np.nan), np.full(n, -1.0), np.full(n, np.nan)
-    found = peaks.score > -1.0
-    refined = refine(right, templates[found], peaks.pixel[found], peaks.offset[found])
+    has_peak = peaks.score > -1.0
+    refined = refine(right, templates[has_peak], peaks.pixel[has_peak], peaks.offset[has_peak])
     # On a slanted edge the row decides on the disparity: the expected one is a measurement of it.
     P = refined.covariance
     gain = P[:, :, 1] / (P[:, 1, 1] + (rows / _ROW_SIGMAS) ** 2)[:, None]
-    position[found] = refined.position + gain * (at[found, 1] - refined.position[:, 1])[:, None]
-    variance[found] = P[:, 0, 0] - gain[:, 0] * P[:, 0, 1]
-    score[found] = refined.score
+    position[has_peak] = refined.position + gain * (at[has_peak, 1] - refined.position[:, 1])[:, None]
+    variance[has_peak] = P[:, 0, 0] - gain[:, 0] * P[:, 0, 1]
+    score[has_peak] = refined.score
     disparity = at[:, 0] - position[:, 0]
     with np.errstate(invalid="ignore"):
         accepted = (score >= min_score) & (peaks.second < ratio * peaks.score)
         accepted &= (disparity >= low - 0.5) & (disparity <= high + 0.5)
-    accepted[found] &= refined.converged | ~peaks.rising[found]
+    accepted[has_peak] &= refined.converged | ~peaks.rising[has_peak]
     if left_right_check and accepted.any():
         accepted[accepted] = _returns(
             left, right, at[accepted], position[accepted], low[accepted], high[accepted], rows

@@ -99,10 +99,10 @@ class FeatureFrontEnd:
         size, margin = np.array([self.camera.width, self.camera.height]), self.settings.margin
         inside = np.flatnonzero(((uv >= margin) & (uv < size - margin)).all(axis=1))
         strong = np.argsort([-keypoints[at].response for at in inside], kind="stable")
-        chosen = inside[strong[: _SPARE * self.settings.max_landmarks]]
-        _, once = np.unique(uv[chosen], axis=0, return_index=True)  # SIFT has a feature for each of its directions
-        chosen = chosen[np.sort(once)]
-        return uv[chosen], np.ascontiguousarray(np.asarray(descriptors)[chosen])
+        strongest = inside[strong[: _SPARE * self.settings.max_landmarks]]
+        _, once = np.unique(uv[strongest], axis=0, return_index=True)  # SIFT has a feature for each of its directions
+        strongest = strongest[np.sort(once)]
+        return uv[strongest], np.ascontiguousarray(np.asarray(descriptors)[strongest])
 
     def _identities(self, uv: FloatArray, descriptors: Any) -> IntArray:
         """Ids (M,) of features, -1 where there is no place; what is measured is kept for the next pair."""
@@ -110,8 +110,8 @@ class FeatureFrontEnd:
         if len(i) >= _FEWEST:
             _, mask = cv2.findFundamentalMat(self._uv[i], uv[j], cv2.FM_RANSAC, _EPIPOLAR, 0.99)
             if mask is not None:
-                kept = np.asarray(mask).reshape(-1).astype(bool)
-                i, j = i[kept], j[kept]
+                kept_rows = np.asarray(mask).reshape(-1).astype(bool)
+                i, j = i[kept_rows], j[kept_rows]
         ids = np.full(len(uv), -1, dtype=np.int64)
         ids[j] = self._ids[i]
         free = np.flatnonzero(ids < 0)[: max(self.settings.max_landmarks - len(i), 0)]  # the strongest come first
@@ -138,14 +138,14 @@ class FeatureFrontEnd:
         if self._glue is not None:
             size = self.camera.width, self.camera.height
             self._glue.setPairInfo(uv.astype(np.float32), uv_second.astype(np.float32), size, size)
-            found = self._glue.match(first, second)
+            matches = self._glue.match(first, second)
         else:
             norm = cv2.NORM_HAMMING if first.dtype == np.uint8 else cv2.NORM_L2
             both = [cv2.BFMatcher(norm).knnMatch(*one, k=2) for one in ((first, second), (second, first))]
             back = {match[0].queryIdx: match[0].trainIdx for match in both[1]}
             best = (match for match in both[0] if match[0].distance < _RATIO * match[1].distance)
-            found = [match[0] for match in best if back[match[0].trainIdx] == match[0].queryIdx]
-        pairs = np.array([(match.queryIdx, match.trainIdx) for match in found], dtype=np.int64).reshape(-1, 2)
+            matches = [match[0] for match in best if back[match[0].trainIdx] == match[0].queryIdx]
+        pairs = np.array([(match.queryIdx, match.trainIdx) for match in matches], dtype=np.int64).reshape(-1, 2)
         return pairs[:, 0], pairs[:, 1]
 
 
@@ -238,13 +238,13 @@ class KLTFrontEnd:
             self._follow(left)
         if len(self._ids) < self.settings.refill_below:
             self._refill(left)
-        disparity, seen = self._disparities(left, right)
-        self._misses = np.where(seen, 0, self._misses + 1)
-        ids = self._ids[seen]
-        uvd = np.column_stack([self._uv[seen].astype(np.float64), disparity[seen]])
+        disparity, has_disparity = self._disparities(left, right)
+        self._misses = np.where(has_disparity, 0, self._misses + 1)
+        ids = self._ids[has_disparity]
+        uvd = np.column_stack([self._uv[has_disparity].astype(np.float64), disparity[has_disparity]])
         fresh = ids[~np.isin(ids, self._known)]
-        kept = (self._misses <= self.settings.max_misses) & (seen | np.isin(self._ids, self._known))
-        self._select(kept)
+        remaining = (self._misses <= self.settings.max_misses) & (has_disparity | np.isin(self._ids, self._known))
+        self._select(remaining)
         self._known = np.intersect1d(np.union1d(self._known, ids), self._ids)
         self._left = left.copy()
         R = np.tile(self._R, (len(ids), 1, 1))
@@ -256,14 +256,14 @@ class KLTFrontEnd:
     def _follow(self, left: GreyImage) -> None:
         """Move the points on to the next left image; those that are lost are left out."""
         assert self._left is not None
-        found, good = followed(self._left, left, self._uv, self._uv)
-        good &= self._inside(found)
+        followed_uv, good = followed(self._left, left, self._uv, self._uv)
+        good &= self._inside(followed_uv)
         at = np.flatnonzero(good)
         if len(at) >= _FEWEST:
-            _, mask = cv2.findFundamentalMat(self._uv[at], found[at], cv2.FM_RANSAC, _EPIPOLAR, 0.99)
+            _, mask = cv2.findFundamentalMat(self._uv[at], followed_uv[at], cv2.FM_RANSAC, _EPIPOLAR, 0.99)
             if mask is not None:
                 good[at] &= np.asarray(mask).reshape(-1).astype(bool)
-        self._uv = found
+        self._uv = followed_uv
         self._select(good)
 
     def _refill(self, left: GreyImage) -> None:
@@ -273,8 +273,8 @@ class KLTFrontEnd:
         free[margin : left.shape[0] - margin, margin : left.shape[1] - margin] = 255
         for u, v in self._uv:
             cv2.circle(free, (round(float(u)), round(float(v))), distance, 0, -1)
-        wanted = self.settings.max_landmarks - len(self._ids)
-        corners = cv2.goodFeaturesToTrack(left, wanted, _QUALITY, distance, mask=free)
+        missing_count = self.settings.max_landmarks - len(self._ids)
+        corners = cv2.goodFeaturesToTrack(left, missing_count, _QUALITY, distance, mask=free)
         new = np.zeros((0, 2), dtype=np.float32) if corners is None else np.asarray(corners, np.float32).reshape(-1, 2)
         self._ids = np.concatenate([self._ids, self._next + np.arange(len(new), dtype=np.int64)])
         self._uv = np.concatenate([self._uv, new])
@@ -283,8 +283,8 @@ class KLTFrontEnd:
 
     def _disparities(self, left: GreyImage, right: GreyImage) -> tuple[FloatArray, BoolArray]:
         """Disparities (N,), px, and which were found."""
-        found, good = followed(left, right, self._uv, self._uv)
-        shift = (self._uv - found).astype(np.float64)
+        followed_uv, good = followed(left, right, self._uv, self._uv)
+        shift = (self._uv - followed_uv).astype(np.float64)
         disparity = shift[:, 0] + self.settings.disparity_offset
         most = self.camera.disparity_constant / self.settings.nearest
         fits = (disparity > 0) & (disparity < most) & (np.abs(shift[:, 1]) < _KLT_ROWS)
@@ -301,8 +301,8 @@ def followed(first: GreyImage, second: GreyImage, uv: Points, guess: Points) -> 
     if not len(uv):
         return uv, np.zeros(0, dtype=bool)
     options = {"winSize": _WINDOW, "maxLevel": _LEVELS}
-    there, status, _ = cv2.calcOpticalFlowPyrLK(first, second, uv, guess.copy(), **options)  # type: ignore[call-overload]
-    back, again, _ = cv2.calcOpticalFlowPyrLK(second, first, there, uv.copy(), **options)  # type: ignore[call-overload]
+    uv_after, status, _ = cv2.calcOpticalFlowPyrLK(first, second, uv, guess.copy(), **options)  # type: ignore[call-overload]
+    back, again, _ = cv2.calcOpticalFlowPyrLK(second, first, uv_after, uv.copy(), **options)  # type: ignore[call-overload]
     home = np.abs(np.asarray(back) - uv).max(axis=1) < _RETURNS
     good = (np.asarray(status).reshape(-1) > 0) & (np.asarray(again).reshape(-1) > 0) & home
-    return np.asarray(there, dtype=np.float32), good
+    return np.asarray(uv_after, dtype=np.float32), good

@@ -84,9 +84,9 @@ class RowOffsets:
 
 def row_offsets(pairs: Sequence[tuple[GreyImage, GreyImage]]) -> RowOffsets:
     """Match corners of pairs (left, right) in both directions, without supposing that their rows agree."""
-    found = [_of_pair(left, right) for left, right in pairs]
-    uv, disparity, offset = (np.concatenate([one[i] for one in found]) for i in range(3)) if found else (_NONE,) * 3
-    return RowOffsets(uv.reshape(-1, 2), disparity, offset, sum(one[3] for one in found))
+    offsets = [_of_pair(left, right) for left, right in pairs]
+    uv, disparity, offset = (np.concatenate([one[i] for one in offsets]) for i in range(3)) if offsets else (_NONE,) * 3
+    return RowOffsets(uv.reshape(-1, 2), disparity, offset, sum(one[3] for one in offsets))
 
 
 def require_rectified(rows: RowOffsets, camera: StereoCamera, name: str) -> None:
@@ -109,15 +109,15 @@ def require_rectified(rows: RowOffsets, camera: StereoCamera, name: str) -> None
             f"{name}: {count} of {len(rows.offset)} corners lie beyond infinity, with disparities down to "
             f"{rows.disparity.min():.1f} px, so the cameras are turned to each other (yaw), or the images raw: {remedy}"
         )
-    found, sigma = turns_of_rows(rows, camera)
-    if (np.abs(found) > _SIGNIFICANT * np.hypot(sigma, _LEFT)).any():
-        said = ", ".join(
+    turns, sigma = turns_of_rows(rows, camera)
+    if (np.abs(turns) > _SIGNIFICANT * np.hypot(sigma, _LEFT)).any():
+        words = ", ".join(
             f"{what} {scale * value:+.2f} ± {scale * error:.2f} {unit}"
             for what, scale, unit, value, error in zip(
-                ("pitch", "yaw", "roll"), (1.0, 1e3, 1e3), ("px", "mrad", "mrad"), found, sigma, strict=True
+                ("pitch", "yaw", "roll"), (1.0, 1e3, 1e3), ("px", "mrad", "mrad"), turns, sigma, strict=True
             )
         )
-        raise ValueError(f"{name}: the rows of its images are those of no rectified pair ({said}): {remedy}")
+        raise ValueError(f"{name}: the rows of its images are those of no rectified pair ({words}): {remedy}")
 
 
 def turns_of_rows(rows: RowOffsets, camera: StereoCamera) -> tuple[FloatArray, FloatArray]:
@@ -127,15 +127,17 @@ def turns_of_rows(rows: RowOffsets, camera: StereoCamera) -> tuple[FloatArray, F
     """
     x, y = (rows.uv[:, 0] - rows.disparity - camera.cx) / camera.fx, (rows.uv[:, 1] - camera.cy) / camera.fy
     A = np.column_stack([1.0 + y * y, camera.fy * x * y, camera.fy * x])
-    weights, found, sigma = np.ones(len(x)), np.zeros(3), 1.0
+    weights, turns_found, sigma = np.ones(len(x)), np.zeros(3), 1.0
     for _ in range(_STEPS):
         root = np.sqrt(weights)
-        found = np.asarray(np.linalg.lstsq(A * root[:, None], rows.offset * root, rcond=None)[0], dtype=np.float64)
-        errors = np.abs(rows.offset - A @ found)
+        turns_found = np.asarray(
+            np.linalg.lstsq(A * root[:, None], rows.offset * root, rcond=None)[0], dtype=np.float64
+        )
+        errors = np.abs(rows.offset - A @ turns_found)
         sigma = 1.4826 * float(np.median(errors)) + 1e-9
         weights = np.minimum(1.0, _HUBER * sigma / np.maximum(errors, 1e-9)).astype(np.float64)
     information = (A * weights[:, None]).T @ A / sigma**2
-    return found, np.sqrt(np.diag(np.linalg.pinv(information)))
+    return turns_found, np.sqrt(np.diag(np.linalg.pinv(information)))
 
 
 _NONE = np.zeros(0)
@@ -146,10 +148,10 @@ def _of_pair(left: GreyImage, right: GreyImage) -> tuple[FloatArray, FloatArray,
     uv = detect_corners(left, _CORNERS, np.zeros((0, 2)), margin=_MARGIN)
     rows = max(_FEWEST_ROWS, round(_ROWS * height))
     low, high = np.array([-_COLUMNS * width, -rows]), np.array([_NEGATIVE * width, rows])
-    there, good = _matched(left, right, uv, low, high)
-    back, again = _matched(right, left, there, -high, -low)
+    uv_right, good = _matched(left, right, uv, low, high)
+    back, again = _matched(right, left, uv_right, -high, -low)
     good &= again & (np.abs(back - uv).max(axis=1, initial=0.0) <= _RETURNS_WITHIN)
-    moved = uv[good] - there[good]
+    moved = uv[good] - uv_right[good]
     return uv[good], moved[:, 0], moved[:, 1], len(uv)
 
 
@@ -161,10 +163,10 @@ def _matched(
         return uv, np.zeros(0, dtype=bool)
     templates, nearest = cut_patches(one, uv, PATCH), np.rint(uv)
     peaks = best_peaks(other, templates, np.rint(nearest + low), np.rint(nearest + high))
-    found = peaks.score > -1.0
+    has_peak = peaks.score > -1.0
     position, score = uv.copy(), np.full(len(uv), -1.0)
-    refined = refine(other, templates[found], peaks.pixel[found], peaks.offset[found])
-    position[found], score[found] = refined.position, refined.score
+    refined = refine(other, templates[has_peak], peaks.pixel[has_peak], peaks.offset[has_peak])
+    position[has_peak], score[has_peak] = refined.position, refined.score
     good = (score >= _MIN_SCORE) & (peaks.second < _RIVAL * peaks.score)
     return position, np.asarray(good)
 
@@ -223,8 +225,8 @@ def _is_yaw(rows: RowOffsets, camera: StereoCamera, shift: float, doubt: float) 
     """Whether rows and motion, which share no error, show one yaw between the cameras that no calibration leaves."""
     if len(rows.offset) < FEWEST or not abs(shift) > _IMPOSSIBLE * doubt:
         return False
-    found, sigma = turns_of_rows(rows, camera)
-    yaw, by_motion = float(found[1]), -shift / camera.fx
+    turns, sigma = turns_of_rows(rows, camera)
+    yaw, by_motion = float(turns[1]), -shift / camera.fx
     return abs(yaw) > max(_LEAST_YAW, _IMPOSSIBLE * float(sigma[1])) and bool(0.25 < by_motion / yaw < 4.0)
 
 
@@ -250,14 +252,14 @@ class DisparityOffset:
 
     def learn(self, pairs: Pairs, step: Step, *, shared: int = 1) -> None:
         """Learn from pairs as measured and the approximate step between them, one of `shared` overlapping ones."""
-        found = robust_step(self._camera, self._shifted(pairs, self.value), step)
-        if found is None:
+        step_found = robust_step(self._camera, self._shifted(pairs, self.value), step)
+        if step_found is None:
             return
-        fitting = pairs.select(found.inliers)
+        fitting = pairs.select(step_found.inliers)
         # Minus twice the log-likelihood of the pairs, with the step that suits them best, for three offsets.
         misfits = []
         for offset in (self.value - _PROBE, self.value, self.value + _PROBE):
-            estimate = most_likely_step(self._camera, self._shifted(fitting, offset), found.step)
+            estimate = most_likely_step(self._camera, self._shifted(fitting, offset), step_found.step)
             if estimate is None:
                 return
             misfits.append(estimate.nis)

@@ -143,22 +143,22 @@ class TrackStatistics:
         expected = transfer(self._camera, first, step)
         residuals = second - expected.uvd
         flow = np.sqrt(np.sum((second - first)[:, :2] ** 2, axis=1))
-        there = np.isfinite(residuals).all(axis=1) & (flow >= LEAST_FLOW)
-        if there.any():
+        usable = np.isfinite(residuals).all(axis=1) & (flow >= LEAST_FLOW)
+        if usable.any():
             if before.R is not None and now.R is not None:
-                pairs = Pairs(first[there], second[there], before.R[i[there]], now.R[j[there]])
+                pairs = Pairs(first[usable], second[usable], before.R[i[usable]], now.R[j[usable]])
                 self._squared += float(np.median(squared_distances(self._camera, pairs, step)))
-            self._absolute += 1.4826 * np.median(np.abs(residuals[there]), axis=0)
+            self._absolute += 1.4826 * np.median(np.abs(residuals[usable]), axis=0)
             self.frames += 1
-        self._moved += int(there.sum())
-        there &= np.all(np.abs(residuals) <= OUTLIER * self._absolute / max(self.frames, 1), axis=1)
-        self._matched += int(there.sum())
-        tracks.residuals[:, 0] = np.where(there[:, None], residuals, np.nan)
+        self._moved += int(usable.sum())
+        usable &= np.all(np.abs(residuals) <= OUTLIER * self._absolute / max(self.frames, 1), axis=1)
+        self._matched += int(usable.sum())
+        tracks.residuals[:, 0] = np.where(usable[:, None], residuals, np.nan)
         products = tracks.residuals * tracks.residuals[:, :1]
         products[:, 1] = _at_one_frame(tracks.residuals, expected.by_first)
-        known = np.isfinite(products).all(axis=2)
-        products[~known] = 0.0
-        self._counts += known.sum(axis=0)
+        finite = np.isfinite(products).all(axis=2)
+        products[~finite] = 0.0
+        self._counts += finite.sum(axis=0)
         self._products += products.sum(axis=0)
         tracks.sums[:] += products[:, :, 0] + products[:, :, 1]
 
@@ -257,8 +257,8 @@ def track_noise(recording: Recording) -> TrackNoise:
     """Noise of the tracks of a recording, by robust motions between its frames."""
     statistics = TrackStatistics(recording.camera)
     steps = camera_steps(recording.camera, recording.frames)
-    for (before, now), found in zip(pairwise(recording.frames), steps, strict=True):
-        statistics.add(before.observation, now.observation, None if found is None else found.step)
+    for (before, now), step_found in zip(pairwise(recording.frames), steps, strict=True):
+        statistics.add(before.observation, now.observation, None if step_found is None else step_found.step)
     return statistics.noise
 
 
@@ -312,12 +312,12 @@ def stated_noise(found: TrackNoise, R: StereoNoise, brings_R: bool, stranger: bo
         slid = max(step - 2.0 * white, 0.0)  # white errors leave nothing but rounding
         # By what lasts over many frames alone, tracks that slide a little were put down to the right camera, with a
         # white part that small; by the part of a step that is not white alone, white noise on top cost 0.8 nats.
-        known = float(np.sqrt(found.known_to_last * slid / max(step, TINY)))
+        known_share = float(np.sqrt(found.known_to_last * slid / max(step, TINY)))
         raised = max(1.0, 0.5 * step / float(np.mean(np.diag(R.R)[:2])))  # a residual has the errors of two frames
-        gate = np.minimum(GATE * np.sqrt(known) * found.step, found.lasting)
+        gate = np.minimum(GATE * np.sqrt(known_share) * found.step, found.lasting)
         noise = ColouredNoise(
             R.R,
-            (1.0 - known) * raised * R.R + known * (white + WHITE**2 * slid) * of_pixels,
+            (1.0 - known_share) * raised * R.R + known_share * (white + WHITE**2 * slid) * of_pixels,
             LandmarkDrift(DRIFT_SHARE * found.ignorance, tuple(found.lasting.tolist()), tuple(gate.tolist())),
             lasting_time=LASTING_TIME,
             lasting=LASTING**2 * slid * of_pixels + (DRIFT_SHARE * found.ignorance) ** 2 * R.R,
@@ -341,5 +341,6 @@ def _with_claims_raised(recording: Recording, factor: float) -> Recording:
         return recording
     observations = [frame.observation for frame in recording.frames]
     return recording.with_observations(
-        seen if seen.R is None else dataclasses.replace(seen, R=factor * seen.R) for seen in observations
+        observation if observation.R is None else dataclasses.replace(observation, R=factor * observation.R)
+        for observation in observations
     )

@@ -65,13 +65,15 @@ def record_tracks(
     settings = settings_for(sequence) if settings is None else settings
     tracker = make_front_end(sequence.camera, settings)
     taken: list[Frame] = []
-    wanted = len(sequence) if frames is None else min(frames, len(sequence))
+    frames_wanted = len(sequence) if frames is None else min(frames, len(sequence))
     first_step: Step | None = None
-    for number, pair in enumerate(islice(sequence.pairs(), wanted)):
+    for number, pair in enumerate(islice(sequence.pairs(), frames_wanted)):
         dt = pair.timestamp - taken[-1].timestamp if taken else None
         if dt is not None and dt > LONGEST_STEP:
-            said = f"pair {number} comes {dt:.6g} s after the one before, more than {LONGEST_STEP:g} s"
-            raise ValueError(f"{sequence.name}: {said}: the clock jumps, so read the part before or the one after it")
+            message = f"pair {number} comes {dt:.6g} s after the one before, more than {LONGEST_STEP:g} s"
+            raise ValueError(
+                f"{sequence.name}: {message}: the clock jumps, so read the part before or the one after it"
+            )
         tracked = tracker.track(pair.left, pair.right, dt)
         if watch is not None:
             watch(pair, tracked)
@@ -79,7 +81,7 @@ def record_tracks(
             first_step = followed[0]
         taken.append(Frame(pair.timestamp, tracked.observation, pair.odometry, pair.truth, inertial=pair.inertial))
         if progress is not None:
-            progress(number + 1, wanted)
+            progress(number + 1, frames_wanted)
     if not any(len(frame.observation) for frame in taken):
         raise ValueError(
             f"{sequence.name} shows no landmark in any of its {len(taken)} pairs: are the images dark, blurred or "
@@ -189,13 +191,13 @@ class ImageSensor(Kept):
             self._seen = np.union1d(self._seen, observation.ids)
             corners = StereoObservation(observation.ids[fresh], observation.uvd[fresh])
         points_w = points_at(self.camera, pose, images.depth, corners.uvd[:, :2])
-        known = np.isfinite(points_w).all(axis=1)
+        in_map = np.isfinite(points_w).all(axis=1)
         if self._moves is not None:
             moving = self._moves(points_w)
             self._moving_ids.append(corners.ids[moving])
-            known &= ~moving
-        self._ids.append(corners.ids[known])
-        self._points.append(points_w[known])
+            in_map &= ~moving
+        self._ids.append(corners.ids[in_map])
+        self._points.append(points_w[in_map])
         return self.tracked.observation
 
     @property

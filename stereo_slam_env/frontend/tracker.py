@@ -118,13 +118,20 @@ def judged(
     over: Step | None = None
     for back, step in enumerate(steps, start=1):
         over = step if over is None else chained(step, over)
-        known = np.flatnonzero(matched & np.isfinite(measured[:, back, 0]))
-        pairs = Pairs(measured[known, back], measured[known, 0], measured_R[known, back], measured_R[known, 0])
+        measured_rows = np.flatnonzero(matched & np.isfinite(measured[:, back, 0]))
+        pairs = Pairs(
+            measured[measured_rows, back],
+            measured[measured_rows, 0],
+            measured_R[measured_rows, back],
+            measured_R[measured_rows, 0],
+        )
         off = squared_distances(camera, pairs, over) > limit
-        unlike[known] |= off
+        unlike[measured_rows] |= off
         off &= (pairs.first[:, 2] > 0) & (pairs.second[:, 2] > 0)
         moved = pairs.select(off)
-        together[known[off]] |= moving_together(camera, moved.first, moved.second, moved.R_first, moved.R_second, over)
+        together[measured_rows[off]] |= moving_together(
+            camera, moved.first, moved.second, moved.R_first, moved.R_second, over
+        )
     strikes = np.where(matched, np.where(unlike, tracks.strikes + 1, 0), tracks.strikes)
     moving = tracks.moving | (together & (strikes >= STRIKES))
     outcome = found.outcome.copy()
@@ -251,21 +258,21 @@ class StereoTracker:
 
     def _follow(self, finder: PairFinder, dt: float, forecast: Forecast | None) -> tuple[Tracks, Search, IntArray]:
         tracks = self._tracks.next_pair()
-        expected, found, motion = self._searched(finder, tracks, self._expected(finder, tracks, dt, forecast))
-        if found.matched.sum() < max(MIN_POINTS, _LOST_SHARE * expected.in_view.sum()):
+        expected, matches, motion = self._searched(finder, tracks, self._expected(finder, tracks, dt, forecast))
+        if matches.matched.sum() < max(MIN_POINTS, _LOST_SHARE * expected.in_view.sum()):
             flow = self._flow_step(finder, tracks)
             if flow is not None:
                 again = self._by_motion(tracks, flow, self._unsure_by(dt))
-                expected, found, motion = self._searched(finder, tracks, again)
+                expected, matches, motion = self._searched(finder, tracks, again)
         self._moved(expected.step if motion is None else motion.step, dt)
         tracks, outcome = judged(
-            self.camera, tracks, found, [] if motion is None else self._steps[:_JUDGED], self.settings.gate
+            self.camera, tracks, matches, [] if motion is None else self._steps[:_JUDGED], self.settings.gate
         )
-        searched = Search(tracks.ids, expected.uvd, expected.S, found.uvd, outcome)
-        tracks = self._carried(tracks, found)
-        kept = self._kept(tracks, outcome)
-        gone = tracks.released & (~kept | tracks.moving) & ~self._tracks.moving
-        return tracks.select(kept), searched, tracks.ids[gone]
+        searched = Search(tracks.ids, expected.uvd, expected.S, matches.uvd, outcome)
+        tracks = self._carried(tracks, matches)
+        remaining = self._kept(tracks, outcome)
+        leaving = tracks.released & (~remaining | tracks.moving) & ~self._tracks.moving
+        return tracks.select(remaining), searched, tracks.ids[leaving]
 
     def _expected(self, finder: PairFinder, tracks: Tracks, dt: float, forecast: Forecast | None) -> Expectation:
         """Predict by the filter's forecast, else by constant velocity, else by optical flow."""
@@ -291,17 +298,17 @@ class StereoTracker:
 
     def _flow_step(self, finder: PairFinder, tracks: Tracks) -> Step | None:
         """The motion from optical flow, for pairs that no motion so far explains."""
-        seen = np.flatnonzero((tracks.misses == 0) & ~tracks.moving)
-        if len(seen) < MIN_POINTS or self._left is None:
+        visible_rows = np.flatnonzero((tracks.misses == 0) & ~tracks.moving)
+        if len(visible_rows) < MIN_POINTS or self._left is None:
             return None
-        before = tracks.uvd[seen]
+        before = tracks.uvd[visible_rows]
         start = before[:, None, :2].astype(np.float32)
         uv, status, _ = cv2.calcOpticalFlowPyrLK(
             self._left, finder.left, start, np.empty_like(start), winSize=(21, 21), maxLevel=4
         )
         uv = np.asarray(uv, dtype=np.float64)[:, 0]
         tracked = (np.asarray(status)[:, 0] > 0) & finder.inside(uv)
-        seen, uv, before = seen[tracked], uv[tracked], before[tracked]
+        visible_rows, uv, before = visible_rows[tracked], uv[tracked], before[tracked]
         d = before[:, 2]
         disparity, variance, accepted = finder.disparities(uv, 0.5 * d - 2.0, 2.0 * d + 4.0)
         if accepted.sum() < MIN_POINTS:
@@ -309,23 +316,23 @@ class StereoTracker:
         now = np.column_stack([uv, disparity])[accepted]
         R = np.tile(np.diag([0.25, 0.25, 0.0]), (len(now), 1, 1))
         R[:, 2, 2] = 0.25 + variance[accepted]
-        found = robust_step(self.camera, Pairs(before[accepted], now, tracks.R[seen[accepted]], R), None)
-        return None if found is None else found.step
+        step_found = robust_step(self.camera, Pairs(before[accepted], now, tracks.R[visible_rows[accepted]], R), None)
+        return None if step_found is None else step_found.step
 
     def _searched(
         self, finder: PairFinder, tracks: Tracks, expected: Expectation
     ) -> tuple[Expectation, Found, RobustStep | None]:
         """The scouts first, then the others where the motion of the scouts leads; and the motion of all."""
         scouts = _scouts(tracks, expected)
-        found = self._find(finder, tracks, expected, scouts)
-        motion = self._motion(tracks, found, expected.step)
-        others = ~scouts
+        matches = self._find(finder, tracks, expected, scouts)
+        motion = self._motion(tracks, matches, expected.step)
+        guided = ~scouts
         if motion is not None:
             covariance = motion.estimate.covariance + _SCOUTED
             narrowed = self._by_motion(tracks, motion.step, covariance)
-            expected = expected.merged(narrowed, others)
-        found = found.merged(self._find(finder, tracks, expected, others), others)
-        return expected, found, self._motion(tracks, found, expected.step if motion is None else motion.step)
+            expected = expected.merged(narrowed, guided)
+        matches = matches.merged(self._find(finder, tracks, expected, guided), guided)
+        return expected, matches, self._motion(tracks, matches, expected.step if motion is None else motion.step)
 
     def _find(self, finder: PairFinder, tracks: Tracks, expected: Expectation, which: BoolArray) -> Found:
         R_vn = self._R_vc @ expected.step.R
@@ -356,9 +363,9 @@ class StereoTracker:
 
     def _kept(self, tracks: Tracks, outcome: IntArray) -> BoolArray:
         standing = ~tracks.moving
-        gone = (outcome == Outcome.OUT_OF_VIEW) | (tracks.misses > self.settings.max_misses)
-        gone |= standing & (tracks.strikes >= _GIVE_UP_STRIKES)
-        return np.asarray(~gone)
+        leaving = (outcome == Outcome.OUT_OF_VIEW) | (tracks.misses > self.settings.max_misses)
+        leaving |= standing & (tracks.strikes >= _GIVE_UP_STRIKES)
+        return np.asarray(~leaving)
 
     def _new_corners(self, finder: PairFinder, tracks: Tracks) -> Tracks:
         standing = int((~tracks.moving).sum())
@@ -374,8 +381,8 @@ class StereoTracker:
 
     def _release(self, tracks: Tracks) -> tuple[Measured, Tracks, IntArray]:
         """Ids, (u, v, d), R for the filter, of landmarks found in this pair that move like the scene."""
-        found = np.isfinite(tracks.measured[:, 0, 0]) & ~tracks.moving & (tracks.strikes == 0)
-        candidates = np.flatnonzero(found)
+        has_match = np.isfinite(tracks.measured[:, 0, 0]) & ~tracks.moving & (tracks.strikes == 0)
+        candidates = np.flatnonzero(has_match)
         if len(candidates) > self.settings.max_landmarks:
             order = np.argsort(~tracks.released[candidates], kind="stable")  # those the filter has, then by id
             candidates = np.sort(candidates[order[: self.settings.max_landmarks]])
@@ -391,9 +398,9 @@ def _scouts(tracks: Tracks, expected: Expectation) -> BoolArray:
     fit = np.flatnonzero(expected.in_view & ~tracks.moving & (tracks.misses == 0) & (tracks.strikes == 0))
     oldest = fit[np.argsort(-tracks.age[fit], kind="stable")[: 2 * _SCOUTS]]
     near_to_far = oldest[np.argsort(tracks.uvd[oldest, 2], kind="stable")]
-    chosen = np.zeros(len(tracks), dtype=bool)
-    chosen[near_to_far[:: max(1, len(near_to_far) // _SCOUTS)]] = True
-    return chosen
+    is_scout = np.zeros(len(tracks), dtype=bool)
+    is_scout[near_to_far[:: max(1, len(near_to_far) // _SCOUTS)]] = True
+    return is_scout
 
 
 def _modelled(dt: float) -> float:

@@ -236,12 +236,12 @@ def by_forecast(
 def step_of_forecast(camera: StereoCamera, tracks: Tracks, forecast: Forecast, rows: Rows) -> Step | None:
     """The motion of the camera that a forecast means: from where the landmarks were to where they are expected."""
     i, j = rows
-    seen = tracks.misses[i] == 0
-    i, j = i[seen], j[seen]
+    visible = tracks.misses[i] == 0
+    i, j = i[visible], j[visible]
     if len(i) < MIN_POINTS:
         return None
-    found = robust_step(camera, Pairs(tracks.uvd[i], forecast.uvd[j], tracks.R[i], forecast.S[j]), None)
-    return None if found is None else found.step
+    step_found = robust_step(camera, Pairs(tracks.uvd[i], forecast.uvd[j], tracks.R[i], forecast.S[j]), None)
+    return None if step_found is None else step_found.step
 
 
 def searchable(S: FloatArray, settings: TrackerSettings) -> BoolArray:

@@ -250,8 +250,8 @@ def run_experiments(
     folder.mkdir(parents=True, exist_ok=True)
     code = versions()["code"]
     keys = {name: json.dumps([code, work.args, work.keywords]) for name, work in experiments.items()}
-    found = {name: _kept(folder / f"{name}.npz", key) for name, key in keys.items()}
-    results = {name: arrays for name, arrays in found.items() if arrays is not None}
+    samples_by_name = {name: _kept(folder / f"{name}.npz", key) for name, key in keys.items()}
+    results = {name: arrays for name, arrays in samples_by_name.items() if arrays is not None}
     progress(len(results), len(experiments))
     missing = [(folder / f"{name}.npz", keys[name], work) for name, work in experiments.items() if name not in results]
     with backend.started() as run_all:
@@ -312,10 +312,10 @@ def _write_rows(path: Path, claims: Sequence[Claim]) -> None:
     rows = csv.writer(file, lineterminator="\n")
     rows.writerow((*heads, "asked", "verdict", "evidence"))
     for claim in claims:
-        said = claim.sentence
-        for found in claim.findings:
-            condition = ", ".join(f"{factor}: {level}" for factor, level in found.condition.items())
-            about = said.key, said.section, said.claim, said.statement, found.place, condition
-            verdict = found.asked, found.verdict.value, said.evidence
-            rows.writerow((*about, *vars(found.measured).values(), *verdict))
+        sentence = claim.sentence
+        for finding in claim.findings:
+            condition = ", ".join(f"{factor}: {level}" for factor, level in finding.condition.items())
+            about = sentence.key, sentence.section, sentence.claim, sentence.statement, finding.place, condition
+            verdict = finding.asked, finding.verdict.value, sentence.evidence
+            rows.writerow((*about, *vars(finding.measured).values(), *verdict))
     write_text(path, file.getvalue())

@@ -123,8 +123,8 @@ def _turn(setting: drives.Setting, recording: Recording, number: int) -> Arrays:
     }
     for name in FILTERS_HERE:
         for R in setting.levels:
-            seen, noise = setting.seen(recording, R)
-            history = follow_depths(seen, name, noise or recording.noise, ids, setting.options)
+            observed, noise = setting.seen(recording, R)
+            history = follow_depths(observed, name, noise or recording.noise, ids, setting.options)
             arrays |= {f"{name}.{R}.{field}": values for field, values in vars(history).items()}
     return arrays
 
@@ -164,8 +164,8 @@ def follow_depths(
     """Run a filter of `FILTERS` and note the depths of landmarks `ids` (L,), ascending; NaN where it has none."""
     history = DepthHistory(*(np.full((len(ids), len(recording)), np.nan) for _ in range(3)))
     poses = []
-    filter_name, own = FILTERS[name]
-    for moment in run(filter_name, recording, noise=noise, use_odometry=False, **options, **own):
+    filter_name, filter_options = FILTERS[name]
+    for moment in run(filter_name, recording, noise=noise, use_odometry=False, **options, **filter_options):
         forecast = moment.slam.forecast()
         _, mine, theirs = np.intersect1d(ids, forecast.ids, return_indices=True)
         variance = (forecast.S - noise.R)[theirs, 2, 2]
@@ -268,9 +268,9 @@ def of_drives(depths: Depths, label: str, quantity: Quantity, case: tuple[str, s
 
 def example(depths: Depths, label: str) -> int:
     """The landmark to show: on the first drive that has one of that range, the one nearest to its middle."""
-    there = np.flatnonzero(depths.label == label)
-    there = there[depths.drive[there] == depths.drive[there].min()]
-    return int(there[np.argmin(np.abs(np.nanmedian(depths.raw[there], axis=1) - np.mean(RANGES[label])))])
+    labelled = np.flatnonzero(depths.label == label)
+    labelled = labelled[depths.drive[labelled] == depths.drive[labelled].min()]
+    return int(labelled[np.argmin(np.abs(np.nanmedian(depths.raw[labelled], axis=1) - np.mean(RANGES[label])))])
 
 
 def judge(results: Mapping[str, Arrays]) -> tuple[Claim, ...]:

@@ -92,17 +92,17 @@ def real_drives(paths: Iterable[Path], karlsruhe: Path | None = None) -> dict[st
         A path that is not there or no recording, two of one name, or a folder for `karlsruhe` that has none of the
         paper's.
     """
-    given = [path.resolve() for path in (*paths, *([] if karlsruhe is None else _of_the_paper(karlsruhe)))]
-    for path in given:
+    folders = [path.resolve() for path in (*paths, *([] if karlsruhe is None else _of_the_paper(karlsruhe)))]
+    for path in folders:
         if not path.exists():
             raise ValueError(f"real drive {path} does not exist: give what `stereo-slam replay` takes")
         if path.is_dir() and layout_of(path) is None and not holds_images(path):
             raise ValueError(f"real drive {path} has no known layout: give what `stereo-slam replay` takes")
         if path.suffix == ".npz":
             load(path)
-    with_truth = any(path.is_dir() and layout_of(path) == KITTI_00_FOLDER for path in given)
+    with_truth = any(path.is_dir() and layout_of(path) == KITTI_00_FOLDER for path in folders)
     drives = {"KITTI 00": RealDrive(KITTI_00)} if _has_gtsam() and not with_truth else {}
-    for path in given:
+    for path in folders:
         name = re.sub(r"[^\w-]+", "_", path.stem if path.is_file() else path.name)
         if name in drives:
             raise ValueError(f"two real drives have the name {name!r}: rename one of their folders")

@@ -93,8 +93,8 @@ def points(inverse_depths: FloatArray) -> FloatArray:
     """Points (N, 3), m, of parameters theta, phi, rho (N, 3): Eq. 5 over rho."""
     theta, phi, rho = inverse_depths.T
     ray = np.array([np.cos(phi) * np.sin(theta), -np.sin(phi), np.cos(phi) * np.cos(theta)])
-    found: FloatArray = (ray / rho).T
-    return found
+    points_w: FloatArray = (ray / rho).T
+    return points_w
 
 
 def fit(parametrisation: str, depth: float, uvd: FloatArray, R: FloatArray) -> Fit:
@@ -114,24 +114,24 @@ def fit(parametrisation: str, depth: float, uvd: FloatArray, R: FloatArray) -> F
 
 def fits(samples: int) -> dict[tuple[str, str, float, str], Fit]:
     """(noise, assumed R, depth, parametrisation) -> how it fits."""
-    found = {}
+    fits_by_name = {}
     for noise in NOISES:
         for depth in DEPTHS:
             uvd = measurements(depth, noise, samples)
             for assumed, R in ASSUMED.items():
                 for parametrisation in LANDMARKS:
-                    found[noise, assumed, depth, parametrisation] = fit(parametrisation, depth, uvd, R.R)
-    return found
+                    fits_by_name[noise, assumed, depth, parametrisation] = fit(parametrisation, depth, uvd, R.R)
+    return fits_by_name
 
 
 def judge(samples: int) -> tuple[Claim, ...]:
     """The claims of section 4.1."""
-    found = fits(samples)
+    fits_of_samples = fits(samples)
 
     def coverage(parametrisation: str, depths: tuple[float, ...]) -> Measured:
         return [
             (_condition(noise, assumed, depth), one.coverage)
-            for (noise, assumed, depth, name), one in found.items()
+            for (noise, assumed, depth, name), one in fits_of_samples.items()
             if name == parametrisation and depth in depths
         ]
 
@@ -140,7 +140,7 @@ def judge(samples: int) -> tuple[Claim, ...]:
     closer = []
     for noise in NOISES:
         for assumed in ASSUMED:
-            inverse_depth, euclidean = (found[noise, assumed, FIGURE_1, name].distance for name in LANDMARKS)
+            inverse_depth, euclidean = (fits_of_samples[noise, assumed, FIGURE_1, name].distance for name in LANDMARKS)
             gain = euclidean - inverse_depth
             closer.append((_condition(noise, assumed, FIGURE_1), Interval(gain, gain - slack, gain + slack)))
     return (
@@ -148,7 +148,7 @@ def judge(samples: int) -> tuple[Claim, ...]:
         claim("region-70m-xyz", coverage(EUCLIDEAN, (FIGURE_1,))),
         claim("region-any-distance", coverage(JOINT, DEPTHS)),
         claim("histogram", closer),
-        Claim(SENTENCES["xyz-near"], tuple(_only_near(found))),
+        Claim(SENTENCES["xyz-near"], tuple(_only_near(fits_of_samples))),
     )
 
 
@@ -156,8 +156,8 @@ def _only_near(found: Mapping[tuple[str, str, float, str], Fit]) -> Iterator[Cla
     """XYZ describes the nearest cloud, and no far one: with the R that is right."""
     for (noise, assumed, depth, name), one in found.items():
         if name == EUCLIDEAN and assumed == RIGHT[noise] and depth in (NEAREST, FIGURE_1, BEYOND):
-            asked = SENTENCES["region-70m"].asked if depth == NEAREST else SENTENCES["region-70m-xyz"].asked
-            yield ClaimFinding({"noise": NOISES[noise], "depth": f"{depth:g} m"}, one.coverage, asked)
+            wanted_range = SENTENCES["region-70m"].asked if depth == NEAREST else SENTENCES["region-70m-xyz"].asked
+            yield ClaimFinding({"noise": NOISES[noise], "depth": f"{depth:g} m"}, one.coverage, wanted_range)
 
 
 def _condition(noise: str, assumed: str, depth: float) -> dict[str, str]:

@@ -100,12 +100,12 @@ def filtered(
     recording: Recording, setting: drives.Setting, name: str, R: str, seed: int | None, *, windows: bool = False
 ) -> FilterRun:
     """A filter of `FILTERS` on a recording; true velocities are those of the true positions where none are known."""
-    seen, noise = setting.seen(recording, R)
+    observed, noise = setting.seen(recording, R)
     if name == MONOCULAR:
-        seen = left_alone(seen, noise or recording.noise)
+        observed = left_alone(observed, noise or recording.noise)
     filter_name, options = FILTERS[name]
     run = run_filter(
-        seen,
+        observed,
         filter_name,
         options,
         common_options=setting.options,
@@ -122,9 +122,9 @@ def filtered(
 
 def left_alone(recording: Recording, noise: StereoNoise) -> Recording:
     """The pixels of the left image, without any disparity."""
-    seen = (frame.observation for frame in recording.frames)
+    observations = (frame.observation for frame in recording.frames)
     return recording.with_observations(
-        StereoObservation.of_left(one.ids, one.uvd[:, :2], one.covariances(noise)[:, :2, :2]) for one in seen
+        StereoObservation.of_left(one.ids, one.uvd[:, :2], one.covariances(noise)[:, :2, :2]) for one in observations
     )
 
 
@@ -134,12 +134,12 @@ def left_alone(recording: Recording, noise: StereoNoise) -> Recording:
 def quantities(run: FilterRun) -> Arrays:
     """All quantities; NaN where the filter failed, or the truth is not known."""
     series = {"nees": run.pose_nees, "motion": motion_errors(run), "windows": run.window_nees_1s}
-    known = _judged(run)
+    judged = _judged(run)
     failed = not np.isfinite(run.positions).all()
     single = {"nis": nis(run), "landmark_nees": landmark_nees(run), "pose_nees": pose_nees(run)}
     names = ("positions", "orientations", "linear_velocities")
-    if known.sum() > CHORD and not failed:
-        there = {f"{who}{name}": getattr(run, f"{who}{name}")[known] for who in ("", "true_") for name in names}
+    if judged.sum() > CHORD and not failed:
+        there = {f"{who}{name}": getattr(run, f"{who}{name}")[judged] for who in ("", "true_") for name in names}
         single |= {name: quantity(replace(run, **there)) for name, quantity in ACCURACY.items()}
     else:
         single |= dict.fromkeys(ACCURACY, np.nan)
@@ -214,8 +214,8 @@ def nis(run: FilterRun) -> float:
 
 def motion_errors(run: FilterRun) -> FloatArray:
     """Errors of the translation over windows of 1 s that do not overlap, in the frame of their start, (W,) m."""
-    known = _judged(run)
-    true_positions = np.where(known[:, None], run.true_positions, np.nan)
+    judged = _judged(run)
+    true_positions = np.where(judged[:, None], run.true_positions, np.nan)
 
     def motions(positions: FloatArray, orientations: FloatArray) -> FloatArray:
         steps = np.diff(positions[::SECOND], axis=0)
@@ -239,16 +239,16 @@ def yaw(orientations: FloatArray) -> FloatArray:
 
 def course(run: FilterRun, *, true: bool = False) -> dict[str, FloatArray]:
     """Curves of figure 6 of a run or of the truth where it is known: positions, yaw and velocities."""
-    known = np.isfinite(run.true_positions).all(axis=1)
+    known_truth = np.isfinite(run.true_positions).all(axis=1)
     names = ("positions", "orientations", "linear_velocities")
-    places, turned, velocities = (getattr(run, f"true_{name}" if true else name)[known] for name in names)
+    places, turned, velocities = (getattr(run, f"true_{name}" if true else name)[known_truth] for name in names)
     return {"positions": places, "yaw": yaw(turned), "velocities": velocities}
 
 
 def _judged(run: FilterRun) -> BoolArray:
     """Frames whose truth is known, independent of the images, and has settled; (K,)."""
-    known: BoolArray = np.isfinite(run.true_positions).all(axis=1) & run.truth_from.has_settled(run.timestamps)
-    return known & run.truth_from.counts_as_truth
+    judged_frames: BoolArray = np.isfinite(run.true_positions).all(axis=1) & run.truth_from.has_settled(run.timestamps)
+    return judged_frames & run.truth_from.counts_as_truth
 
 
 # Claims.
@@ -296,11 +296,11 @@ def settings(results: Mapping[str, Arrays]) -> list[DriveResults]:
 def example_course(results: Mapping[str, Arrays]) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
     """Estimated and true course of the first drive under independent pixels, by the paper's filter with the right R."""
     arrays = results[f"{drives.DRIVE}.{PIXELS}.0000"]
-    said, true = (
+    estimated, true = (
         {name.removeprefix(f"{who}."): values for name, values in arrays.items() if name.startswith(f"{who}.")}
         for who in ("said", "true")
     )
-    return said, true
+    return estimated, true
 
 
 def judge(results: Mapping[str, Arrays]) -> tuple[Claim, ...]:
@@ -311,9 +311,9 @@ def judge(results: Mapping[str, Arrays]) -> tuple[Claim, ...]:
     ) -> Callable[[DriveResults], Measured]:
         def measured(one: DriveResults) -> Measured:
             levels = one.setting.levels if name in WITH_BOTH else (one.setting.right,)
-            chosen = "aligned" if quantity == "position" and one.is_one else quantity
+            variant = "aligned" if quantity == "position" and one.is_one else quantity
             for R in levels:
-                yield {"R": ASSUMED_NAMES[R]}, one.interval(name, R, chosen, interval)
+                yield {"R": ASSUMED_NAMES[R]}, one.interval(name, R, variant, interval)
 
         return measured
 

@@ -194,10 +194,10 @@ class Claim:
     @property
     def verdict(self) -> ClaimVerdict:
         """Judge by the rule of this module."""
-        found = {finding.verdict for finding in self.findings}
-        if {ClaimVerdict.HOLDS, ClaimVerdict.DOES_NOT_HOLD} <= found:
+        verdicts = {finding.verdict for finding in self.findings}
+        if {ClaimVerdict.HOLDS, ClaimVerdict.DOES_NOT_HOLD} <= verdicts:
             return ClaimVerdict.HOLDS_ONLY_IF
-        return found.pop() if len(found) == 1 else ClaimVerdict.NOT_SHOWN
+        return verdicts.pop() if len(verdicts) == 1 else ClaimVerdict.NOT_SHOWN
 
     @property
     def says(self) -> str:
@@ -302,13 +302,13 @@ def _sentences() -> dict[str, Sentence]:
     ranges = {
         name: Range(about.get("low", -math.inf), about.get("high", math.inf)) for name, about in TABLE["limits"].items()
     }
-    found = {}
+    sentences = {}
     for entry in TABLE["sentences"]:
-        asked, note = ranges.get(entry.get("limit"), Range()), f" ({entry['note']})" if "note" in entry else ""
-        statement = f"{entry['measured']}: {asked}{note}" if "limit" in entry else entry["measured"]
+        wanted_range, note = ranges.get(entry.get("limit"), Range()), f" ({entry['note']})" if "note" in entry else ""
+        statement = f"{entry['measured']}: {wanted_range}{note}" if "limit" in entry else entry["measured"]
         key, figure = entry["key"], entry["figure"]
-        found[key] = Sentence(key, entry["section"], entry["claim"], statement, figure, asked)
-    return found
+        sentences[key] = Sentence(key, entry["section"], entry["claim"], statement, figure, wanted_range)
+    return sentences
 
 
 SENTENCES: Mapping[str, Sentence] = _sentences()

@@ -123,8 +123,8 @@ def figure_5(results: Mapping[str, Arrays]) -> Chart:
         at = convergence.example(depths, label)
         if np.isfinite(depths.true[at]).all():
             return _landmark_panel(depths, at, depths.true[at], "truth", title, width)
-        seen = depths.filters[JOINT, depths.setting.right].hindsight[at]
-        return _landmark_panel(depths, at, seen, "in the end", title, width)
+        visible = depths.filters[JOINT, depths.setting.right].hindsight[at]
+        return _landmark_panel(depths, at, visible, "in the end", title, width)
 
     what = "Estimated less true depth of one landmark (m); real: less where ours sees it in the end"
     return _near_and_far(results, draw, what)
@@ -181,9 +181,9 @@ def figure_nees(results: Mapping[str, Arrays]) -> Chart:
         (other,) = set(setting.levels) - {setting.right}
         for text, (name, right) in zip(keys, cases, strict=True):
             nees = np.array([arrays[f"{name}.{setting.right if right else other}.nees"] for arrays in one.by_drive])
-            known = np.isfinite(nees)
+            finite = np.isfinite(nees)
             with np.errstate(invalid="ignore"):
-                mean = _smoothed((np.where(known, nees, 0.0).sum(axis=0) / known.sum(axis=0))[1:]) / 6
+                mean = _smoothed((np.where(finite, nees, 0.0).sum(axis=0) / finite.sum(axis=0))[1:]) / 6
             curve = Curve(text, np.arange(1, len(mean) + 1), mean, keys[text])
             lines.append((curve, () if right else DASHED))
         low, high = (end / 6 for end in mean_band(6, len(nees)))
@@ -217,13 +217,13 @@ def figure_speed(results: Mapping[str, Arrays]) -> Chart:
     for number, (form, dash) in enumerate(zip(speed.FORMS, _FORM_DASHES, strict=False)):
         for name in (JOINT, *speed.RIVALS[form]):
             medians = [float(np.median(measured[n][f"{form}.{name}.both"])) for n in measured]
-            said = f"{form}, {NAMES[name]}"
-            times.append((Curve(form, sizes, medians, COLOURS[name], said=said), dash))
+            legend = f"{form}, {NAMES[name]}"
+            times.append((Curve(form, sizes, medians, COLOURS[name], said=legend), dash))
         for rival, shift in zip(speed.RIVALS[form], (0.985, 1.015), strict=False):
-            found = [
+            curves = [
                 ratio_interval(one[f"{form}.{JOINT}.both"], one[f"{form}.{rival}.both"]) for one in measured.values()
             ]
-            ends = np.array([(one.value, one.low, one.high) for one in found]).T
+            ends = np.array([(one.value, one.low, one.high) for one in curves]).T
             low, high = (np.where(np.isfinite(end), end, ends[0]) for end in ends[1:])
             places = sizes * shift * 1.03 ** (number - 0.5)
             ratios.append((Curve(form, places, ends[0], COLOURS[rival], low, high), dash))
@@ -231,19 +231,19 @@ def figure_speed(results: Mapping[str, Arrays]) -> Chart:
     margin = (sizes.max() / sizes.min()) ** 0.05 if len(sizes) > 1 else 1.1
     x = Axis(sizes.min() / margin, sizes.max() * margin, "landmarks", log=True, ticks=sizes.tolist())
     title = "Predict + update, ms (dashed: shared anchors)"
-    left = Panel(x, log_axis(np.asarray(curve.y) for curve, _ in times), width, 240.0, title)
+    panel = Panel(x, log_axis(np.asarray(curve.y) for curve, _ in times), width, 240.0, title)
     everything = np.concatenate([np.ravel([curve.low, curve.high]) for curve, _ in ratios] + [np.ones(1)])
     top = 0.08 * float(np.ptp(everything)) + 0.02
     y = Axis(max(float(everything.min()) - top, 0.0), float(everything.max()) + top)
     right = Panel(x, y, width, 240.0, "Ours over the competitor, with 95 % interval")
     right.rule(y=1.0)
     for curve, dash in times:
-        left.lines([curve], dash)
-    left.dots([curve for curve, _ in times], 22)
+        panel.lines([curve], dash)
+    panel.dots([curve for curve, _ in times], 22)
     _draw_lines(right, ratios)
     right.intervals([curve for curve, _ in ratios])
     right.dots([curve for curve, _ in ratios], 22)
-    return figure([left, right], {_SHORT[name]: COLOURS[name] for name in (JOINT, DUAL, PAZ)}, columns=2)
+    return figure([panel, right], {_SHORT[name]: COLOURS[name] for name in (JOINT, DUAL, PAZ)}, columns=2)
 
 
 def _cloud_panel(
@@ -256,13 +256,13 @@ def _cloud_panel(
     depths: tuple[float, float] | None = None,
 ) -> Panel:
     """The measured points seen from above, depth to the right, with the 95 % regions of (X, Z)."""
-    shown = places(EUCLIDEAN, uvd[:SHOWN])[uvd[:SHOWN, 2] > 0]
-    low, high = np.percentile(shown[:, [0, 2]], [0.3, 99.7], axis=0)
+    points_shown = places(EUCLIDEAN, uvd[:SHOWN])[uvd[:SHOWN, 2] > 0]
+    low, high = np.percentile(points_shown[:, [0, 2]], [0.3, 99.7], axis=0)
     margin = 0.25 * (high - low)
     x = depths or (float(low[1] - margin[1]), float(high[1] + margin[1]))
     y = Axis(float(low[0] - margin[0]), float(high[0] + margin[0]), "X, right (m)")
     panel = Panel(Axis(*x, "Z, forward (m)"), y, width, 210.0, title)
-    panel.dots([Curve("", shown[:, 2], shown[:, 0], INK, opacity=0.45, said="measured")], 3)
+    panel.dots([Curve("", points_shown[:, 2], points_shown[:, 0], INK, opacity=0.45, said="measured")], 3)
     angle = np.linspace(0.0, 2 * np.pi, 400)
     circle = np.sqrt(chi2.ppf(CONFIDENCE, 2)) * np.stack([np.cos(angle), np.sin(angle)])
     for name in regions:
@@ -366,8 +366,8 @@ def _keys(depths: convergence.Depths) -> dict[str, str]:
 
 def _around(values: FloatArray, title: str) -> Axis:
     """An axis around all values that are known."""
-    known = values[np.isfinite(values)]
-    low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
+    finite = values[np.isfinite(values)]
+    low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
     margin = 0.06 * (high - low) + 1e-3
     return Axis(low - margin, high + margin, title)
 

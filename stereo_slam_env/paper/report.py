@@ -134,13 +134,13 @@ class Page:
                 lambda: speed_table(results),
             ),
         }
-        found = []
-        for name, (title, there, draw, numbers) in drawers.items():
+        sections = []
+        for name, (title, is_there, draw, numbers) in drawers.items():
             if name == "4" and convergence.FEATURES in results and self._figure in (None, "3"):
-                found.append(self._blocks.get("figure-3") or self._picture(results[convergence.FEATURES]))
-            if there and self._figure in (None, name):
-                found.append(self._section(name, title, claims, draw, numbers))
-        return found
+                sections.append(self._blocks.get("figure-3") or self._picture(results[convergence.FEATURES]))
+            if is_there and self._figure in (None, name):
+                sections.append(self._section(name, title, claims, draw, numbers))
+        return sections
 
     def _section(
         self,
@@ -155,9 +155,9 @@ class Page:
             caption = TABLE["figures"][key].format(shown=plots.SHOWN, samples=self._settings.samples)
             block = figure_block(draw(), key, caption, self._out / "figures")
             about = f"<h3>Every number</h3>{_numbers(*numbers())}" if numbers else ""
-            own = "".join(_findings(one) for one in claims if one.sentence.evidence == key)
-            said = f"<h3>Condition by condition</h3>{own}" if own else ""
-            self._blocks[key] = f"<h2>{escape(title)}</h2>{block}{said}{about}"
+            findings_html = "".join(_findings(one) for one in claims if one.sentence.evidence == key)
+            details = f"<h3>Condition by condition</h3>{findings_html}" if findings_html else ""
+            self._blocks[key] = f"<h2>{escape(title)}</h2>{block}{details}{about}"
         return self._blocks[key]
 
     def _picture(self, arrays: Arrays) -> str:
@@ -204,16 +204,16 @@ def contradictions(claims: Sequence[Claim]) -> str:
     """Markup of the sentences that are shown in simulation and refuted elsewhere, with what was measured there."""
     items = []
     for one in claims:
-        shown = any(finding.verdict is ClaimVerdict.HOLDS for finding in one.at(SIMULATION).findings)
+        holds_somewhere = any(finding.verdict is ClaimVerdict.HOLDS for finding in one.at(SIMULATION).findings)
         refuted = [
             finding
             for finding in one.findings
             if finding.place != SIMULATION and finding.verdict is ClaimVerdict.DOES_NOT_HOLD
         ]
-        if shown and refuted:
+        if holds_somewhere and refuted:
             where = ", ".join(dict.fromkeys(f.condition.get("drive", PLACES[f.place].lower()) for f in refuted))
-            said = f"{one.sentence.claim}: {where} ({measured_range(refuted)}, asked: {refuted[0].asked})"
-            items.append(f"<li>{escape(said)}</li>")
+            words = f"{one.sentence.claim}: {where} ({measured_range(refuted)}, asked: {refuted[0].asked})"
+            items.append(f"<li>{escape(words)}</li>")
     if not items:
         return ""
     return f"<p><b>Shown in simulation under some conditions, refuted elsewhere:</b></p><ul>{''.join(items)}</ul>"
@@ -279,11 +279,11 @@ def _numbers(heads: Sequence[str], rows: Sequence[Row]) -> str:
 
 def uncertainty_table(samples: int) -> Numbers:
     """Section 4.1: coverage and distance of both parametrisations."""
-    found = landmark_uncertainty.fits(samples)
+    fits_of_samples = landmark_uncertainty.fits(samples)
     heads = ("noise", "R", "depth, m", "in 95 %: inverse depth", "XYZ", "KS: inverse depth", "XYZ")
     rows: list[Row] = []
-    for noise, assumed, depth in dict.fromkeys(key[:3] for key in found):
-        ours, xyz = (found[noise, assumed, depth, name] for name in (JOINT, EUCLIDEAN))
+    for noise, assumed, depth in dict.fromkeys(key[:3] for key in fits_of_samples):
+        ours, xyz = (fits_of_samples[noise, assumed, depth, name] for name in (JOINT, EUCLIDEAN))
         numbers = (ours.coverage.value, xyz.coverage.value, ours.distance, xyz.distance)
         rows.append((NOISES[noise], ASSUMED_NAMES[assumed], depth, *numbers))
     return heads, rows

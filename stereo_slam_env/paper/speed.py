@@ -149,8 +149,10 @@ def timed(n: int, repeats: int) -> Arrays:
 
 def milliseconds(results: Mapping[str, Arrays]) -> dict[int, Times]:
     """Times by size of the map."""
-    found = {int(name.removeprefix("speed-")): arrays for name, arrays in results.items() if name.startswith("speed-")}
-    return dict(sorted(found.items()))
+    arrays_by_size = {
+        int(name.removeprefix("speed-")): arrays for name, arrays in results.items() if name.startswith("speed-")
+    }
+    return dict(sorted(arrays_by_size.items()))
 
 
 def judge(results: Mapping[str, Arrays]) -> tuple[Claim, ...]:
@@ -198,9 +200,11 @@ def _counted() -> Claim:
     """Number of updates a frame, counted in the measurement models."""
     observation = StereoObservation(np.arange(1), np.array([[600.0, 200.0, 10.0]]))
     counted = []
-    for name, model, wanted in (("ours", RangeBearing(), 1), ("competitor", LeftThenRight(), 2)):
+    for name, model, expected_count in (("ours", RangeBearing(), 1), ("competitor", LeftThenRight(), 2)):
         count = len(model.stages(observation, NOISE.R[None]))
-        counted.append(ClaimFinding({"filter": name}, Interval(count, count, count), Range(wanted, wanted)))
+        counted.append(
+            ClaimFinding({"filter": name}, Interval(count, count, count), Range(expected_count, expected_count))
+        )
     return Claim(SENTENCES["one-update"], tuple(counted))
 
 

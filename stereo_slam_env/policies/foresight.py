@@ -197,8 +197,8 @@ def _put_information(
 ) -> None:
     fx, fy, fb = numbers[0], numbers[1], numbers[4]
     H = np.empty((3, 3))
-    for seen in np.argwhere(in_view):
-        c, n = seen
+    for place in np.argwhere(in_view):
+        c, n = place
         R, e = R_wc[c], points[n] - r[c]
         z = R[0, 2] * e[0] + R[1, 2] * e[1] + R[2, 2] * e[2]
         x_z = (R[0, 0] * e[0] + R[1, 0] * e[1] + R[2, 0] * e[2]) / z
@@ -323,12 +323,12 @@ def _put_gains(
 ) -> None:
     sequences, steps, count = looks.shape[:3]
     for s in range(sequences):
-        seen = np.empty((steps, count), dtype=np.bool_)
+        is_seen = np.empty((steps, count), dtype=np.bool_)
         needed = np.full(count, not of_pose and steps > 1)
         for k in range(steps):
             for i in range(count):
-                seen[k, i] = looks[s, k, i, 0, 0] + looks[s, k, i, 1, 1] + looks[s, k, i, 2, 2] > 0.0
-                needed[i] |= seen[k, i]
+                is_seen[k, i] = looks[s, k, i, 0, 0] + looks[s, k, i, 1, 1] + looks[s, k, i, 2, 2] > 0.0
+                needed[i] |= is_seen[k, i]
         index, place = np.flatnonzero(needed), 3 * (np.cumsum(needed) - 1)
         rows = 3 * len(index)
         if rows == 0:
@@ -340,14 +340,14 @@ def _put_gains(
         for k in range(steps):
             noise += Q[k]
             C[:POSE_SIZE, :POSE_SIZE] += Q[k]
-            if k < steps - 1 and not seen[k].any():
+            if k < steps - 1 and not is_seen[k].any():
                 continue
             A = np.linalg.inv(np.eye(POSE_SIZE) + np.dot(noise, L_x))
             before[used : used + POSE_SIZE] = L_xm
             lost[used : used + POSE_SIZE] = np.dot(np.dot(noise, A.T), L_xm)
             L_xm, L_x, used = np.dot(A.T, L_xm), np.dot(L_x, A), used + POSE_SIZE
             noise[:] = 0.0
-            for n in np.flatnonzero(seen[k]):
+            for n in np.flatnonzero(is_seen[k]):
                 WB = np.dot(looks[s, k, n], by_pose[n])
                 for a in range(3):
                     for b in range(3):
@@ -355,13 +355,14 @@ def _put_gains(
                     for j in range(POSE_SIZE):
                         L_xm[j, place[n] + a] += WB[a, j]
                 L_x += np.dot(by_pose[n].T, WB)
-        whole = np.empty((rows + POSE_SIZE, rows + POSE_SIZE))
-        whole[:rows, :rows] = L[POSE_SIZE:, POSE_SIZE:] - np.dot(before[:used].T, lost[:used])
-        whole[:rows, rows:], whole[rows:, :rows], whole[rows:, rows:] = L_xm.T, L_xm, L_x
+        information = np.empty((rows + POSE_SIZE, rows + POSE_SIZE))
+        information[:rows, :rows] = L[POSE_SIZE:, POSE_SIZE:] - np.dot(before[:used].T, lost[:used])
+        information[:rows, rows:], information[rows:, :rows], information[rows:, rows:] = L_xm.T, L_xm, L_x
         first = rows if of_pose else 0
         prior = C[:POSE_SIZE, :POSE_SIZE].copy() if of_pose else C
         gains[s] = (
-            np.log(np.diag(np.linalg.cholesky(whole))[first:]).sum() + np.log(np.diag(np.linalg.cholesky(prior))).sum()
+            np.log(np.diag(np.linalg.cholesky(information))[first:]).sum()
+            + np.log(np.diag(np.linalg.cholesky(prior))).sum()
         )
 
 

@@ -118,8 +118,8 @@ def make_policy(name: str, **options: Any) -> Policy:
     factory = _found(name)
     parameters = inspect.signature(factory).parameters
     require_known(f"policy {name!r} has no option", options, parameters)
-    made: Policy = factory(**options)
-    return made
+    policy: Policy = factory(**options)
+    return policy
 
 
 def plugin_of(name: str) -> EntryPoint | None:
@@ -138,24 +138,27 @@ def _own_entry_points() -> dict[str, EntryPoint]:
 
 def _entry_points() -> dict[str, EntryPoint]:
     """Ours, and those of third parties that have another name."""
-    own = _own_entry_points()
-    return {**own, **{point.name: point for point in entry_points(group=ENTRY_POINT_GROUP) if point.name not in own}}
+    points = _own_entry_points()
+    return {
+        **points,
+        **{point.name: point for point in entry_points(group=ENTRY_POINT_GROUP) if point.name not in points},
+    }
 
 
 def _found(name: str) -> Callable[..., Any]:
-    known = _own_entry_points()
-    if name not in known:
-        known = _entry_points()  # asks every installed package: a tenth of a second
-    if name not in known:
-        raise ValueError(f"policy must be one of {', '.join(known)}, got {name!r}{did_you_mean(name, known)}")
-    point = known[name]
+    points = _own_entry_points()
+    if name not in points:
+        points = _entry_points()  # asks every installed package: a tenth of a second
+    if name not in points:
+        raise ValueError(f"policy must be one of {', '.join(points)}, got {name!r}{did_you_mean(name, points)}")
+    point = points[name]
     try:
-        found: Callable[..., Any] = point.load()
+        loaded: Callable[..., Any] = point.load()
     except Exception as error:  # whatever a stranger's module does at import must not take the run down
         raise ValueError(
             f"policy {name!r} ({point.value}) cannot be loaded: {type_name(error)}: {first_line(error)}"
         ) from error
-    return found
+    return loaded
 
 
 class _OpenLoop:

@@ -173,11 +173,11 @@ def worths(planners: Sequence[Planner], targets: FloatArray, angles: FloatArray)
     `angles` (Q, B, K, 2) are those of each. The environments have the same head and the same sensors, and their
     planners the same preferences.
     """
-    outlooks, wanted = [planner.outlook for planner in planners], planners[0].preferences
+    outlooks, planners_left = [planner.outlook for planner in planners], planners[0].preferences
     head, sensor = outlooks[0].head, outlooks[0].sensor
     now = np.stack([outlook.angles for outlook in outlooks])
     turn = np.abs(targets - now[:, None]) / np.maximum(head.max_angles, np.finfo(float).tiny)
-    worths: FloatArray = -wanted.effort * turn.sum(axis=-1)
+    worths: FloatArray = -planners_left.effort * turn.sum(axis=-1)
 
     eyes = CameraPoses.of([outlook.pose for outlook in outlooks])
     routes, done = [outlook.route for outlook in outlooks], [planner.step for planner in planners]
@@ -190,8 +190,8 @@ def worths(planners: Sequence[Planner], targets: FloatArray, angles: FloatArray)
     for q, planner in enumerate(planners):
         knowledge = outlooks[q].knowledge(within=sensor.reach + float(away[q]))
         looks = sensor.information(knowledge.points, cameras[q])
-        worths[q] += expected_gain(knowledge, looks, Q[q], wanted.gain)
-        worths[q] += wanted.curiosity * discovered(planner.unseen, sensor, cameras[q])
+        worths[q] += expected_gain(knowledge, looks, Q[q], planners_left.gain)
+        worths[q] += planners_left.curiosity * discovered(planner.unseen, sensor, cameras[q])
     return worths
 
 
@@ -240,9 +240,9 @@ class MostUncertain:
             uncertainty = np.where(can, np.trace(belief.relative_covariances, axis1=1, axis2=2), -np.inf)
             self._wanted = int(belief.ids[uncertainty.argmax()]) if can.any() else -1
         self._step += 1
-        wanted = (belief.ids == self._wanted) & (distance <= outlook.sensor.reach)
-        if wanted.any():
-            self._target = bearings[wanted][0]
+        is_wanted = (belief.ids == self._wanted) & (distance <= outlook.sensor.reach)
+        if is_wanted.any():
+            self._target = bearings[is_wanted][0]
         return look_towards(self._env, self._target)
 
 

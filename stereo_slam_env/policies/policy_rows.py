@@ -94,7 +94,7 @@ def run_episode(
     core = env.unwrapped
     if not isinstance(core, StereoEnv):
         raise ValueError(f"env must be one of the environments of this package, got {core}")
-    wanted = 0 if frames is None else frames
+    frames_wanted = 0 if frames is None else frames
     collected: list[Frame] = []
     drive: list[Pose] = []
 
@@ -102,32 +102,32 @@ def run_episode(
         collected.append(core.frame)
         drive.append(core.body)
         if progress is not None:
-            progress(len(collected), max(wanted, len(collected)))
+            progress(len(collected), max(frames_wanted, len(collected)))
 
-    asked = "environment"
+    failing_part = "environment"
     failure = None
     over = False
     try:
         observation, _ = env.reset(seed=seed)
-        wanted = core.route.frames if frames is None else frames  # a random route is known from here on
+        frames_wanted = core.route.frames if frames is None else frames  # a random route is known from here on
         keep()
-        asked = "policy"
+        failing_part = "policy"
         policy.reset(env, rng_of_policy(seed))
-        while not over and len(collected) < wanted:
-            asked = "policy"
+        while not over and len(collected) < frames_wanted:
+            failing_part = "policy"
             action = policy.act(observation)
-            asked = "environment"
+            failing_part = "environment"
             observation, _, terminated, truncated, _ = env.step(action)
             keep()
             over = terminated or truncated
     except (KeyboardInterrupt, SystemExit):  # of the user, unless in a process of its own
         raise
     except BaseException as error:  # a stranger's policy may raise anything; the comparison goes on without it
-        failure = f"frame {len(collected) - 1}: {asked}: {error_line(error)}"
+        failure = f"frame {len(collected) - 1}: {failing_part}: {error_line(error)}"
         if not collected or core.frame is not collected[-1]:
             keep()  # what the filter in the loop did not survive
     straight_ahead = np.zeros(core.action_space.shape or (), dtype=np.float32)
-    while failure is not None and not over and len(collected) < wanted:
+    while failure is not None and not over and len(collected) < frames_wanted:
         over = core.step(straight_ahead)[2]
         keep()
     return Episode(recording_of(core, collected, seed, about), tuple(drive), failure)
@@ -214,11 +214,11 @@ def policy_in_rows(vector: RowsVectorEnv, make: Callable[[], Policy], seeds: Seq
 
     def act(observation: Any, going: BoolArray) -> Any:
         index = np.flatnonzero(going).tolist()
-        asked, seen = [policies[b] for b in index], [row_of(observation, b) for b in index]
+        row_policies, row_observations = [policies[b] for b in index], [row_of(observation, b) for b in index]
         if index and together is not None:
-            actions[index] = together(asked, seen)
+            actions[index] = together(row_policies, row_observations)
         elif index:
-            actions[index] = [policy.act(each) for policy, each in zip(asked, seen, strict=True)]
+            actions[index] = [policy.act(each) for policy, each in zip(row_policies, row_observations, strict=True)]
         return actions
 
     return act
@@ -238,21 +238,21 @@ def true_figures(vector: RowsVectorEnv, begin: Callable[[Any], Actions], seeds: 
     """
     observation, info = vector.reset(seed=list(seeds))
     act, count, beliefs = begin(observation), len(seeds), vector.rows.inner("beliefs")
-    going, figures = np.ones(count, dtype=np.bool_), np.zeros((count, 6))
+    active, figures = np.ones(count, dtype=np.bool_), np.zeros((count, 6))
     squares, returns, steps = np.zeros(count), np.zeros(count), np.zeros(count)
-    while going.any():
-        observation, rewards, terminated, truncated, info = vector.advance(act(observation, going), going)
+    while active.any():
+        observation, rewards, terminated, truncated, info = vector.advance(act(observation, active), active)
         offsets = beliefs.poses[:, :3] - info["truth_position"]
         errors = np.linalg.norm(offsets, axis=1)
-        squares, steps, returns = squares + going * errors**2, steps + going, returns + np.where(going, rewards, 0.0)
-        ended = going & (terminated | truncated)
+        squares, steps, returns = squares + active * errors**2, steps + active, returns + np.where(active, rewards, 0.0)
+        ended = active & (terminated | truncated)
         if ended.any():
             P, e = beliefs.pose_covariances[ended], offsets[ended]
             sigmas, logdets = np.sqrt(np.einsum("bii->b", P[:, :3, :3])), np.linalg.slogdet(P)[1]
             nees = np.einsum("bi,bi->b", e, np.linalg.solve(P[:, :3, :3], e[:, :, None])[..., 0]) / 3.0
             rmse = np.sqrt(squares[ended] / steps[ended])
             figures[ended] = np.column_stack([errors[ended], rmse, sigmas, logdets, nees, returns[ended]])
-        going &= ~ended
+        active &= ~ended
     return TrueFigures(*figures.T)
 
 

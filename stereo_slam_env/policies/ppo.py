@@ -133,8 +133,8 @@ class LearningCurve:
         diagnostics: Mapping[str, float] = MappingProxyType({}),
     ) -> bool:
         """Add a row; whether it is the best so far."""
-        made = decisions - (self.rows[-1]["decisions"] if self.rows else 0.0)
-        speed = made / max(seconds - self.seconds, 1e-9) if made else np.nan
+        decisions_made = decisions - (self.rows[-1]["decisions"] if self.rows else 0.0)
+        speed = decisions_made / max(seconds - self.seconds, 1e-9) if decisions_made else np.nan
         row = {"decisions": float(decisions), "seconds": seconds, "mean_return": mean_return, **asdict(results)}
         row |= {"decisions_per_second": speed, **{name: diagnostics.get(name, np.nan) for name in DIAGNOSTICS}}
         self.rows.append(row)
@@ -202,8 +202,8 @@ def train(
         began = time.monotonic() - curve.seconds
         limit = None if more is None else curve.seconds + more
         write_json(out / ABOUT, about)
-        seeds, said = VALIDATION_SEEDS[: settings.validation], ""
-        found: dict[str, float] = {}
+        seeds, last_words = VALIDATION_SEEDS[: settings.validation], ""
+        validation: dict[str, float] = {}
 
         def look() -> str:
             """Evaluate the network, keep it if it is the best so far, and save the state of the training."""
@@ -211,7 +211,7 @@ def train(
             network = network_of(model, scaling, made_by, task.choices)
             results = evaluate(network, task, seeds, threads=settings.threads)
             returns = [episode["r"] for episode in model.ep_info_buffer or ()] or [np.nan]
-            if curve.add(model.num_timesteps, time.monotonic() - began, float(np.mean(returns)), results, found):
+            if curve.add(model.num_timesteps, time.monotonic() - began, float(np.mean(returns)), results, validation):
                 network.save(out / "policy.npz")
             _save_state(out / STATE, model, scaling)
             summary = words(task, results)
@@ -219,18 +219,18 @@ def train(
             return summary
 
         if not curve.rows:
-            said = look()
+            last_words = look()
         while model.num_timesteps < settings.decisions and (limit is None or curve.seconds < limit):
             target = min(model.num_timesteps + settings.evaluate_every, settings.decisions)
             _begin_stage(model, settings.seed)
             while model.num_timesteps < target:
                 model.learn(settings.steps * settings.environments, reset_num_timesteps=False)
                 logged = model.logger.name_to_value
-                found = {name: float(logged[key]) for name, key in DIAGNOSTICS.items() if key in logged}
+                validation = {name: float(logged[key]) for name, key in DIAGNOSTICS.items() if key in logged}
                 model.logger.dump(model.num_timesteps)  # each `learn` begins with a new logger: TensorBoard's share
                 if progress is not None:
-                    progress(min(model.num_timesteps, settings.decisions), settings.decisions, said)
-            said = look()
+                    progress(min(model.num_timesteps, settings.decisions), settings.decisions, last_words)
+            last_words = look()
     return out / "policy.npz"
 
 
@@ -304,11 +304,11 @@ def _bias(model: PPO, biases: Sequence[float]) -> None:
     """Set the biases of the last layer of the policy; a `ValueError` where it has another number of them."""
     import torch
 
-    there = model.policy.action_net.bias
-    if len(biases) != len(there):
-        raise ValueError(f"initial_bias must have {len(there)} numbers, one for each output, got {len(biases)}")
+    bias = model.policy.action_net.bias
+    if len(biases) != len(bias):
+        raise ValueError(f"initial_bias must have {len(bias)} numbers, one for each output, got {len(biases)}")
     with torch.no_grad():
-        there.copy_(torch.tensor(biases))
+        bias.copy_(torch.tensor(biases))
 
 
 def _begin_stage(model: PPO, seed: int) -> None:

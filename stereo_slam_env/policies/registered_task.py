@@ -55,8 +55,8 @@ class RegisteredTask:
 
     def __post_init__(self) -> None:
         if self.environment not in gym.registry:
-            known = sorted(name for name in gym.registry if name.startswith("StereoSlam/"))
-            raise ValueError(f"environment must be one of {', '.join(known)}, or registered, got {self.environment!r}")
+            ids = sorted(name for name in gym.registry if name.startswith("StereoSlam/"))
+            raise ValueError(f"environment must be one of {', '.join(ids)}, or registered, got {self.environment!r}")
         object.__setattr__(self, "arguments", {**self._stated.get("arguments", {}), **self.arguments})
 
     @cached_property
@@ -99,20 +99,20 @@ class RegisteredTask:
         vector = self.make_vector(len(seeds), threads=threads)
         actions = np.zeros(vector.action_space.shape or (), dtype=vector.action_space.dtype)
         returns, success, steps = (np.zeros(len(seeds)) for _ in range(3))
-        going = np.ones(len(seeds), dtype=np.bool_)
+        active = np.ones(len(seeds), dtype=np.bool_)
         try:
             observation, info = vector.reset(seed=list(seeds))  # type: ignore[arg-type]
-            while going.any():
+            while active.any():
                 if network is not None:
                     actions[...] = network.actions(observation).reshape(actions.shape)
                 if isinstance(vector, RowsVectorEnv):  # whose episodes are over wait
-                    observation, rewards, terminated, truncated, info = vector.advance(actions, going)
+                    observation, rewards, terminated, truncated, info = vector.advance(actions, active)
                 else:
                     observation, rewards, terminated, truncated, info = vector.step(actions)
-                returns, steps = returns + np.where(going, rewards, 0.0), steps + going
+                returns, steps = returns + np.where(active, rewards, 0.0), steps + active
                 told = info.get("is_success", np.full(len(seeds), np.nan))
-                success[going] = np.asarray(told, dtype=np.float64)[going]
-                going &= ~(terminated | truncated)
+                success[active] = np.asarray(told, dtype=np.float64)[active]
+                active &= ~(terminated | truncated)
         finally:
             vector.close()
         return EpisodeOutcome(float(returns.mean()), float(success.mean()), float(steps.mean()))
@@ -134,10 +134,12 @@ def _vector(
     if gym.spec(environment.rpartition(":")[2]).vector_entry_point is None:
         how: dict[str, Any] = {"vectorization_mode": "sync", "vector_kwargs": {"autoreset_mode": mode}}
     else:
-        own = {"observe_ids": False} if environment in _WITH_IDS else {}
-        how = {**own, "autoreset_mode": mode, **({"threads": threads} if threads > 1 else {})}
-    made: gym.vector.VectorEnv[Any, Any, Any] = gym.make_vec(environment, num_envs=count, **{**how, **arguments})
-    return made
+        own_arguments = {"observe_ids": False} if environment in _WITH_IDS else {}
+        how = {**own_arguments, "autoreset_mode": mode, **({"threads": threads} if threads > 1 else {})}
+    environments: gym.vector.VectorEnv[Any, Any, Any] = gym.make_vec(
+        environment, num_envs=count, **{**how, **arguments}
+    )
+    return environments
 
 
 VALIDATION_SEEDS = tuple(range(100_000, 100_256))

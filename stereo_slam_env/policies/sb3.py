@@ -130,7 +130,7 @@ class SB3VecEnv(VecEnv):
 
 def _rows(observation: Any, which: BoolArray) -> list[Any]:
     """Observations of single environments, None where they are not asked for."""
-    return [_row(observation, b) if chosen else None for b, chosen in enumerate(which.tolist())]
+    return [_row(observation, b) if is_chosen else None for b, is_chosen in enumerate(which.tolist())]
 
 
 def _row(batch: Any, b: int) -> Any:

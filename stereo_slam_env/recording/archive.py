@@ -87,10 +87,10 @@ def save_recording(path: str | Path, recording: Recording) -> None:
 def packed_recording(recording: Recording) -> bytes:
     """Bytes that `save_recording` writes; raises as that."""
     for k, frame in enumerate(recording.frames):
-        for given, kind in ((frame.odometry, BodyVelocity), (frame.inertial, InertialSamples)):
-            if given is not None and type(given) is not kind:
+        for entry, kind in ((frame.odometry, BodyVelocity), (frame.inertial, InertialSamples)):
+            if entry is not None and type(entry) is not kind:
                 raise ValueError(
-                    f"frame {k} has a {type(given).__name__}, not a {kind.__name__} itself: what it adds would be lost"
+                    f"frame {k} has a {type(entry).__name__}, not a {kind.__name__} itself: what it adds would be lost"
                 )
     about = {
         "name": recording.name,
@@ -152,15 +152,15 @@ def _read(source: str | Path | bytes, path: str | Path) -> Recording:
 
 def _arrays_of(recording: Recording) -> Arrays:
     frames = recording.frames
-    seen = [frame.observation for frame in frames]
+    observations = [frame.observation for frame in frames]
     arrays: Arrays = {
         "noise": recording.noise.R,
         "timestamps": np.array([frame.timestamp for frame in frames], dtype=np.float64),
-        "counts": np.array([len(observation) for observation in seen], dtype=np.int64),
-        "ids": _joined((observation.ids for observation in seen), (), np.int64),
-        "uvd": _joined((observation.uvd for observation in seen), (3,)),
-        **_some("v_right", [observation.v_right for observation in seen], ()),
-        **_some("R", [observation.R for observation in seen], (3, 3)),
+        "counts": np.array([len(observation) for observation in observations], dtype=np.int64),
+        "ids": _joined((observation.ids for observation in observations), (), np.int64),
+        "uvd": _joined((observation.uvd for observation in observations), (3,)),
+        **_some("v_right", [observation.v_right for observation in observations], ()),
+        **_some("R", [observation.R for observation in observations], (3, 3)),
     }
     for part, (_, shapes) in _PARTS.items():
         present = [getattr(frame, part) for frame in frames]
@@ -194,20 +194,20 @@ def _recording_of(about: Mapping[str, Any], arrays: Arrays) -> Recording:
     uvd = _shaped(arrays, "uvd", (total, 3))
     v_right = _parts(arrays, "v_right", (), counts)
     R = _parts(arrays, "R", (3, 3), counts)
-    others = {part: _entries(arrays, part, len(timestamps)) for part in _PARTS}
-    others["head"] = _heads(arrays, len(timestamps))
-    others["inertial"] = _inertial_entries(arrays, len(timestamps))
+    optional_entries = {part: _entries(arrays, part, len(timestamps)) for part in _PARTS}
+    optional_entries["head"] = _heads(arrays, len(timestamps))
+    optional_entries["inertial"] = _inertial_entries(arrays, len(timestamps))
     frames = []
     for k, (begin, end) in enumerate(zip((ends - counts).tolist(), ends.tolist(), strict=True)):
         observation = StereoObservation(ids[begin:end], uvd[begin:end], v_right[k], R[k])
-        others_of_frame = {part: entries[k] for part, entries in others.items()}
+        others_of_frame = {part: entries[k] for part, entries in optional_entries.items()}
         frames.append(Frame(float(timestamps[k]), observation, **others_of_frame))
     start = {name: _shaped(arrays, f"start.{name}", shape) for name, shape in _START.items()}
     covariance = _shaped(arrays, "start.covariance", (12, 12)) if "start.covariance" in arrays else None
     landmarks = None
     if "landmarks.ids" in arrays:
-        known = _shaped(arrays, "landmarks.ids", (-1,), "integers")
-        landmarks = LandmarkTruth(known, _shaped(arrays, "landmarks.positions", (len(known), 3)))
+        landmark_ids = _shaped(arrays, "landmarks.ids", (-1,), "integers")
+        landmarks = LandmarkTruth(landmark_ids, _shaped(arrays, "landmarks.positions", (len(landmark_ids), 3)))
     parts, noise = about.get("coloured_noise"), _shaped(arrays, "noise", (3, 3))
     return Recording(
         str(about["name"]),
@@ -251,19 +251,19 @@ def _parts(arrays: Arrays, name: str, shape: tuple[int, ...], counts: NDArray[An
     lengths = np.where(has, counts, 0)
     joined = _shaped(arrays, name, (int(lengths.sum()), *shape))
     parts = np.split(joined, np.cumsum(lengths)[:-1])
-    return [part if there else None for part, there in zip(parts, has, strict=True)] if len(has) else []
+    return [part if is_present else None for part, is_present in zip(parts, has, strict=True)] if len(has) else []
 
 
 def _entries(arrays: Arrays, part: str, frames: int) -> list[Any]:
     """The pose or velocity of each frame, or None."""
-    made, shapes = _PARTS[part]
+    entry_type, shapes = _PARTS[part]
     has = _has(arrays, part, frames)
     columns = [_shaped(arrays, f"{part}.{name}", (int(has.sum()), *shape)) for name, shape in shapes.items()]
-    if made is BodyVelocity:
+    if entry_type is BodyVelocity:
         present: Iterator[Any] = _odometry(*columns)
     else:
-        present = (made(**dict(zip(shapes, row, strict=True))) for row in zip(*columns, strict=True))
-    return [next(present) if there else None for there in has]
+        present = (entry_type(**dict(zip(shapes, row, strict=True))) for row in zip(*columns, strict=True))
+    return [next(present) if is_present else None for is_present in has]
 
 
 def _odometry(linear: FloatArray, angular: FloatArray, covariance: FloatArray) -> Iterator[BodyVelocity]:
@@ -282,20 +282,20 @@ def _heads(arrays: Arrays, frames: int) -> list[FloatArray | None]:
         return [None] * frames
     has = _has(arrays, "head", frames)
     angles = iter(_shaped(arrays, "head", (int(has.sum()), 2)))
-    return [next(angles) if there else None for there in has]
+    return [next(angles) if is_present else None for is_present in has]
 
 
 def _inertial_arrays(samples: Sequence[InertialSamples | None]) -> Arrays:
     """Samples end to end, how many each frame has, and the unit of each frame that has some."""
-    there = [entry for entry in samples if entry is not None]
+    present = [entry for entry in samples if entry is not None]
     arrays = {
         "has.inertial": np.array([entry is not None for entry in samples], dtype=np.bool_),
-        "inertial.counts": np.array([len(entry.times) for entry in there], dtype=np.int64),
+        "inertial.counts": np.array([len(entry.times) for entry in present], dtype=np.int64),
     }
     for name, shape in _SAMPLES.items():
-        arrays[f"inertial.{name}"] = _joined((getattr(entry, name) for entry in there), shape)
+        arrays[f"inertial.{name}"] = _joined((getattr(entry, name) for entry in present), shape)
     for name, shape in _UNIT_OF_SAMPLES.items():
-        units = (np.asarray(getattr(entry.unit, name))[None] for entry in there)
+        units = (np.asarray(getattr(entry.unit, name))[None] for entry in present)
         arrays[f"inertial.unit.{name}"] = _joined(units, shape)
     return arrays
 

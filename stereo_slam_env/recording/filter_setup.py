@@ -48,13 +48,13 @@ class FilterSetup:
         if len(self.noise) != 1:
             raise ValueError("noise must have one key: independent_pixels or diagonal")
         if "diagonal" in self.noise:
-            given = StereoNoise.diagonal(*finite_array("noise.diagonal", self.noise["diagonal"], (3,)).tolist())
+            stated_noise = StereoNoise.diagonal(*finite_array("noise.diagonal", self.noise["diagonal"], (3,)).tolist())
         else:
-            given = StereoNoise.independent_pixels(self.noise["independent_pixels"])
+            stated_noise = StereoNoise.independent_pixels(self.noise["independent_pixels"])
         if isinstance(of_recording, ColouredNoise):
             lasts = None if of_recording.lasting is None else of_recording.lasting_time  # R - white is of another R
-            return dataclasses.replace(of_recording, R=given.R, white=None, lasting_time=lasts)
-        return given
+            return dataclasses.replace(of_recording, R=stated_noise.R, white=None, lasting_time=lasts)
+        return stated_noise
 
     def common_options(self, own: Mapping[str, Any]) -> dict[str, Any]:
         """Options of every filter that leaves them open, beside its `own`: without a gate there is no consensus."""

@@ -53,8 +53,8 @@ def samples_of_steps(
     _require_units(path, numbers)
     apart, of_frames = float(np.median(np.diff(times))), np.diff(frames[np.isfinite(frames)])
     if of_frames.size and apart > _GAP * (step := float(np.median(of_frames))):
-        said = f"its rows are {apart:.3g} s apart, the frames {step:.3g} s: are its times of another unit?"
-        raise ValueError(f"{path}: {said} Write those of both in one")
+        message = f"its rows are {apart:.3g} s apart, the frames {step:.3g} s: are its times of another unit?"
+        raise ValueError(f"{path}: {message} Write those of both in one")
     steps: list[InertialSamples | None] = [None]
     integral = np.vstack([np.zeros(6), np.cumsum(np.diff(times)[:, None] * 0.5 * (numbers[1:] + numbers[:-1]), axis=0)])
     longest = _GAP * apart
@@ -101,5 +101,5 @@ def _at(times: FloatArray, numbers: FloatArray, integral: FloatArray, t: FloatAr
     row = np.clip(np.searchsorted(times, t, side="right") - 1, 0, len(times) - 2)
     since, width = t - times[row], times[row + 1] - times[row]
     slope = (numbers[row + 1] - numbers[row]) / width[:, None]
-    whole: FloatArray = integral[row] + since[:, None] * (numbers[row] + 0.5 * since[:, None] * slope)
-    return whole
+    integrated: FloatArray = integral[row] + since[:, None] * (numbers[row] + 0.5 * since[:, None] * slope)
+    return integrated

@@ -45,8 +45,8 @@ def lines_chart(series: Mapping[str, tuple[FloatArray, FloatArray]], x: str, y: 
     With `equal`, both axes have one scale, as a path seen from above needs. More lines than colours are dashed.
     """
     width, height, edge = 420.0, 260.0, 36.0
-    known = [np.column_stack(pair)[np.isfinite(np.column_stack(pair)).all(axis=1)] for pair in series.values()]
-    points = np.concatenate([*known, np.zeros((0, 2))])
+    finite_points = [np.column_stack(pair)[np.isfinite(np.column_stack(pair)).all(axis=1)] for pair in series.values()]
+    points = np.concatenate([*finite_points, np.zeros((0, 2))])
     if not len(points):
         return ""
     low, high = points.min(axis=0), points.max(axis=0)
@@ -54,7 +54,7 @@ def lines_chart(series: Mapping[str, tuple[FloatArray, FloatArray]], x: str, y: 
     scale = np.array([width - 2 * edge, height - 2 * edge]) / span
     scale = np.full(2, scale.min()) if equal else scale
     drawn = []
-    for at, (name, line) in enumerate(zip(series, known, strict=True)):
+    for at, (name, line) in enumerate(zip(series, finite_points, strict=True)):
         colour, dashes = _COLOURS[at % len(_COLOURS)], _DASHES[at // len(_COLOURS) % len(_DASHES)]
         pixels = np.column_stack(
             [edge + scale[0] * (line[:, 0] - low[0]), height - edge - scale[1] * (line[:, 1] - low[1])]

@@ -86,12 +86,12 @@ def drift_of(positions: FloatArray, orientations: FloatArray, parts: DriftParts)
     A = adjoints(positions - positions[0], orientations)
     into_body = np.linalg.inv(A)
     driven = np.cumsum(distances(positions)[:, None, None] * A, axis=0)
-    own = np.tile(np.diag(parts.white), (len(A), 1, 1))
-    own[0] = 0.0
+    own_covariances = np.tile(np.diag(parts.white), (len(A), 1, 1))
+    own_covariances[0] = 0.0
     of_start = np.broadcast_to(A[0] * np.sqrt(parts.white), A.shape).copy()
     of_start[0] = 0.0
     lasting = np.concatenate([driven * np.sqrt(parts.lasting), of_start], axis=2)
-    return Drift(own, into_body @ lasting, parts)
+    return Drift(own_covariances, into_body @ lasting, parts)
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,9 +171,9 @@ class Reference:
     """Time of the recording, s, before which the poses are not to be scored; None: all are."""
 
     def __post_init__(self) -> None:
-        known: tuple[str, ...] = get_args(ReferenceKind)
-        if self.kind not in known:
-            raise ValueError(f"kind of a reference must be one of {', '.join(map(repr, known))}, got {self.kind!r}")
+        kinds: tuple[str, ...] = get_args(ReferenceKind)
+        if self.kind not in kinds:
+            raise ValueError(f"kind of a reference must be one of {', '.join(map(repr, kinds))}, got {self.kind!r}")
         for name in ("position_jitter", "rotation_jitter", "misalignment"):
             if not 0.0 <= getattr(self, name) < np.inf:
                 raise ValueError(f"{name} of a reference must be >= 0 and finite, got {getattr(self, name)!r}")
@@ -210,8 +210,8 @@ class Reference:
             if isinstance(stated.get(name), str):
                 raise ValueError(f"{name} of a reference must be a number, got {stated[name]!r}")
         values: dict[str, Any] = dict(stated)
-        said = "" if kind is None else " Its kind was stated for this run."
-        return replace(self, **values, description=self.description + said)
+        note = "" if kind is None else " Its kind was stated for this run."
+        return replace(self, **values, description=self.description + note)
 
     @property
     def is_exact(self) -> bool:
@@ -304,11 +304,11 @@ class Recording:
         path = np.array(poses).reshape(-1, 3)
         name = "true path" if self.reference.is_independent else "path of the reference"
         above = html.lines_chart({f"{name}, from above": (path[:, 0], path[:, 2])}, "x, m", "z, m", equal=True)
-        seen = html.lines_chart({"landmarks seen": (times, counts)}, "s", "landmarks")
+        chart = html.lines_chart({"landmarks seen": (times, counts)}, "s", "landmarks")
         last = self.frames[-1].observation
         about = [f"{i}: u {u:.1f}, v {v:.1f}, d {d:.2f}" for i, (u, v, d) in zip(last.ids, last.uvd, strict=True)]
         picture = html.dots(last.uvd[:, :2], (camera.width, camera.height), about)
-        return html.heading(self.name) + html.facts(rows) + above + seen + html.paragraph("Last frame:") + picture
+        return html.heading(self.name) + html.facts(rows) + above + chart + html.paragraph("Last frame:") + picture
 
     def __getitem__(self, frames: slice) -> Recording:
         """The recording of some frames, such as `recording[:40]`."""
@@ -317,7 +317,7 @@ class Recording:
     def with_observations(self, observations: Iterable[StereoObservation]) -> Recording:
         """The same drive, seen differently: one observation for each frame."""
         pairs = zip(self.frames, observations, strict=True)
-        return replace(self, frames=tuple(replace(frame, observation=seen) for frame, seen in pairs))
+        return replace(self, frames=tuple(replace(frame, observation=observation) for frame, observation in pairs))
 
 
 GreyImage = NDArray[np.uint8]

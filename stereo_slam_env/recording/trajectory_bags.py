@@ -69,29 +69,29 @@ def read_bag(path: Path, topic: str | None) -> Trajectory:
     with opened_bag(path) as reader:
         types = {c.topic: c.msgtype for c in reader.connections}
         name, _, pair = (topic or "").partition(":")
-        asked = [c for c in types if topic and c.strip("/") == name.strip("/")]
-        if pair or [types[c] for c in asked] == [_TRANSFORMS]:
+        matching_topics = [c for c in types if topic and c.strip("/") == name.strip("/")]
+        if pair or [types[c] for c in matching_topics] == [_TRANSFORMS]:
             return _of_transforms(path, name, pair, transforms_of(reader))
         with_poses = sorted(c for c, kind in types.items() if kind in _TYPES or kind == _PATH)
-        alike = [c for c in (asked if topic else with_poses) if c in with_poses]
+        alike = [c for c in (matching_topics if topic else with_poses) if c in with_poses]
         if len(alike) != 1:
             said = "poses on several topics" if alike else f"no poses on {topic}" if topic else "no topic of poses"
             raise ValueError(f"{path} has {said}: ask for one by {path}:TOPIC ({_offered(reader, types, with_poses)})")
-        (wanted,) = alike
-        logged, messages = _messages(reader, wanted)
+        (matched_topic,) = alike
+        logged, messages = _messages(reader, matched_topic)
     if not messages:
-        raise ValueError(f"{path} has no message on {plain(wanted)}: ask for another topic")
-    if types[wanted] == _PATH:
+        raise ValueError(f"{path} has no message on {plain(matched_topic)}: ask for another topic")
+    if types[matched_topic] == _PATH:
         messages = messages[-1].poses
         logged = np.zeros(len(messages), dtype=np.int64)
         parts = [_TYPES["geometry_msgs/msg/PoseStamped"](message) for message in messages]
     else:
-        parts = [_TYPES[types[wanted]](message) for message in messages]
+        parts = [_TYPES[types[matched_topic]](message) for message in messages]
     if not parts:
-        raise ValueError(f"{path}, {plain(wanted)}: its last path is empty: ask for another topic")
+        raise ValueError(f"{path}, {plain(matched_topic)}: its last path is empty: ask for another topic")
     stamps = np.array([m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in messages], dtype=np.int64)
-    times, kept, notes = message_times(stamps, logged)
-    order = np.flatnonzero(kept)[np.argsort(times[kept], kind="stable")]
+    times, kept_rows, notes = message_times(stamps, logged)
+    order = np.flatnonzero(kept_rows)[np.argsort(times[kept_rows], kind="stable")]
     positions = np.array([[p.x, p.y, p.z] for p, _, _ in parts], dtype=np.float64)[order]
     orientations, covariances = None, None
     if parts[0][1] is not None:
@@ -100,19 +100,19 @@ def read_bag(path: Path, topic: str | None) -> Trajectory:
         covariances = np.array([doubt for _, _, doubt in parts], dtype=np.float64)[order]
         covariances = covariances.reshape(-1, POSE_SIZE, POSE_SIZE)
     seconds = None
-    if types[wanted] == _PATH and times is logged:  # its poses have no log of their own
+    if types[matched_topic] == _PATH and times is logged:  # its poses have no log of their own
         notes = ["its poses have no stamps: they belong to those of the other one by their order"]
     else:
         seconds = np.asarray(1e-9 * times[order], dtype=np.float64)
-        require_rate(seconds, f"{path}, {plain(wanted)}")
+        require_rate(seconds, f"{path}, {plain(matched_topic)}")
     return assembled(
-        f"{path}, {plain(wanted)}",
+        f"{path}, {plain(matched_topic)}",
         positions,
         orientations,
         by_ros=True,
         timestamps=seconds,
         covariances=covariances,
-        name=f"{path.stem}:{plain(wanted)}",
+        name=f"{path.stem}:{plain(matched_topic)}",
         gauge=None,
         notes=notes,
     )
@@ -123,9 +123,11 @@ def _offered(reader: Any, types: Mapping[str, str], with_poses: Sequence[str]) -
     offered = "topics with poses: " + (", ".join(map(plain, with_poses)) or "none")
     if _TRANSFORMS in types.values():
         offered += f"; transforms as /tf:PARENT.CHILD: {listed(transforms_of(reader))}"
-    others = [f"{plain(c)} ({plain(kind)})" for c, kind in sorted(types.items()) if c not in with_poses]
+    other_topics = [f"{plain(c)} ({plain(kind)})" for c, kind in sorted(types.items()) if c not in with_poses]
     return offered + (
-        f"; others: {', '.join(others[:_SHOWN])}" + (", ..." if others[_SHOWN:] else "") if others else ""
+        f"; others: {', '.join(other_topics[:_SHOWN])}" + (", ..." if other_topics[_SHOWN:] else "")
+        if other_topics
+        else ""
     )
 
 
@@ -155,8 +157,8 @@ def opened_bag(path: Path) -> Iterator[Any]:
         raise
     except Exception as error:  # of any library that it unpacks with
         if isinstance(error, KeyError) and error.args[:1] in _NOT_ROS:
-            said = f"its schemas are {error.args[0]}, not ROS: convert it to messages of ROS 2"
-            raise ValueError(f"{path} is an MCAP file that is not read: {said}") from error
+            message = f"its schemas are {error.args[0]}, not ROS: convert it to messages of ROS 2"
+            raise ValueError(f"{path} is an MCAP file that is not read: {message}") from error
         raise ValueError(
             f"{path} is damaged, or no bag ({first_line(error)}): copy it again, or repair it with the tools of ROS"
         ) from error
@@ -179,8 +181,10 @@ def transforms_of(reader: Any) -> dict[str, Link]:
     """All transforms of a bag, whatever their topics are called, by the frame that they are of."""
 
     def told() -> Iterator[tuple[str, str, bool, list[float]]]:
-        chosen = [c for c in reader.connections if c.msgtype == _TRANSFORMS]
-        for connection, _, raw in reader.messages(chosen) if chosen else ():  # of no connections it gives all messages
+        connections = [c for c in reader.connections if c.msgtype == _TRANSFORMS]
+        for connection, _, raw in (
+            reader.messages(connections) if connections else ()
+        ):  # of no connections it gives all messages
             is_static = connection.topic.endswith(_STATIC)
             for one in reader.deserialize(raw, connection.msgtype).transforms:
                 stamp, p, q = one.header.stamp, one.transform.translation, one.transform.rotation

@@ -76,12 +76,12 @@ def load_trajectory(path: str | Path) -> Trajectory:
         return trajectory_of(split_columns(path, text), {"name": path.stem, "gauge": None})
     about = _about(path, header)
     names, order, drift = about.pop("names"), about.pop("order"), about.pop("drift")
-    found = trajectory_of(split_columns(path, text, names), about)
-    if found.covariances is not None:
-        found = replace(found, covariances=found.covariances[:, order[:, None], order])
+    trajectory = trajectory_of(split_columns(path, text, names), about)
+    if trajectory.covariances is not None:
+        trajectory = replace(trajectory, covariances=trajectory.covariances[:, order[:, None], order])
         if drift is not None:
-            found = replace(found, drift=drift_of(found.positions, found.orientations, drift))
-    return found if found.tangent in _SIDES.values() else _turned(found, into_body=False)
+            trajectory = replace(trajectory, drift=drift_of(trajectory.positions, trajectory.orientations, drift))
+    return trajectory if trajectory.tangent in _SIDES.values() else _turned(trajectory, into_body=False)
 
 
 def save_trajectory(path: str | Path, trajectory: Trajectory) -> None:

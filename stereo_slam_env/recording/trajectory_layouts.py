@@ -95,29 +95,32 @@ def message_times(stamps: IntArray, logged: IntArray) -> tuple[IntArray, BoolArr
         takes their place; single ones far from those before and after are left out.
     """
     count = len(stamps)
-    kept = np.ones(count, dtype=bool)
+    is_kept = np.ones(count, dtype=bool)
     if count > 1 and (2 * len(np.unique(stamps)) < count or 2 * np.count_nonzero(stamps == 0) > count):
         why = "zero" if 2 * np.count_nonzero(stamps == 0) > count else "repeated"
-        return logged, kept, [f"its stamps are {why} in most messages: the times of the log are taken"]
+        return logged, is_kept, [f"its stamps are {why} in most messages: the times of the log are taken"]
     if count < _NEIGHBOURS:
-        return stamps, kept, []
+        return stamps, is_kept, []
     seconds = 1e-9 * (stamps - np.median(stamps).astype(np.int64))
     away = np.abs(seconds - median_filter(seconds, size=_NEIGHBOURS, mode="mirror"))
     in_order = seconds >= np.maximum.accumulate(seconds)
     in_order &= seconds <= np.minimum.accumulate(seconds[::-1])[::-1]
     limit = max(_ASTRAY_S, _ASTRAY_STEPS * float(np.median(np.abs(np.diff(seconds)))))
-    kept = in_order | (away <= limit)
-    kept[[0, -1]] &= np.abs(seconds[[0, -1]] - seconds[[1, -2]]) <= limit  # one alone is in any order
+    is_kept = in_order | (away <= limit)
+    is_kept[[0, -1]] &= np.abs(seconds[[0, -1]] - seconds[[1, -2]]) <= limit  # one alone is in any order
     if (stamps == 0).any() and 1e-9 * float(stamps[stamps != 0].min()) > limit:
-        kept &= stamps != 0  # no times, beside others that are
+        is_kept &= stamps != 0  # no times, beside others that are
         away = np.where(stamps == 0, 1e-9 * np.median(stamps), away)
-    if kept.all():
-        return stamps, kept, []
-    worst = float(away[~kept].max())
+    if is_kept.all():
+        return stamps, is_kept, []
+    worst = float(away[~is_kept].max())
     return (
         stamps,
-        kept,
-        [f"{np.count_nonzero(~kept)} of {count} stamps are up to {worst:.3g} s from those before and after: left out"],
+        is_kept,
+        [
+            f"{np.count_nonzero(~is_kept)} of {count} stamps are up to {worst:.3g} s from those before and after: "
+            "left out"
+        ],
     )
 
 
@@ -218,8 +221,8 @@ def split_columns(path: Path, text: str, names: Sequence[str] | None = None) -> 
     elif len(lines) > above:
         cells = _cells(lines[above], delimiter)
     named = [_name_and_unit(title) for title in titles]
-    known = _known([name for name, _ in named])
-    if not set(_POSE[1:4]) <= set(known) or len(named) != len(cells):
+    recognised = _known([name for name, _ in named])
+    if not set(_POSE[1:4]) <= set(recognised) or len(named) != len(cells):
         named = []
         if not any(map(_is_number, cells)):
             raise ValueError(f"{path} is no trajectory: its first row is {lines[first][:60]!r}, not {KNOWN}")
@@ -230,16 +233,16 @@ def split_columns(path: Path, text: str, names: Sequence[str] | None = None) -> 
             raise ValueError(f"{path} has {len(cells)} columns{_asked(len(cells))}")
         if len(usual) != len(cells):
             raise ValueError(f"{path} has {len(cells)} columns where its header has {len(usual)}")
-        known = {name: i for i, name in enumerate(usual)}
-    elif not set(_POSE[4:]) <= set(known) and (turns := [name for name, _ in named if re.search(_TURNS, name)]):
+        recognised = {name: i for i, name in enumerate(usual)}
+    elif not set(_POSE[4:]) <= set(recognised) and (turns := [name for name, _ in named if re.search(_TURNS, name)]):
         raise ValueError(
             f"{path} has orientations that are not read ({', '.join(turns)[:60]}): give unit quaternions qx, qy, qz, qw"
         )
-    only = list(known.values())
+    only = list(recognised.values())
     table = parse_table(path, "\n".join(lines[above:]), len(only), delimiter=delimiter, only=only, finite=False)
     words = {name: cell for (name, _), cell in zip(named, cells, strict=False) if not _is_number(cell)}
-    unit = named[known["t"]][1] if named and "t" in known else ""
-    return Columns(path, dict(zip(known, table.T, strict=True)), words, unit)
+    unit = named[recognised["t"]][1] if named and "t" in recognised else ""
+    return Columns(path, dict(zip(recognised, table.T, strict=True)), words, unit)
 
 
 def trajectory_of(columns: Columns, about: Mapping[str, Any]) -> Trajectory:
@@ -302,9 +305,9 @@ def _covariances(columns: Columns, orientations: FloatArray | None) -> tuple[Flo
                 block[:, i - 1, j - 1] = block[:, j - 1, i - 1] = values[f"{kind}{i}{j}"]
     error = columns.words.get("est_err_type", "type5")
     if error not in _ERRORS or columns.words.get("err_representation", "theta_so3") not in _REPRESENTATIONS:
-        said = f"{error}, {columns.words.get('err_representation')}"
+        message = f"{error}, {columns.words.get('err_representation')}"
         raise ValueError(
-            f"{columns.path} has covariances of errors ({said}) that are not read: "
+            f"{columns.path} has covariances of errors ({message}) that are not read: "
             f"give one of {', '.join(_ERRORS)} with one of {', '.join(_REPRESENTATIONS)}"
         )
     tangent, fixed_axes = _ERRORS[error]

@@ -119,12 +119,14 @@ def fixed_pose(links: Mapping[str, Link], parent: str, child: str) -> Pose | Non
 
 def _in_fixed_ancestors(links: Mapping[str, Link], frame: str) -> dict[str, Pose]:
     """Poses of a frame in itself and in the frames above it that it is fixed to."""
-    found, name = {frame: Pose()}, frame
-    while name in links and not links[name].rivals and links[name].is_static and links[name].parent not in found:
+    pose_by_frame, name = {frame: Pose()}, frame
+    while (
+        name in links and not links[name].rivals and links[name].is_static and links[name].parent not in pose_by_frame
+    ):
         link = links[name]
-        found[link.parent] = Pose(link.rows[-1, 1:4], link.rows[-1, 4:]) @ found[name]
+        pose_by_frame[link.parent] = Pose(link.rows[-1, 1:4], link.rows[-1, 4:]) @ pose_by_frame[name]
         name = link.parent
-    return found
+    return pose_by_frame
 
 
 def listed(links: Mapping[str, Link]) -> str:

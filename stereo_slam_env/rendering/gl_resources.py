@@ -51,9 +51,9 @@ class DrawList:
 
     def front_to_back(self, view: ViewVolume) -> NDArray[np.uint32]:
         """Triangles of the chunks that reach into `view`, the nearest chunks first; (K, 3)."""
-        seen = np.flatnonzero(view.touches(self.centers, self.half_sizes))
-        away = np.linalg.norm(self.centers[seen] - view.position, axis=1)
-        order = seen[np.argsort(away, kind="stable")]
+        visible = np.flatnonzero(view.touches(self.centers, self.half_sizes))
+        away = np.linalg.norm(self.centers[visible] - view.position, axis=1)
+        order = visible[np.argsort(away, kind="stable")]
         parts = [self.triangles[self.starts[i] : self.starts[i + 1]] for i in order]
         return np.concatenate(parts) if parts else self.triangles[:0]
 
@@ -210,10 +210,10 @@ class TextureArray:
 
     def load(self, materials: Iterable[Material]) -> None:
         """Make sure that the textures of `materials` are there; those from before stay."""
-        wanted = {self._key(material) for material in materials} | {self._PLAIN}
-        if wanted <= self._layers.keys():
+        wanted_keys = {self._key(material) for material in materials} | {self._PLAIN}
+        if wanted_keys <= self._layers.keys():
             return
-        keys = sorted(wanted | self._layers.keys())
+        keys = sorted(wanted_keys | self._layers.keys())
         images = [np.full((1, 1, 3), 255, np.uint8) if key == self._PLAIN else texture(*key) for key in keys]
         size = max(max(image.shape[:2]) for image in images)
         # With alpha and the bottom row first, as OpenGL wants it.

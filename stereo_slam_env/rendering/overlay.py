@@ -166,8 +166,8 @@ def inset_gaze(
     cv2.polylines(window, [pixel(wedge).reshape(-1, 1, 2)], True, _VIEW, 1, cv2.LINE_AA, SUBPIXEL)
 
     uvd = uvd[uvd[:, 2] > 0.0]
-    seen = camera.backproject(uvd) @ rotations.matrix(pose.orientation).T
-    plan = seen[:, [0, 2]] @ axes.T
+    points_c = camera.backproject(uvd) @ rotations.matrix(pose.orientation).T
+    plan = points_c[:, [0, 2]] @ axes.T
     away = np.linalg.norm(plan, axis=1, keepdims=True)
     dots = pixel(plan * np.minimum(1.0, _REACH / np.maximum(away, 1e-9)))
     radius = int(max(1.2, 0.016 * size) * (1 << SUBPIXEL))
@@ -274,7 +274,7 @@ def tracks_picture(
     words : sequence of str
         Caption of each image.
     """
-    shown = []
+    lines = []
     for image, way, caption in zip(images, ways, words, strict=True):
         view = cv2.cvtColor(image, cv2.COLOR_GRAY2BGR)
         for places, (r, g, b) in zip(way.transpose(1, 0, 2), colours, strict=True):
@@ -283,8 +283,8 @@ def tracks_picture(
             cv2.circle(view, (int(pixels[-1, 0]), int(pixels[-1, 1])), RADIUS, (b, g, r), 2, cv2.LINE_AA)
         cv2.rectangle(view, (0, 0), (440, 40), (0, 0, 0), cv2.FILLED)
         cv2.putText(view, caption, (12, 28), cv2.FONT_HERSHEY_SIMPLEX, 0.7, (255, 255, 255), 1, cv2.LINE_AA)
-        shown.append(view)
-    done, encoded = cv2.imencode(".png", np.concatenate(shown))
+        lines.append(view)
+    done, encoded = cv2.imencode(".png", np.concatenate(lines))
     if not done:
         raise RuntimeError("OpenCV cannot write PNG files")
     return bytes(encoded.tobytes())

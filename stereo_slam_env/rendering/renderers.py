@@ -150,17 +150,17 @@ class CameraEffects:
 
     def on(self, image: Image, frame: int, side: int) -> Image:
         """One picture, (H, W, 3) or (H, W) uint8, of the left (0) or the right (1) camera."""
-        seen = image
+        picture = image
         if self.blur > 0:
-            seen = np.asarray(cv2.GaussianBlur(seen, (0, 0), self.blur), dtype=np.uint8)
+            picture = np.asarray(cv2.GaussianBlur(picture, (0, 0), self.blur), dtype=np.uint8)
         if self.vignetting > 0:
             lens = _vignetting(image.shape, self.vignetting)
-            seen = np.asarray(cv2.multiply(seen, lens, dtype=cv2.CV_8U), dtype=np.uint8)
+            picture = np.asarray(cv2.multiply(picture, lens, dtype=cv2.CV_8U), dtype=np.uint8)
         if self.gain != 1 or self.gamma != 1:
-            seen = np.asarray(cv2.LUT(seen, self._tone_curve), dtype=np.uint8)
+            picture = np.asarray(cv2.LUT(picture, self._tone_curve), dtype=np.uint8)
         if self.read_noise > 0 or self.shot_noise > 0:
-            seen = self._noisy(seen, np.random.SFC64([self.seed, frame, side]))
-        return seen.copy() if seen is image else seen
+            picture = self._noisy(picture, np.random.SFC64([self.seed, frame, side]))
+        return picture.copy() if picture is image else picture
 
     @cached_property
     def _tone_curve(self) -> Image:

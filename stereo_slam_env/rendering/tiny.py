@@ -33,13 +33,13 @@ class Air:
         """Blend a picture (H, W, 3) into the haze with `depth` (H, W), m, and put the sky where that is infinite."""
         clear = np.multiply(depth, np.float32(-1.0 / self._haze_range), dtype=np.float32)
         cv2.exp(clear, dst=clear)
-        seen = cv2.blendLinear(rgb, self._horizon, clear, 1.0 - clear)
+        blended = cv2.blendLinear(rgb, self._horizon, clear, 1.0 - clear)
         nothing = np.isinf(depth)
         rows = np.flatnonzero(nothing.any(axis=1))
         if len(rows):
             band = slice(int(rows[0]), int(rows[-1]) + 1)
-            cv2.copyTo(self._sky(R_sc, band), nothing[band].view(np.uint8), seen[band])
-        return np.asarray(seen, dtype=np.uint8)
+            cv2.copyTo(self._sky(R_sc, band), nothing[band].view(np.uint8), blended[band])
+        return np.asarray(blended, dtype=np.uint8)
 
     def _sky(self, R_sc: FloatArray, band: slice) -> NDArray[np.uint8]:
         a, b, c = pinhole.sky_slope(self._camera, R_sc)

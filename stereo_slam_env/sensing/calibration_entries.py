@@ -31,16 +31,16 @@ _MODELS: Mapping[str, LensModel] = {
 def table_of(path: Path) -> dict[str, Any]:
     """Content of a YAML or JSON file; what OpenCV writes beyond YAML is taken out."""
     if path.suffix == ".json":
-        found = read_json(path)
+        content = read_json(path)
     else:
         text = re.sub(r"^%YAML.*$|!!opencv-\w+", "", read_text(path, most_bytes=MOST_BYTES), flags=re.MULTILINE)
         try:
-            found = parse_yaml(text)
+            content = parse_yaml(text)
         except ValueError as error:
             raise ValueError(f"{path} is no YAML that is read ({error}): take the calibration again") from error
-    if not isinstance(found, dict):
+    if not isinstance(content, dict):
         raise ValueError(f"{path} holds no entries 'name: value': take the calibration again")
-    return {str(key): value for key, value in found.items()}
+    return {str(key): value for key, value in content.items()}
 
 
 def first_of(table: Mapping[str, Any], *names: str) -> Any:
@@ -60,8 +60,8 @@ def numbers_of(path: Path, table: Mapping[str, Any], names: str | Sequence[str],
     except (TypeError, ValueError, OverflowError, RecursionError) as error:
         raise ValueError(f"{path}: '{names[0]}' holds no numbers ({first_line(error)}): correct it") from error
     if counts and numbers.size not in counts:
-        wanted = " or ".join(map(str, counts))
-        raise ValueError(f"{path}: '{names[0]}' has {numbers.size} numbers where {wanted} were expected")
+        counts_words = " or ".join(map(str, counts))
+        raise ValueError(f"{path}: '{names[0]}' has {numbers.size} numbers where {counts_words} were expected")
     if not np.isfinite(numbers).all():
         raise ValueError(f"{path}: '{names[0]}' has NaN or infinity: take the calibration again")
     return numbers
@@ -94,8 +94,8 @@ def lens_of(path: Path, intrinsics: FloatArray, size: Size, distortion: FloatArr
     """A lens of (fx, fy, cx, cy) or K (9), px."""
     name = plain(str(model)).strip().lower().replace("_tangential", "-tangential")
     if name not in _MODELS:
-        known = ", ".join(known for known in _MODELS if known)
-        raise ValueError(f"{path}: the lens model {name!r} cannot be rectified by OpenCV; known are {known}")
+        models = ", ".join(models for models in _MODELS if models)
+        raise ValueError(f"{path}: the lens model {name!r} cannot be rectified by OpenCV; known are {models}")
     fx, fy, cx, cy = (float(n) for n in (intrinsics if intrinsics.size == 4 else intrinsics[[0, 4, 2, 5]]))
     if _MODELS[name] == "equidistant" and not any(distortion[4:]):
         distortion = distortion[:4]  # drivers fill up what the message has room for

@@ -105,10 +105,12 @@ def agreed(messages: Iterable[CameraInfo], where: str) -> tuple[CameraInfo, tupl
     if (odd := len(every) - count) == 0:
         return usual, notes
     other = next(one for one in every if repr(one) != most)
-    said = f"{where} says {usual} in {count} of {len(every)} messages and {other} in others"
+    message = f"{where} says {usual} in {count} of {len(every)} messages and {other} in others"
     if odd > _FEW * len(every) or any(repr(one) != most for one in every[odd:]):
-        raise ValueError(f"{said}: the calibration changes, so cut the bag where it does, or give the right one as rig")
-    return usual, (*notes, f"{said}: the first {odd} are taken for those of a calibration before")
+        raise ValueError(
+            f"{message}: the calibration changes, so cut the bag where it does, or give the right one as rig"
+        )
+    return usual, (*notes, f"{message}: the first {odd} are taken for those of a calibration before")
 
 
 def calibration_of_infos(messages: tuple[Any, Any], where: str, *, rectified: bool) -> Calibration:
@@ -175,19 +177,19 @@ def _of_images(info: CameraInfo, size: Size, where: str) -> tuple[CameraInfo, tu
         return _plain(info), (f"{where}: roi and binning contradict the images: {what}, K and P are taken as theirs",)
     if expected != size:
         how = "" if bins == (1, 1) and not any(info.roi) else f" (roi {info.roi}, binning {bins[0]}x{bins[1]})"
-        said = f"images of {size[0]}x{size[1]} where CameraInfo says {expected[0]}x{expected[1]}{how}"
-        raise ValueError(f"{where}: {said}: calibrate for these images")
+        message = f"images of {size[0]}x{size[1]} where CameraInfo says {expected[0]}x{expected[1]}{how}"
+        raise ValueError(f"{where}: {message}: calibrate for these images")
     if bins == (1, 1) and (x, y) == (0, 0):
         return info, ()
     K_whole = info.K if info.has_lens else (*info.P[0:3], *info.P[4:7], *info.P[8:11])
     middle = np.array([K_whole[2], K_whole[5]])
     of_sensor, of_images = (np.abs(middle / of - 0.5) for of in (info.size, size))
     if of_sensor.max() > _MIDDLE and of_images.max() < 0.5 * _MIDDLE:
-        said = f"binning is {bins[0]}x{bins[1]}, but K has its principal point in the middle of the binned images"
+        message = f"binning is {bins[0]}x{bins[1]}, but K has its principal point in the middle of the binned images"
         if (x, y) != (0, 0):
-            said = f"the region is {info.roi}, but K has its principal point in the middle of its images"
+            message = f"the region is {info.roi}, but K has its principal point in the middle of its images"
         return replace(_plain(info), size=size), (
-            f"{where}: {said}: K and P are taken as those of these (REP 104: of the whole sensor)",
+            f"{where}: {message}: K and P are taken as those of these (REP 104: of the whole sensor)",
         )
     scale = np.array([[1.0 / bins[0], 0.0, 0.0], [0.0, 1.0 / bins[1], 0.0], [0.0, 0.0, 1.0]])
     # Integer (u, v) is the centre of a pixel, also of a joined one.

@@ -248,10 +248,10 @@ def moved_on(
         static_w = landmarks.positions[those]
         moved_w = static_w + displacement(frame.timestamp, first_seen[those], those)
         points_c = frame.truth.to_camera(moved_w)
-        there, uvd = camera.project(points_c), frame.observation.uvd.copy()
-        uvd[concerned] += there - camera.project(frame.truth.to_camera(static_w))
+        uvd_expected, uvd = camera.project(points_c), frame.observation.uvd.copy()
+        uvd[concerned] += uvd_expected - camera.project(frame.truth.to_camera(static_w))
         visible = np.ones(len(uvd), dtype=np.bool_)
-        visible[concerned] = (points_c[:, 2] > 0) & camera.in_view(there)
+        visible[concerned] = (points_c[:, 2] > 0) & camera.in_view(uvd_expected)
         uvd[~visible] = 0.0
         observations.append(_moved(frame.observation, uvd).select(visible))
     return recording.with_observations(observations)

@@ -81,8 +81,8 @@ class DroppedFrames(Checked):
     def applied_to(self, recording: Recording, rng: np.random.Generator) -> Recording:
         arrives = rng.random(len(recording)) >= self.probability
         arrives[:1] = True
-        kept = np.flatnonzero(arrives).tolist()
-        later = (_after_gap(recording.frames[before : k + 1]) for before, k in pairwise(kept))
+        arrived = np.flatnonzero(arrives).tolist()
+        later = (_after_gap(recording.frames[before : k + 1]) for before, k in pairwise(arrived))
         return replace(recording, frames=(*recording.frames[:1], *later))
 
 
@@ -102,8 +102,8 @@ class DuplicatedFrames(Checked):
         """Time, odometry and truth go on."""
         fresh = rng.random(len(recording)) >= self.probability
         fresh[:1] = True
-        shown = np.maximum.accumulate(np.where(fresh, np.arange(len(recording)), 0))
-        return recording.with_observations(recording.frames[k].observation for k in shown)
+        frame_shown = np.maximum.accumulate(np.where(fresh, np.arange(len(recording)), 0))
+        return recording.with_observations(recording.frames[k].observation for k in frame_shown)
 
 
 @dataclass(frozen=True)
@@ -120,9 +120,9 @@ class Latency(Checked):
 
     def applied_to(self, recording: Recording, rng: np.random.Generator) -> Recording:
         """Nothing is random. Before the first measurements arrive there are none."""
-        seen = [frame.observation for frame in recording.frames]
-        none = [_nothing(observation) for observation in seen[: self.frames]]
-        return recording.with_observations([*none, *seen[: len(seen) - len(none)]])
+        observations = [frame.observation for frame in recording.frames]
+        none = [_nothing(observation) for observation in observations[: self.frames]]
+        return recording.with_observations([*none, *observations[: len(observations) - len(none)]])
 
 
 def _nothing(seen: StereoObservation) -> StereoObservation:
@@ -140,8 +140,8 @@ def _after_gap(frames: tuple[Frame, ...]) -> Frame:
     velocity = None
     if last.truth_velocity is not None and first.truth is not None and last.truth is not None:
         turn = rotations.log(rotations.matrix(rotations.between(first.truth.orientation, last.truth.orientation)))
-        whole = float(durations.sum())
-        velocity = Velocity((last.truth.position - first.truth.position) / whole, turn / whole)
+        total = float(durations.sum())
+        velocity = Velocity((last.truth.position - first.truth.position) / total, turn / total)
     inertial = joined([frame.inertial for frame in frames[1:]], durations)
     return replace(last, odometry=odometry, truth_velocity=velocity, inertial=inertial)
 
@@ -155,10 +155,10 @@ def _mean_odometry(steps: list[BodyVelocity], durations: FloatArray) -> BodyVelo
         r = r + dt * R @ rotations.exp(0.5 * turn) @ step.linear
         R = R @ rotations.exp(turn)
         covariance += dt**2 * step.covariance
-    whole = float(durations.sum())
-    angular = rotations.log(R) / whole
-    linear = rotations.exp(0.5 * whole * angular).T @ r / whole
-    return BodyVelocity(linear, angular, covariance / whole**2)
+    total = float(durations.sum())
+    angular = rotations.log(R) / total
+    linear = rotations.exp(0.5 * total * angular).T @ r / total
+    return BodyVelocity(linear, angular, covariance / total**2)
 
 
 class Corruption(Protocol):
@@ -196,17 +196,17 @@ def make_corruption(entry: Mapping[str, Any]) -> Corruption:
         raise ValueError(f"a corruption must have a kind, one of {', '.join(CORRUPTIONS)}, got {entry!r}")
     kind = entry["kind"]
     require_known("there is no corruption", [kind], CORRUPTIONS)
-    given = {name: value for name, value in entry.items() if name != "kind"}
+    options = {name: value for name, value in entry.items() if name != "kind"}
     fields = dataclasses.fields(CORRUPTIONS[kind])
-    require_known(f"corruption {kind!r} has no field", given, [field.name for field in fields])
+    require_known(f"corruption {kind!r} has no field", options, [field.name for field in fields])
     for field in fields:
-        if field.default is dataclasses.MISSING and field.name not in given:
+        if field.default is dataclasses.MISSING and field.name not in options:
             raise ValueError(f"corruption {kind!r} needs the field {field.name}")
     try:
-        made: Corruption = CORRUPTIONS[kind](**given)
+        corruption: Corruption = CORRUPTIONS[kind](**options)
     except ValueError as error:
         raise ValueError(f"corruption {kind!r}: {error}") from error
-    return made
+    return corruption
 
 
 def corrupted(recording: Recording, entries: Sequence[Mapping[str, Any]], seed: int) -> Recording:

@@ -52,8 +52,8 @@ class Lens:
 
     def __post_init__(self) -> None:
         if len(self.distortion) not in COEFFICIENTS[self.model]:
-            known = ", ".join(map(str, COEFFICIENTS[self.model]))
-            raise ValueError(f"a lens that is {self.model} has {known} coefficients, got {len(self.distortion)}")
+            counts = ", ".join(map(str, COEFFICIENTS[self.model]))
+            raise ValueError(f"a lens that is {self.model} has {counts} coefficients, got {len(self.distortion)}")
         numbers = (self.fx, self.fy, self.cx, self.cy, *self.distortion)
         if not np.isfinite(numbers).all() or min(self.fx, self.fy) <= 0:
             raise ValueError(f"focal lengths of a lens must be positive and all its numbers finite, got {numbers}")
@@ -177,16 +177,16 @@ def rectification(left: Lens, right: Lens, T_rl: tuple[float, ...], where: str) 
             "it, a vertical pair: only cameras side by side are read, so turn images and calibration by 90 degrees"
         )
     of_both = left.K, left.coefficients, right.K, right.coefficients, left.size, turn, shift
-    made: Any
+    maps: Any
     try:
         if left.model == "equidistant":
-            made = cv2.fisheye.stereoRectify(*of_both, flags=cv2.CALIB_ZERO_DISPARITY, balance=0.0)
+            maps = cv2.fisheye.stereoRectify(*of_both, flags=cv2.CALIB_ZERO_DISPARITY, balance=0.0)
         else:
-            made = cv2.stereoRectify(*of_both, flags=cv2.CALIB_ZERO_DISPARITY, alpha=0)
+            maps = cv2.stereoRectify(*of_both, flags=cv2.CALIB_ZERO_DISPARITY, alpha=0)
     except cv2.error as error:
         reason = str(error).splitlines()[0]
         raise ValueError(f"{where}: OpenCV cannot rectify this pair ({reason}): take the calibration again") from error
-    R_left, R_right, P_left, P_right = (np.asarray(found, dtype=np.float64) for found in made[:4])
+    R_left, R_right, P_left, P_right = (np.asarray(matrix, dtype=np.float64) for matrix in maps[:4])
     if left.model == "equidistant" and not (np.isfinite(P_left).all() and P_left[0, 0] > _LEAST_ZOOM * left.fx):
         P_left, P_right = _narrowed(left, P_left, P_right, where)
     turns, projections = (R_left, R_right), (P_left, P_right)

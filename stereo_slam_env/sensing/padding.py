@@ -82,9 +82,9 @@ def stereo_observation(observation: Mapping[str, Any], info: Mapping[str, Any] |
     """
     if "ids" not in observation:
         raise ValueError("observation must have ids: make the environment with observe_ids=True")
-    seen = np.asarray(observation["mask"]).astype(bool)
+    is_filled = np.asarray(observation["mask"]).astype(bool)
     measured: dict[str, Any] = {}
     for name in ("v_right", "R"):
         if info is not None and info[f"{name}_measured"]:
-            measured[name] = np.asarray(info[name], dtype=np.float64)[seen]
-    return StereoObservation(observation["ids"][seen], observation["uvd"][seen], **measured)
+            measured[name] = np.asarray(info[name], dtype=np.float64)[is_filled]
+    return StereoObservation(observation["ids"][is_filled], observation["uvd"][is_filled], **measured)

@@ -45,8 +45,10 @@ def read_entries(path: Path) -> dict[str, FloatArray]:
 def entry(path: Path, entries: Mapping[str, FloatArray], name: str, shape: tuple[int, ...]) -> FloatArray:
     """The entry of that name as an array; a `ValueError` where it is missing, of another size, or not finite."""
     if name not in entries:
-        found = ", ".join(entries) or "nothing"
-        raise ValueError(f"{path} lacks the entry '{name}:' (it has {found}): take the calibration of this recording")
+        names_found = ", ".join(entries) or "nothing"
+        raise ValueError(
+            f"{path} lacks the entry '{name}:' (it has {names_found}): take the calibration of this recording"
+        )
     numbers, count = entries[name], int(np.prod(shape))
     if numbers.size != count:
         raise ValueError(f"{path}: entry '{name}:' has {numbers.size} numbers where {count} were expected")
@@ -87,8 +89,8 @@ def require_baseline(path: Path | str, baseline: float) -> None:
     """Raise a `ValueError` that names `path` where a baseline, m, asks for its unit."""
     low, high = BASELINES
     if baseline < low:
-        said = "metres are expected, and -fx b, in px m, as fourth number of P"
-        raise ValueError(f"{path}: the baseline is {baseline:.3g} m: {said}")
+        remedy = "metres are expected, and -fx b, in px m, as fourth number of P"
+        raise ValueError(f"{path}: the baseline is {baseline:.3g} m: {remedy}")
     if baseline > high:
         fits = [f"{unit} ({baseline * of_unit:.3g} m)" for unit, of_unit in _BY_UNIT if 0.02 < baseline * of_unit < 1.0]
         likely = f", is it in {' or '.join(fits)}?" if fits else ""
@@ -100,10 +102,10 @@ def require_principal_point(path: Path | str, P: FloatArray, size: tuple[int, in
     share = np.array([P[0, 2] + 0.5, P[1, 2] + 0.5]) / size
     if ((share > _EDGE) & (share < 1.0 - _EDGE)).all():
         return
-    said = (
+    message = (
         f"the principal point ({P[0, 2]:.6g}, {P[1, 2]:.6g}) px is not in the middle of images of {size[0]}x{size[1]}"
     )
-    raise ValueError(f"{path}: {said}: the calibration is of images of another size, so give that of these")
+    raise ValueError(f"{path}: {message}: the calibration is of images of another size, so give that of these")
 
 
 def projections(path: Path, names: Sequence[str]) -> tuple[FloatArray, FloatArray]:

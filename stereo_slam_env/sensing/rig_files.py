@@ -92,13 +92,13 @@ def read_calibration(path: str | Path, right: str | Path | None = None, size: Si
     if file.suffix == ".txt":
         return _kitti(file, size)
     table = table_of(file)
-    for known, read in (("cam0", _kalibr), ("cameras", _vslam_lab)):
-        if known in table:
+    for key, read in (("cam0", _kalibr), ("cameras", _vslam_lab)):
+        if key in table:
             return read(file, table, size)
     if first_of(table, "M1", "K1", "cameraMatrix1", "LEFT.K", *_ORB_STEREO) is not None:
         return _opencv(file, _with_partner(file, right, table), size)
-    for known, read_both in (("intrinsics", _euroc), ("camera_matrix", _camera_info)):
-        if known in table:
+    for key, read_both in (("intrinsics", _euroc), ("camera_matrix", _camera_info)):
+        if key in table:
             other = _partner(file, right)
             return read_both((file, other), (table, table_of(other)), size)
     raise ValueError(
@@ -143,10 +143,10 @@ def imu_shift(path: str | Path) -> float:
 
 def _file_of(path: Path) -> Path:
     if path.is_dir():
-        found = [file for name in _IN_FOLDERS for file in sorted(path.glob(name))]
-        if not found:
+        files = [file for name in _IN_FOLDERS for file in sorted(path.glob(name))]
+        if not files:
             raise ValueError(f"{path} holds no calibration ({', '.join(_IN_FOLDERS)}): name the file")
-        return found[0]
+        return files[0]
     if not is_there(path):
         raise ValueError(f"{path} does not exist: give a calibration file ({_KNOWN})")
     return path
@@ -157,8 +157,8 @@ def _partner(file: Path, right: str | Path | None) -> Path:
         return _file_of(Path(right))
     for one, other in _PARTNERS:
         at = str(file).rfind(one)
-        if at >= 0 and is_there(found := Path(str(file)[:at] + other + str(file)[at + len(one) :])):
-            return found
+        if at >= 0 and is_there(other_file := Path(str(file)[:at] + other + str(file)[at + len(one) :])):
+            return other_file
     raise ValueError(f"{file} is of one camera, and none beside it is of the other: give both, left and right")
 
 
@@ -196,10 +196,12 @@ def _euroc(paths: tuple[Path, Path], tables: tuple[dict[str, Any], dict[str, Any
     for path, table in zip(paths, tables, strict=True):
         if (model := str(table.get("camera_model", "pinhole"))) != "pinhole":
             raise ValueError(f"{path}: camera_model is {plain(model)!r}, only 'pinhole' can be read")
-        known = size_of(path, table, ("resolution",), size)
+        image_size = size_of(path, table, ("resolution",), size)
         of_lens = numbers_of(path, table, "distortion_coefficients")
         intrinsics = numbers_of(path, table, "intrinsics", 4)
-        lenses.append(lens_of(path, intrinsics, known, of_lens, table.get("distortion_model", "radial-tangential")))
+        lenses.append(
+            lens_of(path, intrinsics, image_size, of_lens, table.get("distortion_model", "radial-tangential"))
+        )
         poses.append(transform_of(path, table, "T_BS"))
     return rectification(lenses[0], lenses[1], tuple((np.linalg.inv(poses[1]) @ poses[0]).ravel()), str(paths[1]))
 
@@ -212,11 +214,11 @@ def _kalibr(path: Path, table: dict[str, Any], size: Size | None) -> Calibration
             raise ValueError(f"{path} lacks '{name}': a camchain of two cameras is needed")
         if (model := str(camera.get("camera_model", "pinhole"))) != "pinhole":
             raise ValueError(f"{path}: camera_model is {plain(model)!r}, only 'pinhole' can be read")
-        known = size_of(path, camera, ("resolution",), size)
+        image_size = size_of(path, camera, ("resolution",), size)
         of_lens = numbers_of(path, camera, ("distortion_coeffs", "distortion_coefficients"))
         model = camera.get("distortion_model", "radtan")
         of_lens = of_lens[: 0 if model == "none" else None]
-        lenses.append(lens_of(path, numbers_of(path, camera, "intrinsics", 4), known, of_lens, model))
+        lenses.append(lens_of(path, numbers_of(path, camera, "intrinsics", 4), image_size, of_lens, model))
         poses.append(camera)
     by_unit = [any(name in one for name in ("T_cam_imu", "T_imu_cam")) for one in poses]
     T_rl = transform_of(path, poses[1], "T_cn_cnm1") if "T_cn_cnm1" in poses[1] or not by_unit[1] else None
@@ -224,10 +226,10 @@ def _kalibr(path: Path, table: dict[str, Any], size: Size | None) -> Calibration
         T_by_unit = np.linalg.inv(_of_kalibr(path, table, "cam1")) @ _of_kalibr(path, table, "cam0")
         if T_rl is not None and not np.allclose(T_rl, T_by_unit, atol=_SAME_POSE):
             apart = np.linalg.norm((T_rl - T_by_unit)[:3, 3])
-            said = (
+            message = (
                 f"T_cn_cnm1 and the poses of the cameras to the inertial unit contradict each other, by {apart:.3g} m"
             )
-            raise ValueError(f"{path}: {said}: one of them is inverted or of another calibration, so correct it")
+            raise ValueError(f"{path}: {message}: one of them is inverted or of another calibration, so correct it")
         T_rl = T_by_unit if T_rl is None else T_rl
     return rectification(lenses[0], lenses[1], tuple(T_rl.ravel()), str(path))
 
@@ -248,14 +250,14 @@ def _vslam_lab(path: Path, table: dict[str, Any], size: Size | None) -> Calibrat
         raise ValueError(f"{path}: 'cameras' must list two cameras, left and right")
     lenses, poses = [], []
     for camera in cameras[:2]:
-        known = size_of(path, camera, ("image_dimension",), size)
+        image_size = size_of(path, camera, ("image_dimension",), size)
         focal = numbers_of(path, camera, "focal_length", 1, 2)
         intrinsics = np.concatenate([np.resize(focal, 2), numbers_of(path, camera, "principal_point", 2)])
         model = first_of(camera, "distortion_type", "cam_model") or "pinhole"
         of_lens = (
             numbers_of(path, camera, "distortion_coefficients") if "distortion_coefficients" in camera else np.empty(0)
         )
-        lenses.append(lens_of(path, intrinsics, known, of_lens if of_lens.any() else np.empty(0), model))
+        lenses.append(lens_of(path, intrinsics, image_size, of_lens if of_lens.any() else np.empty(0), model))
         poses.append(transform_of(path, camera, "T_BS") if "T_BS" in camera else np.eye(4))
     return rectification(lenses[0], lenses[1], tuple((np.linalg.inv(poses[1]) @ poses[0]).ravel()), str(path))
 
@@ -265,10 +267,10 @@ def _camera_info(
 ) -> Calibration:
     lenses, turns, P = [], [], []
     for path, table in zip(paths, tables, strict=True):
-        known = size_of(path, table, (), size)
+        image_size = size_of(path, table, (), size)
         of_lens = numbers_of(path, table, "distortion_coefficients")
         model = table.get("distortion_model", "plumb_bob")
-        lenses.append(lens_of(path, numbers_of(path, table, "camera_matrix", 9), known, of_lens, model))
+        lenses.append(lens_of(path, numbers_of(path, table, "camera_matrix", 9), image_size, of_lens, model))
         turns.append(numbers_of(path, table, "rectification_matrix", 9).reshape(3, 3))
         P.append(numbers_of(path, table, "projection_matrix", 12).reshape(3, 4))
     return stated_rectification((lenses[0], lenses[1]), (turns[0], turns[1]), (P[0], P[1]), str(paths[1]))
@@ -280,17 +282,17 @@ def _opencv(path: Path, table: dict[str, Any], size: Size | None) -> Calibration
     for width, height in (("Camera.width", "Camera.height"), ("LEFT.width", "LEFT.height")):
         if size is None and width in table and height in table:
             size = int(numbers_of(path, table, width, 1)[0]), int(numbers_of(path, table, height, 1)[0])
-    known = size_of(path, table, of_image, size)
+    image_size = size_of(path, table, of_image, size)
     matrices = {"LEFT": ("M1", "K1", "cameraMatrix1", "LEFT.K"), "RIGHT": ("M2", "K2", "cameraMatrix2", "RIGHT.K")}
     lenses_of = {"LEFT": ("D1", "distCoeffs1", "LEFT.D"), "RIGHT": ("D2", "distCoeffs2", "RIGHT.D")}
     if first_of(table, *matrices["LEFT"]) is None:
-        return _orb_slam(path, table, known)
+        return _orb_slam(path, table, image_size)
     lenses = []
     for side, names in matrices.items():
         of_lens = numbers_of(path, table, lenses_of[side])
         model = _opencv_model(path, table, of_lens)
         of_lens = of_lens if of_lens.any() else np.empty(0)
-        lenses.append(lens_of(path, numbers_of(path, table, names, 9), known, of_lens, model))
+        lenses.append(lens_of(path, numbers_of(path, table, names, 9), image_size, of_lens, model))
     if "LEFT.P" in table:
         turns = [numbers_of(path, table, name, 9).reshape(3, 3) for name in ("LEFT.R", "RIGHT.R")]
         P = [numbers_of(path, table, name, 12).reshape(3, 4) for name in ("LEFT.P", "RIGHT.P")]
@@ -307,9 +309,9 @@ def _opencv_model(path: Path, table: Mapping[str, Any], of_lens: FloatArray) -> 
     The pinhole calibration writes 5 or more, the fisheye one 4. Where a file has 4 of a pinhole, the last two are
     tangential, thousandths, and the first is not.
     """
-    said = first_of(table, "distortion_model", "camera_model", "model")
-    if said is not None:
-        return plain(str(said))
+    model = first_of(table, "distortion_model", "camera_model", "model")
+    if model is not None:
+        return plain(str(model))
     flag = first_of(table, "fisheye_model", "fisheye", "is_fisheye")
     if flag is not None:
         return "fisheye" if str(flag).strip().lower() in ("1", "1.0", "true", "yes") else ""

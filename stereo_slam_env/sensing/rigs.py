@@ -67,15 +67,15 @@ def camera_of(rig: Rig, default: str = "reference") -> StereoCamera:
     """
     if isinstance(rig, str):
         return RIGS[rig] if rig in RIGS else camera_of({"name": rig})
-    given = asdict(rig) if isinstance(rig, StereoCamera) else rig
-    if not isinstance(given, Mapping):
+    entries = asdict(rig) if isinstance(rig, StereoCamera) else rig
+    if not isinstance(entries, Mapping):
         raise ValueError(f"rig must be {_KINDS}, a StereoCamera or a table of its numbers, got {rig!r}")
-    require_known("rig has no number", given, (*_PLACES, *_NUMBERS))
-    if "name" in given and len(given) > len(_NUMBERS):
-        raise ValueError(f"rig must not have a name beside all its numbers, got name {given['name']!r}: leave it out")
-    numbers = {key: value for key, value in given.items() if key not in _PLACES}
-    found = _base(given, default)
-    numbers = {**asdict(found if isinstance(found, StereoCamera) else found.camera), **numbers}
+    require_known("rig has no number", entries, (*_PLACES, *_NUMBERS))
+    if "name" in entries and len(entries) > len(_NUMBERS):
+        raise ValueError(f"rig must not have a name beside all its numbers, got name {entries['name']!r}: leave it out")
+    numbers = {key: value for key, value in entries.items() if key not in _PLACES}
+    base = _base(entries, default)
+    numbers = {**asdict(base if isinstance(base, StereoCamera) else base.camera), **numbers}
     width, height = _whole("rig.width", numbers["width"]), _whole("rig.height", numbers["height"])
     inside = "px, inside the image: give it with the size"
     bounds = {**_BOUNDS, "cx": (0.0, width - 1.0, inside), "cy": (0.0, height - 1.0, inside)}
@@ -89,12 +89,12 @@ def calibration_of(rig: Rig, default: str = "reference") -> Calibration:
     Beside a calibration of raw images only the baseline may be another one.
     """
     camera = camera_of(rig, default)
-    found = _base({"name": rig} if isinstance(rig, str) else rig, default) if isinstance(rig, str | Mapping) else camera
-    if isinstance(found, StereoCamera):
+    base = _base({"name": rig} if isinstance(rig, str) else rig, default) if isinstance(rig, str | Mapping) else camera
+    if isinstance(base, StereoCamera):
         return camera
-    if replace(found.camera, baseline=camera.baseline) != camera:
+    if replace(base.camera, baseline=camera.baseline) != camera:
         raise ValueError("rig is a calibration of raw images: beside it only the baseline may be given")
-    return found if found.camera == camera else replace(found, camera=camera)
+    return base if base.camera == camera else replace(base, camera=camera)
 
 
 def imu_shift_of(rig: Rig) -> float:

@@ -31,11 +31,11 @@ class BulletAnswers:
         world, pose, body = self.worlds[b], _pose(fleet.pose[b]), _pose(fleet.body[b])
         world.set_time(fleet.step[b] * rules.dt)
         tracked = sensed.ids[b, : sensed.number[b]]
-        asked = tracked[fleet.inside[b, tracked] == 1]
-        fleet.seen[b, asked] = self._seen(rules, fleet, b, pose, asked)
-        kept = int(np.count_nonzero(fleet.seen[b, asked]))
-        if kept < rules.refill_below:
-            self._draw(rules, fleet, b, pose, tracked, rules.most - kept)
+        tracked_inside = tracked[fleet.inside[b, tracked] == 1]
+        fleet.seen[b, tracked_inside] = self._seen(rules, fleet, b, pose, tracked_inside)
+        kept_count = int(np.count_nonzero(fleet.seen[b, tracked_inside]))
+        if kept_count < rules.refill_below:
+            self._draw(rules, fleet, b, pose, tracked, rules.most - kept_count)
         R_wc = body.R_wc
         middle = self._frame.to_scene(body.position + R_wc @ np.array(self._car.body_c))
         fleet.touching[b] = world.ego_collides(middle, self._frame.rotation_to_scene(R_wc) @ R_SW.T)

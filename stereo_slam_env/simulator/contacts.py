@@ -21,9 +21,9 @@ from stereo_slam_env.world.scene import BOX, CYLINDER
 
 def touching(obstacles: Obstacles, half: Three, positions: FloatArray, rotations: FloatArray) -> BoolArray:
     """Whether a box with half sides `half` touches a solid, at each position (N, 3) and rotation (N, 3, 3)."""
-    found = np.zeros(len(positions), dtype=np.bool_)
-    _touching(obstacles, traversal(), half, positions, rotations.reshape(-1, 9), found)
-    return found
+    is_touched = np.zeros(len(positions), dtype=np.bool_)
+    _touching(obstacles, traversal(), half, positions, rotations.reshape(-1, 9), is_touched)
+    return is_touched
 
 
 _ROUNDS = 48
@@ -160,12 +160,12 @@ def touches(solid: FloatArray, R: Nine, at: Three, half: Three) -> bool:
             return True
         if square >= least:
             return False  # as near as numbers can tell, and not there
-        least, kept = square, 0
+        least, kept_count = square, 0
         for k in range(count + 1):
             if corners >> k & 1:
-                simplex[kept, :] = simplex[k, :]
-                kept += 1
-        count = kept
+                simplex[kept_count, :] = simplex[k, :]
+                kept_count += 1
+        count = kept_count
     return False
 
 

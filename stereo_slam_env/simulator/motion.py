@@ -78,10 +78,10 @@ _REACH = 30.0
 @entry
 def nearest_frames(positions: FloatArray, arc_length: FloatArray, places: FloatArray, around: IntArray) -> IntArray:
     """`nearest_frame` of places (B, 3) in W, each around its own; (B,)."""
-    found = np.empty(len(places), dtype=np.int64)
+    frames_found = np.empty(len(places), dtype=np.int64)
     for b in range(len(places)):
-        found[b] = nearest_frame(positions, arc_length, places[b, 0], places[b, 2], around[b])
-    return found
+        frames_found[b] = nearest_frame(positions, arc_length, places[b, 0], places[b, 2], around[b])
+    return frames_found
 
 
 @entry

@@ -103,9 +103,9 @@ def _converted(table: FloatArray) -> FloatArray:
 def tree(solids: FloatArray) -> tuple[NDArray[np.float32], IntArray]:
     """`bounds` and `links` of the solids: each node is three times divided, across its longest side."""
     count = len(solids)
-    own = np.empty((count, 6))
+    own_boxes = np.empty((count, 6))
     for i in range(count):
-        _bound(solids[i], own[i])
+        _bound(solids[i], own_boxes[i])
     bounds = np.zeros((max(count, 1), 6, 8), dtype=np.float32)
     links = np.full((max(count, 1), 8), NOTHING)
     order = np.arange(count)
@@ -116,14 +116,14 @@ def tree(solids: FloatArray) -> tuple[NDArray[np.float32], IntArray]:
     node = 0
     while node < nodes:
         parts[0] = ranges[node]
-        whole = 1  # solids below a full branch
-        while 8 * whole < parts[0, 1] - parts[0, 0]:
-            whole *= 8
+        solids_below = 1  # solids below a full branch
+        while 8 * solids_below < parts[0, 1] - parts[0, 0]:
+            solids_below *= 8
         number = 1
         for _ in range(3):
             for k in range(number):
                 first, last = parts[k]
-                middle = _halved(own, order, first, last, whole)
+                middle = _halved(own_boxes, order, first, last, solids_below)
                 parts[k, 1], parts[number + k, 0], parts[number + k, 1] = middle, middle, last
             number *= 2
         for k in range(8):
@@ -131,7 +131,7 @@ def tree(solids: FloatArray) -> tuple[NDArray[np.float32], IntArray]:
             for axis in range(3):
                 low, high = np.inf, -np.inf
                 for i in order[first:last]:
-                    low, high = min(low, own[i, axis]), max(high, own[i, 3 + axis])
+                    low, high = min(low, own_boxes[i, axis]), max(high, own_boxes[i, 3 + axis])
                 if last == first:  # no branch: a box that no ray comes to
                     low, high = _FAR_AWAY, _FAR_AWAY
                 bounds[node, axis, k], bounds[node, 3 + axis, k] = low, high
@@ -330,9 +330,9 @@ def is_seen(
 @entry
 def _visible(obstacles: Obstacles, waiting: IntArray, cameras: FloatArray, points: FloatArray) -> BoolArray:
     solids, bounds, links = obstacles
-    seen = np.ones(len(points), dtype=np.bool_)
+    is_visible_point = np.ones(len(points), dtype=np.bool_)
     left, right = (cameras[0, 0], cameras[0, 1], cameras[0, 2]), (cameras[1, 0], cameras[1, 1], cameras[1, 2])
     for i in range(len(points)):
         to = (points[i, 0], points[i, 1], points[i, 2])
-        seen[i] = is_seen(solids, bounds, links, len(bounds), waiting, left, right, to)
-    return seen
+        is_visible_point[i] = is_seen(solids, bounds, links, len(bounds), waiting, left, right, to)
+    return is_visible_point

@@ -200,15 +200,15 @@ def with_room(fleet: Fleet, scene: SceneArrays) -> Fleet:
     """The same state with room for a scene; itself where there is room."""
     landmarks, solids, traffic = len(scene.landmarks), len(scene.solids.solids), scene.traffic
     bodies, frames, parts = len(traffic.shares), traffic.tracks.shape[1], len(traffic.parts)
-    there = (
+    has_room = (
         *(fleet.landmarks.shape[2], fleet.solids.shape[1], *fleet.tracks.shape[1:3]),
         *(fleet.parts.shape[1], fleet.arc_length.shape[1]),
     )
     needed = landmarks, solids, bodies, frames, parts, scene.route.frames
-    if all(need <= room for need, room in zip(needed, there, strict=True)):
+    if all(need <= room for need, room in zip(needed, has_room, strict=True)):
         return fleet
     landmarks, solids, bodies, frames, parts, steps = (
-        room if need <= room else need + need // 4 for need, room in zip(needed, there, strict=True)
+        room if need <= room else need + need // 4 for need, room in zip(needed, has_room, strict=True)
     )
     shapes = {
         **dict.fromkeys(("lost", "inside", "seen", "lasting", "measured_at"), (landmarks,)),
@@ -259,7 +259,7 @@ class Shown(NamedTuple):
 def show(rules: Rules, fleet: Fleet, sensed: Sensed) -> Shown:
     """Pack the frame of all rows for the observation."""
     count, most, single = len(fleet.step), rules.most, np.float32
-    shown = Shown(
+    frame = Shown(
         uvd=np.empty((count, most, 3), dtype=single),
         mask=np.empty((count, most), dtype=np.int8),
         ids=np.empty((count, most), dtype=np.int64),
@@ -275,8 +275,8 @@ def show(rules: Rules, fleet: Fleet, sensed: Sensed) -> Shown:
         v_right=np.empty((count, most)),
         time=np.empty(count),
     )
-    _show(rules, fleet, sensed, shown)
-    return shown
+    _show(rules, fleet, sensed, frame)
+    return frame
 
 
 @entry
@@ -285,12 +285,12 @@ def _show(rules: Rules, fleet: Fleet, sensed: Sensed, shown: Shown) -> None:
     for b in range(len(fleet.step)):
         count, pose, velocity = sensed.number[b], fleet.pose[b], fleet.velocity[b]
         for k in range(most):
-            there = k < count
-            shown.mask[b, k] = 1 if there else 0
-            shown.ids[b, k] = sensed.ids[b, k] if there else -1
-            shown.v_right[b, k] = sensed.v_right[b, k] if there else 0.0
+            is_filled = k < count
+            shown.mask[b, k] = 1 if is_filled else 0
+            shown.ids[b, k] = sensed.ids[b, k] if is_filled else -1
+            shown.v_right[b, k] = sensed.v_right[b, k] if is_filled else 0.0
             for a in range(3):
-                shown.uvd[b, k, a] = sensed.uvd[b, k, a] if there else 0.0
+                shown.uvd[b, k, a] = sensed.uvd[b, k, a] if is_filled else 0.0
         for i in range(6):
             limit = MAX_VELOCITY[i]
             shown.odometry[b, i] = min(max(sensed.odometry[b, i], -limit), limit)

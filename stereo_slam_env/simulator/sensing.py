@@ -140,16 +140,16 @@ def observe(
     rays. The last two arguments are room for all landmarks.
     """
     count, points, pose, ids = fleet.sizes[b, 0], fleet.landmarks[b], fleet.pose[b], sensed.ids[b]
-    inside, kept, around = fleet.inside[b], 0, view_of(rules, fleet, b)
+    inside, kept_count, around = fleet.inside[b], 0, view_of(rules, fleet, b)
     for k in range(sensed.number[b]):
         landmark = ids[k]
         if inside[landmark] == 1 and is_visible(around, waiting, landmark):
-            ids[kept] = landmark
-            kept += 1
+            ids[kept_count] = landmark
+            kept_count += 1
         elif not rules.revisit:
             fleet.lost[b, landmark] = True
         inside[landmark] = 0  # those that were tracked are not drawn
-    if kept < rules.refill_below:
+    if kept_count < rules.refill_below:
         R, used, number = rotation_of(pose), fleet.used[b, CHOICE], 0
         for i in range(count):
             if inside[i] == 1 and not fleet.lost[b, i]:
@@ -158,16 +158,16 @@ def observe(
                 keys[number] = fleet.exponentials[b, used + number] * z  # over the disparity, but for a factor
                 number += 1
         fleet.used[b, CHOICE] = used + number
-        wanted = rules.most - kept
-        drawn = draw(around, waiting, fresh[:number], keys[:number], wanted, ids[kept:])
-        ids[: kept + drawn] = np.sort(ids[: kept + drawn])
-        kept += drawn
-    ids[kept:] = -1
-    sensed.number[b] = kept
-    project(rules, fleet, sensed, b, kept)
+        wanted_count = rules.most - kept_count
+        drawn = draw(around, waiting, fresh[:number], keys[:number], wanted_count, ids[kept_count:])
+        ids[: kept_count + drawn] = np.sort(ids[: kept_count + drawn])
+        kept_count += drawn
+    ids[kept_count:] = -1
+    sensed.number[b] = kept_count
+    project(rules, fleet, sensed, b, kept_count)
     if rules.lasting[0] > 0.0:
-        add_lasting_errors(rules, fleet, sensed, b, kept)
-    add_noise(rules, fleet, sensed, b, kept)
+        add_lasting_errors(rules, fleet, sensed, b, kept_count)
+    add_noise(rules, fleet, sensed, b, kept_count)
 
 
 @kernel
@@ -233,10 +233,10 @@ def add_lasting_errors(rules: Rules, fleet: Fleet, sensed: Sensed, b: int, count
     for k in range(count):
         i = sensed.ids[b, k]
         since = fleet.step[b] - fleet.measured_at[b, i]
-        kept = left_after_frame**since if fleet.measured_at[b, i] >= 0 else 0.0
-        fresh = math.sqrt(1.0 - kept * kept)
+        share_left = left_after_frame**since if fleet.measured_at[b, i] >= 0 else 0.0
+        fresh = math.sqrt(1.0 - share_left * share_left)
         for a in range(4):
-            errors[i, a] = kept * errors[i, a] + fresh * normals[used + 4 * k + a]
+            errors[i, a] = share_left * errors[i, a] + fresh * normals[used + 4 * k + a]
         fleet.measured_at[b, i] = fleet.step[b]
         sensed.uvd[b, k, 0] += sigma * errors[i, 0]
         sensed.uvd[b, k, 1] += sigma * errors[i, 1]

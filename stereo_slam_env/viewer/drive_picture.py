@@ -195,20 +195,20 @@ class DrivePicture:
         return self.figure
 
     def _draw_path(self, ax: Axes, frame: int) -> None:
-        known = np.isfinite(self._truth).all(axis=1)
-        whole = self._truth[known] if known.any() else self._estimate
-        across, up = map_axes(whole)
-        if known.any():
-            ax.plot(whole[:, across], whole[:, up], color=INK, alpha=0.18, linewidth=5)
+        known_truth = np.isfinite(self._truth).all(axis=1)
+        path = self._truth[known_truth] if known_truth.any() else self._estimate
+        across, up = map_axes(path)
+        if known_truth.any():
+            ax.plot(path[:, across], path[:, up], color=INK, alpha=0.18, linewidth=5)
         ax.plot(self._estimate[: frame + 1, across], self._estimate[: frame + 1, up], color=self._colour, linewidth=1.6)
         ax.plot(self._estimate[frame, across], self._estimate[frame, up], "o", color=self._colour, markersize=5)
-        margin = 0.06 * (float(np.ptp(whole[:, [across, up]], axis=0).max()) or self._reach)
-        low, high = whole.min(axis=0) - margin, whole.max(axis=0) + margin
+        margin = 0.06 * (float(np.ptp(path[:, [across, up]], axis=0).max()) or self._reach)
+        low, high = path.min(axis=0) - margin, path.max(axis=0) + margin
         ax.set(xlim=(low[across], high[across]), ylim=(low[up], high[up]))
         ax.set_aspect("equal", adjustable="box", anchor="NW")
         if across == 2:  # the view is from above, so x points down
             ax.invert_yaxis()
-        ax.set_title("Path, truth in grey (m)" if known.any() else "Path (m)")
+        ax.set_title("Path, truth in grey (m)" if known_truth.any() else "Path (m)")
 
     def _draw_strip(self, ax: Axes, frame: int) -> None:
         """NEES where there is a truth, else NIS, which needs none."""
@@ -221,12 +221,15 @@ class DrivePicture:
             values = np.array([r.nis / r.nis_dof if r.nis_dof else np.nan for r in reports])
             title = "NIS / degrees of freedom: 1 is ideal (no NEES without a truth)"
         values[0] = np.nan  # at the start nothing has been estimated
-        seen = values[np.isfinite(values) & (values > 0)]
+        positive_values = values[np.isfinite(values) & (values > 0)]
         ax.axhline(1.0, color=MUTED, linewidth=0.8, linestyle=(0, (4, 3)), zorder=1)
         ax.plot(self._time[: frame + 1], values[: frame + 1], color=self._colour, linewidth=1.3)
         ax.axvline(self._time[frame], color=INK, linewidth=0.8, alpha=0.5)
         ax.set_yscale("log")
-        low, high = max(0.02, 0.7 * min(seen.min(initial=1.0), 0.2)), max(4.0, 1.4 * seen.max(initial=1.0))
+        low, high = (
+            max(0.02, 0.7 * min(positive_values.min(initial=1.0), 0.2)),
+            max(4.0, 1.4 * positive_values.max(initial=1.0)),
+        )
         ax.set(title=title, xlabel="time (s)", xlim=(0, max(float(self._time[-1]), 1e-3)), ylim=(low, high))
         ax.yaxis.set(
             major_locator=LogLocator(subs=(1.0, 2.0, 5.0) if high < 500 * low else (1.0,)),
@@ -251,11 +254,11 @@ class DrivePicture:
         belief = moment.landmarks
         finite = np.isfinite(belief.positions).all(axis=1)
         places, covariances = to_view(belief.positions[finite]), turn.T @ belief.covariances[finite] @ turn
-        seen = np.isin(belief.ids[finite], moment.observation.ids)
-        for chosen, strength, words in ((seen, 1.0, "in view"), (~seen, 0.4, "kept in the map")):
-            _ellipses(ax, places[chosen], covariances[chosen], self._colour, 0.7 * strength)
-            if chosen.any():
-                x, y = places[chosen].T
+        in_view = np.isin(belief.ids[finite], moment.observation.ids)
+        for group, strength, words in ((in_view, 1.0, "in view"), (~in_view, 0.4, "kept in the map")):
+            _ellipses(ax, places[group], covariances[group], self._colour, 0.7 * strength)
+            if group.any():
+                x, y = places[group].T
                 ax.plot(x, y, "o", color=self._colour, alpha=strength, markersize=3, label=f"landmark {words}")
         camera = self._drive.camera
         far = 1.2 * self._reach

@@ -69,13 +69,13 @@ class Ellipsoids(NamedTuple):
 def ellipsoids(covariances: FloatArray) -> Ellipsoids:
     """Principal axes of covariances; (N, n, n) m^2, n of 2 or 3."""
     count, size = covariances.shape[:2]
-    known = np.asarray(np.isfinite(covariances).all(axis=(1, 2)), dtype=np.bool_)
+    finite = np.asarray(np.isfinite(covariances).all(axis=(1, 2)), dtype=np.bool_)
     values, axes = np.zeros((count, size)), np.tile(np.eye(size), (count, 1, 1))
-    values[known], axes[known] = np.linalg.eigh(covariances[known])
+    values[finite], axes[finite] = np.linalg.eigh(covariances[finite])
     axes[..., 0] *= np.where(np.linalg.det(axes) < 0, -1.0, 1.0)[:, None]
     half_sizes = SIGMAS * np.sqrt(np.maximum(values, 0.0))
     definite = values[:, 0] >= -1e-9 * np.abs(values[:, -1])  # but for rounding
-    return Ellipsoids(half_sizes, axes, known & definite & (half_sizes[:, -1] <= LARGEST))
+    return Ellipsoids(half_sizes, axes, finite & definite & (half_sizes[:, -1] <= LARGEST))
 
 
 TIMELINE = "time"
@@ -216,8 +216,8 @@ class RerunView:
         )
         uvd = moment.observation.uvd
         # Rerun puts the centre of a pixel at half numbers.
-        seen = rr.Points2D(uvd[:, :2] + 0.5, colors=disparity_colors(uvd[:, 2]), radii=[3.0])
-        self._log(("world", label, "camera", "left", "measured"), seen)
+        points = rr.Points2D(uvd[:, :2] + 0.5, colors=disparity_colors(uvd[:, 2]), radii=[3.0])
+        self._log(("world", label, "camera", "left", "measured"), points)
         if left is not None:
             self._log(("world", label, "camera", "left"), rr.Image(left).compress(jpeg_quality=85))
         self._ellipsoids(("world", label, "position"), pose.position[None], pose.covariance[None, :3, :3], INK)

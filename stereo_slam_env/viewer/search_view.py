@@ -151,8 +151,8 @@ def _draw_searches(canvas: Image, search: Search, view: int, factor: int) -> Non
     axes, angles = _ellipses(project @ search.S @ project.T)
     expected = _on_canvas(_pixels(search.predicted, view), factor)
     # Something that was found in the left image alone has no place in the right one.
-    found = _on_canvas(_pixels(search.found, view), factor)
-    places = np.where(np.isfinite(found), found, expected)
+    found_pixels = _on_canvas(_pixels(search.found, view), factor)
+    places = np.where(np.isfinite(found_pixels), found_pixels, expected)
     for i in np.flatnonzero(np.isfinite(expected).all(axis=1) & np.isfinite(axes).all(axis=1)):
         mark = _MARKS.get(Outcome(int(search.outcome[i])))
         color = _FOUND if mark is None else mark.color

@@ -105,18 +105,18 @@ def revisit(directory: Path, filter_name: str | None = None, seed: int | None = 
         No run there, a grid of several, no such filter or seed, or a trial that is not finished or whose recording is
         missing: one line.
     """
-    kept = _only_cell(directory)
-    choice = _chosen(kept, filter_name)
-    which = kept.seeds[0] if seed is None else seed
-    if which not in kept.seeds:
-        known = "none, it is one real recording" if kept.seeds == (None,) else ", ".join(map(str, kept.seeds))
-        raise ValueError(f"seed must be one of the run's ({known}), got {seed}")
-    scenario = kept.scenario
-    path = kept.trial_path(which, choice)
+    cell = _only_cell(directory)
+    choice = _chosen(cell, filter_name)
+    which = cell.seeds[0] if seed is None else seed
+    if which not in cell.seeds:
+        seeds_words = "none, it is one real recording" if cell.seeds == (None,) else ", ".join(map(str, cell.seeds))
+        raise ValueError(f"seed must be one of the run's ({seeds_words}), got {seed}")
+    scenario = cell.scenario
+    path = cell.trial_path(which, choice)
     if not path.exists():
         raise ValueError(f"{path} is missing: the run is not finished, run the same command again")
     done = load_run(path).run
-    recording = load_recording(kept.recording_path(which, choice))
+    recording = load_recording(cell.recording_path(which, choice))
     failed = ""
     if done.failure is not None:
         frames = int(np.isfinite(done.positions).all(axis=1).sum())

@@ -45,10 +45,10 @@ def circles_around(items: FloatArray) -> FloatArray:
 @entry
 def nearest(points: FloatArray, circles: FloatArray, xy: FloatArray) -> IntArray:
     """Index of the point of a road, with circles around these, that is nearest to each of `xy` (N, 2)."""
-    found, outer, at = np.empty(len(xy), dtype=np.int64), circles_around(circles), 0
+    nearest_point, outer, at = np.empty(len(xy), dtype=np.int64), circles_around(circles), 0
     for k in range(len(xy)):
-        found[k] = at = _nearest(points, circles, outer, xy[k, X], xy[k, Y], at)
-    return found
+        nearest_point[k] = at = _nearest(points, circles, outer, xy[k, X], xy[k, Y], at)
+    return nearest_point
 
 
 @kernel
@@ -98,18 +98,22 @@ def claim(
     1.5 m apart that covers the rectangle: none less than `clearance` from a road, none within `room` of another
     rectangle; and no centre of another within `room` of this one.
     """
-    wanted = taken[count]
-    wanted[X], wanted[Y] = place[0], place[1]
-    wanted[COS], wanted[SIN] = math.cos(place[2]), math.sin(place[2])
-    wanted[LENGTH], wanted[WIDTH] = size
-    wanted[RADIUS] = 0.5 * math.hypot(size[0], size[1])
-    cover = _cover(wanted)
-    if not _off_roads(points, circles, wanted, cover, clearance):
+    claimed_cell = taken[count]
+    claimed_cell[X], claimed_cell[Y] = place[0], place[1]
+    claimed_cell[COS], claimed_cell[SIN] = math.cos(place[2]), math.sin(place[2])
+    claimed_cell[LENGTH], claimed_cell[WIDTH] = size
+    claimed_cell[RADIUS] = 0.5 * math.hypot(size[0], size[1])
+    cover = _cover(claimed_cell)
+    if not _off_roads(points, circles, claimed_cell, cover, clearance):
         return False
     for other in taken[:count]:
-        x, y, reach = other[X] - wanted[X], other[Y] - wanted[Y], other[RADIUS] + wanted[RADIUS] + 2 * room
+        x, y, reach = (
+            other[X] - claimed_cell[X],
+            other[Y] - claimed_cell[Y],
+            other[RADIUS] + claimed_cell[RADIUS] + 2 * room,
+        )
         if x * x + y * y < 1.001 * reach**2 and math.hypot(x, y) < reach:  # a square takes a tenth of the time
-            if _contains(wanted, other[X], other[Y], room):
+            if _contains(claimed_cell, other[X], other[Y], room):
                 return False
             for x, y in cover:
                 if _contains(other, x, y, room):
@@ -217,11 +221,11 @@ def sample_facing(
             if _LOWEST < samples[i, 2] < highest:
                 x, y = samples[i, X], samples[i, Y]
                 column, row = math.floor((x - corner[X]) / size), math.floor((y - corner[Y]) / size)
-                known = 0 <= column < cells.shape[0] and 0 <= row < cells.shape[1]
-                if known and cells[column, row, 1] == _UNKNOWN:
+                inside_grid = 0 <= column < cells.shape[0] and 0 <= row < cells.shape[1]
+                if inside_grid and cells[column, row, 1] == _UNKNOWN:
                     middle_x, middle_y = corner[X] + (column + 0.5) * size, corner[Y] + (row + 0.5) * size
                     _look_around(points, circles, outer, limits, cells[column, row], middle_x, middle_y, size, at)
-                if not known or cells[column, row, 1] == _MANY:
+                if not inside_grid or cells[column, row, 1] == _MANY:
                     at = _nearest(points, circles, outer, x, y, at)
                 elif cells[column, row, 2] == _SCANNED:
                     at = _nearest_of_few(points, cells[column, row, 0], cells[column, row, 1], x, y)

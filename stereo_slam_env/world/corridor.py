@@ -126,10 +126,10 @@ def _ceiling(road: Road, piece: slice) -> list[Primitive]:
 
 def _end(road: Road, index: int, outwards: float) -> list[Primitive]:
     """A wall across the end of the road, except where another stretch of it passes."""
-    others = cKDTree(road.points[np.abs(road.stations - road.stations[index]) > _END])
+    other_points = cKDTree(road.points[np.abs(road.stations - road.stations[index]) > _END])
 
     def free(points: FloatArray) -> BoolArray:
-        return np.asarray(others.query(points)[0] >= CLEARANCE)
+        return np.asarray(other_points.query(points)[0] >= CLEARANCE)
 
     left, right = (road.place(float(road.stations[index]), sign * (HALF_WIDTH + _THICKNESS))[0] for sign in (1, -1))
     return _wall(right, left, outwards, free)

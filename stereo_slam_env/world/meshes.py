@@ -329,8 +329,8 @@ def _parent(joint: Element) -> str:
 
 def _origin(element: Element) -> Placing:
     origin = element.find("origin")
-    given = {} if origin is None else origin.attrib
-    angles, place = (_numbers(given.get(name, "0 0 0"), 3) for name in ("rpy", "xyz"))
+    attributes = {} if origin is None else origin.attrib
+    angles, place = (_numbers(attributes.get(name, "0 0 0"), 3) for name in ("rpy", "xyz"))
     return Rotation.from_euler("xyz", angles).as_matrix(), place
 
 

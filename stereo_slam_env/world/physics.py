@@ -38,14 +38,14 @@ from stereo_slam_env.world.street_textures import texture
 @contextmanager
 def _without_banner() -> Iterator[None]:
     """Silence the native standard error: PyBullet prints its build time to it on import."""
-    kept = os.dup(2)
+    saved_stdout = os.dup(2)
     nowhere = os.open(os.devnull, os.O_WRONLY)
     try:
         os.dup2(nowhere, 2)
         yield
     finally:
-        os.dup2(kept, 2)
-        os.close(kept)
+        os.dup2(saved_stdout, 2)
+        os.close(saved_stdout)
         os.close(nowhere)
 
 
@@ -123,21 +123,21 @@ class PhysicsWorld:
         rays = points - cameras[:, None]
         lengths = np.sqrt(np.einsum("eni,eni->en", rays, rays))
         ends = points - rays * (_SURFACE_GAP / lengths)[..., None]
-        seen = list(range(len(points)))
+        visible_points = list(range(len(points)))
         for start, targets in zip(cameras.tolist(), ends.tolist(), strict=True):
-            if not seen:
+            if not visible_points:
                 break
             # A ray that hits is the dearest: none from the second camera to what the first does not see.
             hits = pybullet.rayTestBatch(
-                [start] * len(seen),
-                [targets[i] for i in seen],
+                [start] * len(visible_points),
+                [targets[i] for i in visible_points],
                 numThreads=1,
                 collisionFilterMask=_NOT_EGO,
                 physicsClientId=self._connected,
             )
-            seen = [i for i, hit in zip(seen, hits, strict=True) if hit[0] < 0]
+            visible_points = [i for i, hit in zip(visible_points, hits, strict=True) if hit[0] < 0]
         visible = np.zeros(len(points), dtype=bool)
-        visible[seen] = True
+        visible[visible_points] = True
         return visible
 
     def ego_collides(self, position: FloatArray, R_sb: FloatArray) -> bool:

@@ -312,5 +312,5 @@ def facing_points(
     weights = compiled.sampling_weights(table)
     counts = np.ceil(6 * count * weights / weights.sum()).astype(np.int64)
     candidates = compiled.sample_facing(table, counts, network.points, network.circles, *network.cells, highest, rng)
-    chosen: FloatArray = candidates[rng.permutation(len(candidates))[:count]]
-    return chosen
+    chosen_points: FloatArray = candidates[rng.permutation(len(candidates))[:count]]
+    return chosen_points

@@ -38,14 +38,14 @@ def require_one_drive(path: Path, level: FloatArray, forward: FloatArray, period
 
 def strides(level: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Points at least a stride apart (N, 2), and the distance driven at every row (K,), which never falls."""
-    kept, last, driven, before = [level[0]], level[0], np.zeros(len(level)), 0.0
+    stations_kept, last, driven, before = [level[0]], level[0], np.zeros(len(level)), 0.0
     for row, point in enumerate(level):
         step = float(np.hypot(*(point - last)))
         driven[row] = before + step
         if step >= _STRIDE:
-            kept.append(point)
+            stations_kept.append(point)
             last, before = point, before + step
-    return np.array(kept), np.maximum.accumulate(driven)
+    return np.array(stations_kept), np.maximum.accumulate(driven)
 
 
 def steady(driven: FloatArray, period: float) -> FloatArray:

@@ -120,13 +120,14 @@ class Road:
         """Mask of points along `other`, on what is more than `gap` m before them."""
         repeated = np.zeros(len(self.points), dtype=bool)
         near = other.tree.query_ball_point(self.points, _SAME_PLACE)
-        rows = np.repeat(np.arange(len(near)), [len(found) for found in near])
+        rows = np.repeat(np.arange(len(near)), [len(rows_near) for rows_near in near])
         if rows.size:
-            found = np.concatenate([indices for indices in near if indices]).astype(int)
+            rows_near = np.concatenate([indices for indices in near if indices]).astype(int)
             across = (
-                self.tangents[rows, 0] * other.tangents[found, 1] - self.tangents[rows, 1] * other.tangents[found, 0]
+                self.tangents[rows, 0] * other.tangents[rows_near, 1]
+                - self.tangents[rows, 1] * other.tangents[rows_near, 0]
             )
-            again = (self.stations[rows] - other.stations[found] > gap) & (np.abs(across) < _SAME_DIRECTION)
+            again = (self.stations[rows] - other.stations[rows_near] > gap) & (np.abs(across) < _SAME_DIRECTION)
             repeated[rows[again]] = True
         return repeated
 
@@ -218,8 +219,8 @@ class RoadNetwork:
         from stereo_slam_env.world import compiled
 
         queries = np.ascontiguousarray(xy, dtype=np.float64).reshape(-1, 2)
-        found: FloatArray = self.points[compiled.nearest(self.points, self.circles, queries)]
-        return found.reshape(np.shape(xy))
+        nearest_points: FloatArray = self.points[compiled.nearest(self.points, self.circles, queries)]
+        return nearest_points.reshape(np.shape(xy))
 
     def ground(self, reach: float, material: Material) -> Ground:
         """Ground that goes on for `reach` m around all roads."""

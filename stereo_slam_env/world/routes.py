@@ -123,13 +123,13 @@ _Kept = TypeVar("_Kept")
 
 def once_per_route(make: Callable[[Route], _Kept]) -> Callable[[Route], _Kept]:
     """Keep what `make` returns for a route, for as long as there is that route."""
-    kept: WeakKeyDictionary[Route, _Kept] = WeakKeyDictionary()
+    kept_by_route: WeakKeyDictionary[Route, _Kept] = WeakKeyDictionary()
 
     @wraps(make)
     def keeping(route: Route) -> _Kept:
-        if route not in kept:
-            kept[route] = make(route)
-        return kept[route]
+        if route not in kept_by_route:
+            kept_by_route[route] = make(route)
+        return kept_by_route[route]
 
     return keeping
 

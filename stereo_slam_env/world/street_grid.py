@@ -62,9 +62,9 @@ class StreetGrid:
     def taken(self, place: Place, choice: int) -> tuple[int, Place]:
         """The choice that is driven where `choice` is asked for, and where it leads."""
         for possible in (choice, *_FALL_BACK):
-            there = self.beyond(place, possible)
-            if there is not None:
-                return possible, there
+            place_beyond = self.beyond(place, possible)
+            if place_beyond is not None:
+                return possible, place_beyond
         raise ValueError(f"there must be a road on from every junction, got columns {self.columns}, rows {self.rows}")
 
     def road(self, place: Place) -> int:
@@ -83,13 +83,19 @@ class StreetGrid:
 
     def roads_to(self, place: Place, wanted: BoolArray) -> int:
         """Number of roads that are driven after this one until one of those `wanted` (R,); 0: this is one."""
-        near, seen, count = [place], {place}, 0
+        near, visited, count = [place], {place}, 0
         while near:
             if any(wanted[self.road(each)] for each in near):
                 return count
             further = (self.beyond(each, choice) for each in near for choice in _FALL_BACK)
-            near = list({there: None for there in further if there is not None and there not in seen})
-            seen.update(near)
+            near = list(
+                {
+                    place_beyond: None
+                    for place_beyond in further
+                    if place_beyond is not None and place_beyond not in visited
+                }
+            )
+            visited.update(near)
             count += 1
         return self.count
 
@@ -113,8 +119,8 @@ class StreetGrid:
         """Metres and rad of each step from the start to the middle of the last road, and one step more."""
         place, metres, turns = self.start, [], []
         for choice in choices:
-            possible, there = self.taken(place, choice)
-            for far, turning in ((self.length(place), 0), (self.length(there), 1)):
+            possible, next_place = self.taken(place, choice)
+            for far, turning in ((self.length(place), 0), (self.length(next_place), 1)):
                 straight = 0.5 * far if possible == STRAIGHT else 0.5 * far - _REACH + (STRAIGHT - possible) * _LANE
                 count = max(round(straight / _STRIDE), 1)
                 metres.append(np.full(count, straight / count))
@@ -122,7 +128,7 @@ class StreetGrid:
                 if turning == 0 and possible != STRAIGHT:
                     metres.append(np.full(_TURN_STEPS, _STRIDE))
                     turns.append((possible - STRAIGHT) * _TURN)
-            place = there
+            place = next_place
         return np.concatenate([*metres, [_STRIDE]]), np.concatenate([*turns, [0.0]])
 
 

@@ -82,8 +82,8 @@ def named_surroundings(name: str) -> Surroundings:
     if name not in SURROUNDINGS:
         load_registrations()
     if name not in SURROUNDINGS:
-        known = ", ".join(map(repr, SURROUNDINGS))
-        raise ValueError(f"surroundings must be one of {known}, got {name!r}{did_you_mean(name, SURROUNDINGS)}")
+        names = ", ".join(map(repr, SURROUNDINGS))
+        raise ValueError(f"surroundings must be one of {names}, got {name!r}{did_you_mean(name, SURROUNDINGS)}")
     return SURROUNDINGS[name]
 
 
@@ -116,14 +116,16 @@ def build_scene(
     ValueError
         No such surroundings, or a negative number.
     """
-    chosen = named_surroundings(surroundings)
+    surroundings_chosen = named_surroundings(surroundings)
     for name, count in (("moving_cars", moving_cars), ("pedestrians", pedestrians)):
         if count < 0:
             raise ValueError(f"{name} must not be negative, got {count}")
     traffic_rng, look_rng = rng.spawn(2)
-    scene = chosen.build(route, rng)
+    scene = surroundings_chosen.build(route, rng)
     if moving_cars or pedestrians:
-        moving = traffic(route, scene.solids, chosen.walkway, traffic_rng, cars=moving_cars, pedestrians=pedestrians)
+        moving = traffic(
+            route, scene.solids, surroundings_chosen.walkway, traffic_rng, cars=moving_cars, pedestrians=pedestrians
+        )
         scene = replace(scene, moving=moving)
     return with_other_look(scene, look_rng) if randomise else scene
 

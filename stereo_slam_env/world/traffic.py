@@ -108,15 +108,19 @@ def traffic(
     """
     car_rng, walker_rng = rng.spawn(2)
     cast = _Cast(route)
-    for own in car_rng.spawn(cars):
-        parts = props.vehicle(own)
+    for car_own_rng in car_rng.spawn(cars):
+        parts = props.vehicle(car_own_rng)
         long = props.length_of(parts)
-        draw = partial(cast.leading, long, own) if own.random() < _LEADING else partial(cast.oncoming, own)
+        draw = (
+            partial(cast.leading, long, car_own_rng)
+            if car_own_rng.random() < _LEADING
+            else partial(cast.oncoming, car_own_rng)
+        )
         cast.add("car", parts, 0.5 * long, 1.35, draw)
     obstacles = GroundOutlines(solids)
-    for own in walker_rng.spawn(pedestrians):
-        walk = cast.crossing if own.random() < _CROSSING else cast.walking
-        cast.add("pedestrian", props.pedestrian(own), 0.0, 0.35, partial(walk, walkway, own), obstacles)
+    for car_own_rng in walker_rng.spawn(pedestrians):
+        walk = cast.crossing if car_own_rng.random() < _CROSSING else cast.walking
+        cast.add("pedestrian", props.pedestrian(car_own_rng), 0.0, 0.35, partial(walk, walkway, car_own_rng), obstacles)
     return tuple(cast.bodies)
 
 
@@ -158,7 +162,9 @@ class _Cast:
             if self._seen(points, here) < _LEAST_SEEN:
                 continue
             circles = _circles(np.where(here[:, None], points, np.nan), yaws, centers)
-            if any(_touch(circles[here], others[here], radius + reach + _ROOM) for others, reach in self._taken):
+            if any(
+                _touch(circles[here], other_bodies[here], radius + reach + _ROOM) for other_bodies, reach in self._taken
+            ):
                 continue
             self._taken.append((circles, radius))
             positions = np.column_stack([points, np.where(here, 0.0, _OUT_OF_SIGHT)])
@@ -172,8 +178,8 @@ class _Cast:
         distance = np.linalg.norm(away, axis=1)
         ahead = away[:, 0] * np.cos(self._gaze) + away[:, 1] * np.sin(self._gaze)
         farthest, aside = _IN_VIEW
-        seen = here & (distance < farthest) & (ahead > aside * distance) & (self._times < self._duration)
-        return float(seen.sum()) * FRAME_PERIOD
+        in_sight = here & (distance < farthest) & (ahead > aside * distance) & (self._times < self._duration)
+        return float(in_sight.sum()) * FRAME_PERIOD
 
     def leading(self, length: float, rng: np.random.Generator) -> _Way:
         """Ahead in the lane of the ego car: sometimes nearer, sometimes further."""

@@ -135,8 +135,10 @@ def _recorded(
             inertial=samples[k],
         )
         taken.append(frame)
-    told = velocities[0] + START_SIGMAS[6:] * start_rng.standard_normal(6)
-    start = Start(linear_velocity=told[:3], angular_velocity=told[3:], covariance=np.diag(START_SIGMAS**2))
+    start_velocity = velocities[0] + START_SIGMAS[6:] * start_rng.standard_normal(6)
+    start = Start(
+        linear_velocity=start_velocity[:3], angular_velocity=start_velocity[3:], covariance=np.diag(START_SIGMAS**2)
+    )
     source = {"problem": name, "seed": seed, "noise": noise, "sigma": sigma, "frames": frames, "landmarks": landmarks}
     source |= {"rig": rig if isinstance(rig, str) else str(rig), "imu": unit.name, "imu_rate": unit.rate}
     truth = LandmarkTruth(np.arange(len(points)), points)
@@ -159,9 +161,9 @@ def _tracked(
     ahead = points_c[:, 2] > NEAREST
     in_view = ahead & camera.in_view(camera.project(np.where(ahead[:, None], points_c, [0.0, 0.0, 1.0])))
     visible = np.flatnonzero(in_view & (points_c[:, 2] < FARTHEST))
-    kept = seen[np.isin(seen, visible) & (rng.random(len(seen)) >= lost)]
-    fresh = rng.permutation(np.setdiff1d(visible, seen))[: max(most - len(kept), 0)]
-    return np.sort(np.concatenate([kept, fresh]))
+    kept_ids = seen[np.isin(seen, visible) & (rng.random(len(seen)) >= lost)]
+    fresh = rng.permutation(np.setdiff1d(visible, seen))[: max(most - len(kept_ids), 0)]
+    return np.sort(np.concatenate([kept_ids, fresh]))
 
 
 def _rested(path: Path, halt: float, go: float) -> Path:

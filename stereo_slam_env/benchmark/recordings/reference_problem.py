@@ -243,9 +243,9 @@ def _observe(points_c: FloatArray, level: float, sight: float, rng: np.random.Ge
     """Measurements of the points (N, 3), given in the camera frame."""
     ids = np.flatnonzero((points_c[:, 2] > NEAREST) & (np.linalg.norm(points_c, axis=1) < sight))
     ids = ids[CAMERA.in_view(CAMERA.project(points_c[ids]))]
-    seen = points_c[ids]
-    sigmas = level * np.maximum(np.abs(seen), SMALLEST_LENGTH)
-    J = CAMERA.project_jacobian(seen)
+    points_seen = points_c[ids]
+    sigmas = level * np.maximum(np.abs(points_seen), SMALLEST_LENGTH)
+    J = CAMERA.project_jacobian(points_seen)
     root = J * sigmas[:, None, :]
-    errors = np.einsum("mij,mj->mi", root, rng.standard_normal(seen.shape))
-    return StereoObservation(ids, CAMERA.project(seen) + errors, R=root @ root.transpose(0, 2, 1))
+    errors = np.einsum("mij,mj->mi", root, rng.standard_normal(points_seen.shape))
+    return StereoObservation(ids, CAMERA.project(points_seen) + errors, R=root @ root.transpose(0, 2, 1))

@@ -68,9 +68,11 @@ class Source(msgspec.Struct, frozen=True, tag_field="kind", forbid_unknown_field
     @property
     def options(self) -> dict[str, Any]:
         """The fields that differ from their defaults, JSON-able: the table `options` of a scenario file."""
-        own = {about.name: about.default for about in msgspec.structs.fields(self) if about.name != "arguments"}
-        given = {name: getattr(self, name) for name, default in own.items() if getattr(self, name) != default}
-        options: dict[str, Any] = msgspec.to_builtins({**given, **getattr(self, "arguments", {})})
+        defaults = {about.name: about.default for about in msgspec.structs.fields(self) if about.name != "arguments"}
+        options_given = {
+            name: getattr(self, name) for name, default in defaults.items() if getattr(self, name) != default
+        }
+        options: dict[str, Any] = msgspec.to_builtins({**options_given, **getattr(self, "arguments", {})})
         return options
 
     @property
@@ -93,13 +95,13 @@ class Source(msgspec.Struct, frozen=True, tag_field="kind", forbid_unknown_field
         checked("options", options, dict[str, Any])
         if cls.has_rig and "rig" in options:  # a calibration file is read now: what is stored must be what happens
             options = {**options, "rig": plain_rig(options["rig"])}
-        own = [name for name in cls.__struct_fields__ if name != "arguments"]
-        fields = {name: value for name, value in options.items() if name in own}
-        others = {name: value for name, value in options.items() if name not in own}
+        named_fields = [name for name in cls.__struct_fields__ if name != "arguments"]
+        fields = {name: value for name, value in options.items() if name in named_fields}
+        other_options = {name: value for name, value in options.items() if name not in named_fields}
         if "arguments" in cls.__struct_fields__:
-            fields["arguments"] = others
+            fields["arguments"] = other_options
         else:
-            require_known(f"a source of kind {cls.__struct_config__.tag!r} has no option", others, own)
+            require_known(f"a source of kind {cls.__struct_config__.tag!r} has no option", other_options, named_fields)
         try:
             plain = msgspec.to_builtins(fields)
         except TypeError as error:
@@ -192,8 +194,10 @@ def _in_words(what: str, value: Any, kind: Any, message: str) -> str:
         return f"{place} must be one of {', '.join(allowed)}, got {value!r}{did_you_mean(value, allowed)}"
     expected = re.sub(", got `.*`$", "", message.removeprefix("Expected "))
     expected = re.sub(r"`([\w |]+)`", lambda m: " or ".join(_PLAIN.get(w, w) for w in m[1].split(" | ")), expected)
-    shown = repr(value)
-    return f"{place} must be {expected}, got {shown if len(shown) <= _SHOWN else shown[:_SHOWN] + '...'}"
+    value_words = repr(value)
+    return (
+        f"{place} must be {expected}, got {value_words if len(value_words) <= _SHOWN else value_words[:_SHOWN] + '...'}"
+    )
 
 
 def _words(kind: Any) -> Iterator[Any]:

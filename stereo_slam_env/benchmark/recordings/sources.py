@@ -123,8 +123,8 @@ class GazeSource(Source, frozen=True, tag="gaze"):
         arguments = self.options
         name = str(arguments.pop("environment", GAZE))
         if name not in gym.registry:
-            known = sorted(known for known in gym.registry if known.startswith("StereoSlam/"))
-            raise ValueError(f"environment must be one of {', '.join(known)}, got {name!r}{did_you_mean(name, known)}")
+            ids = sorted(ids for ids in gym.registry if ids.startswith("StereoSlam/"))
+            raise ValueError(f"environment must be one of {', '.join(ids)}, got {name!r}{did_you_mean(name, ids)}")
         env = gym.make(name, disable_env_checker=True, max_episode_steps=-1, **arguments)
         core = env.unwrapped
         if not isinstance(core, StereoEnv) or core.head is None:
@@ -154,8 +154,8 @@ class ReferenceSource(Source, frozen=True, tag="reference"):
 
     def check(self, frames: int | None = None) -> None:
         """Refuse unknown arguments and impossible rigs."""
-        known = [key for key in inspect.signature(self._problem).parameters if key != "seed"]
-        require_known(f"the problem {self.name} has no option", self.arguments, known)
+        keys = [key for key in inspect.signature(self._problem).parameters if key != "seed"]
+        require_known(f"the problem {self.name} has no option", self.arguments, keys)
         if "rig" in self.arguments:
             camera_of(self.arguments["rig"])
 
@@ -204,8 +204,8 @@ class DatasetSource(Source, frozen=True, tag="dataset"):
 
     def _stated(self, recording: Recording) -> Recording:
         if self.reference and recording.reference.kind == "none":
-            said = ", ".join(f"{key}={value}" for key, value in self.reference.items())
-            raise ValueError(f"reference states {said}, but {self.path} has no true pose: leave it out")
+            reference_words = ", ".join(f"{key}={value}" for key, value in self.reference.items())
+            raise ValueError(f"reference states {reference_words}, but {self.path} has no true pose: leave it out")
         return replace(recording, truth_from=recording.truth_from.stating(self.reference))
 
     @property
@@ -279,8 +279,8 @@ def known_kinds() -> str:
 
 def _kinds() -> dict[Any, type[Source]]:
     kinds: dict[Any, type[Source]] = {}
-    for found in _subclasses(Source):
-        kinds.setdefault(found.__struct_config__.tag, found)  # ours come first and stay
+    for kind in _subclasses(Source):
+        kinds.setdefault(kind.__struct_config__.tag, kind)  # ours come first and stay
     return kinds
 
 
@@ -292,14 +292,14 @@ def _subclasses(kind: type[Source]) -> Iterator[type[Source]]:
 
 def _loaded(point: EntryPoint) -> type[Source]:
     try:
-        found = point.load()
+        loaded = point.load()
     except Exception as error:  # whatever a stranger's module does at import must not take the run down
         raise ValueError(
             f"kind {point.name!r} ({point.value}) cannot be loaded: {type_name(error)}: {first_line(error)}"
         ) from error
-    if not (isinstance(found, type) and issubclass(found, Source)):
+    if not (isinstance(loaded, type) and issubclass(loaded, Source)):
         raise ValueError(f"kind {point.name!r} ({point.value}) is no subclass of Source")
-    return found
+    return loaded
 
 
 @dataclass(frozen=True)
@@ -321,8 +321,8 @@ def _tracked(tracking: _Tracking) -> Recording:
 def _state_of(path: Path) -> list[tuple[str, int, int]]:
     """Names, times of change and sizes of the files of a folder, or of one file."""
     files = sorted(path.iterdir()) if path.is_dir() else [path]
-    found = [(file.name, file.stat()) for file in files if file.exists()]
-    return [(name, about.st_mtime_ns, about.st_size) for name, about in found]
+    file_states = [(file.name, file.stat()) for file in files if file.exists()]
+    return [(name, about.st_mtime_ns, about.st_size) for name, about in file_states]
 
 
 @lru_cache(maxsize=1)

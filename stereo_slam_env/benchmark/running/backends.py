@@ -70,9 +70,9 @@ class Backend:
     address: str | None = None
 
     def __post_init__(self) -> None:
-        known = get_args(BackendName)
-        if self.name not in known:
-            raise ValueError(f"backend must be one of {', '.join(known)}, got {self.name!r}")
+        backend_names = get_args(BackendName)
+        if self.name not in backend_names:
+            raise ValueError(f"backend must be one of {', '.join(backend_names)}, got {self.name!r}")
         if type(self.jobs) is not int or self.jobs < 1:
             raise ValueError(f"jobs must be >= 1, got {self.jobs!r}")
         if self.address is not None and self.name == "processes":
@@ -164,7 +164,7 @@ def _as_completed(
 def _twice(run_all: RunAll[Any, Any], function: Callable[[Task], Result], tasks: Iterable[Task]) -> Iterator[Result]:
     """Run all, and where a worker is lost what it had, and what is left, once more."""
     begun: dict[int, Task] = {}
-    left = enumerate(tasks)
+    remaining = enumerate(tasks)
 
     def noted(numbered: Iterable[tuple[int, Task]]) -> Iterator[tuple[int, Task]]:
         for number, task in numbered:
@@ -174,7 +174,9 @@ def _twice(run_all: RunAll[Any, Any], function: Callable[[Task], Result], tasks:
     for attempt in ("first", "second"):
         try:
             # The rest comes from the same iterator, after what had been begun.
-            for number, result in run_all(partial(_numbered, function), noted(itertools.chain([*begun.items()], left))):
+            for number, result in run_all(
+                partial(_numbered, function), noted(itertools.chain([*begun.items()], remaining))
+            ):
                 del begun[number]
                 yield result
             return

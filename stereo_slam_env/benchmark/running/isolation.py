@@ -113,8 +113,8 @@ def run_isolated(work: Callable[[Tell], Result], *, silence_limit: float, progre
     try:
         content = pickle.dumps((sys.path, os.getcwd(), cloudpickle.dumps(work)))
     except Exception as error:  # whatever the objects in it raise
-        told = f"work must be picklable, to be done in a process of its own: {first_line(error)}"
-        raise ValueError(told) from error
+        message = f"work must be picklable, to be done in a process of its own: {first_line(error)}"
+        raise ValueError(message) from error
     try:
         with _turns.with_others():
             return cast(Result, _done(content, silence_limit, progress))
@@ -139,13 +139,13 @@ def start_server(*preloaded: str) -> None:
 @contextmanager
 def waiting_threads(count: int) -> Iterator[Callable[[Callable[[], Result]], Future[Result]]]:
     """Yield a function that calls what it is given in one of `count` threads; isolated work ends with the block."""
-    left, leave = os.pipe()
+    leaving, leave = os.pipe()
 
     def call(function: Callable[[], Result]) -> Result:
-        _of_thread.left = left
+        _of_thread.left = leaving
         return function()
 
-    with open(left, "rb"), ThreadPoolExecutor(count) as pool:
+    with open(leaving, "rb"), ThreadPoolExecutor(count) as pool:
         try:
             yield lambda function: pool.submit(call, function)
         finally:
@@ -167,11 +167,11 @@ class _Process:
 
     def heard(self, limit: float, *sources: object) -> list[object]:
         """Sources that can be read within `limit`, s."""
-        left = getattr(_of_thread, "left", None)
+        leaving = getattr(_of_thread, "left", None)
         until = time.monotonic() + limit
         while (rest := until - time.monotonic()) > 0:
-            ready = wait([*sources, *([] if left is None else [left])], min(_LOOK_AFTER, rest))  # type: ignore[list-item]
-            if left in ready:
+            ready = wait([*sources, *([] if leaving is None else [leaving])], min(_LOOK_AFTER, rest))  # type: ignore[list-item]
+            if leaving in ready:
                 raise CancelledError
             if ready:
                 return cast("list[object]", ready)
@@ -339,8 +339,8 @@ class _Server:
                 continue
         except OSError as error:
             self.process.kill()
-            told = f"the server of processes did not start within {SECONDS_TO_START:.0f} s"
-            raise NoProcess(told) from error
+            message = f"the server of processes did not start within {SECONDS_TO_START:.0f} s"
+            raise NoProcess(message) from error
         if answer != READY:
             ended = self.process.wait(SECONDS_TO_START)
             raise NoProcess(f"the server of processes ended with code {ended} when it was started")

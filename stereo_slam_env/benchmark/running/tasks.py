@@ -224,8 +224,8 @@ def _recorded(task: Task, work: Callable[[Tell], Result], progress: Tell | None 
     try:
         return _isolated(work, silence_limit=scenario.recording_time_limit, progress=progress)
     except (WorkDied, WorkTooSlow) as error:
-        told = f"the recording of scenario {scenario.name!r}, seed {task.seed}, failed: {error}"
-        raise ChildProcessError(told) from error
+        message = f"the recording of scenario {scenario.name!r}, seed {task.seed}, failed: {error}"
+        raise ChildProcessError(message) from error
 
 
 def _make(task: Task, tell: Tell) -> Done:
@@ -256,17 +256,17 @@ def run_trial(task: Task, progress: Tell | None = None) -> Done:
 
 def _drive(task: Task, choice: FilterChoice, limit: float, progress: Tell | None) -> Done:
     """The trial of a policy: its episode, and the run of its filter over what was measured there."""
-    made: Done | None = None
+    episode_result: Done | None = None
     try:
         work = partial(attempted, partial(_driven, task, choice))
-        run, made = _isolated(work, silence_limit=limit, progress=progress)
-        description = made.description
+        run, episode_result = _isolated(work, silence_limit=limit, progress=progress)
+        description = episode_result.description
     except (WorkDied, WorkTooSlow, WorkFailed) as error:
         look = partial(drive_straight_ahead, task.scenario, task.seed)  # what there was to see, for the figures
         episode = _recorded(task, look)
         run, description = _lost(episode.recording, task, choice, error), _description_of(episode)
     provenance = {**task.provenance, "recording": as_given(description, task.scenario)}
-    return Done(task.cell, task.seed, choice, _packed(task, run, provenance), made=made)
+    return Done(task.cell, task.seed, choice, _packed(task, run, provenance), made=episode_result)
 
 
 def _driven(task: Task, choice: FilterChoice, tell: Tell) -> tuple[FilterRun, Done]:
@@ -363,9 +363,9 @@ def _bounded(tasks: Sequence[Task], tell: Tell) -> list[Bound | None]:
 def rehearsals() -> Iterator[Callable[[], object]]:
     """Functions that record two frames, run the usual filters over them, and compute the bound."""
     usual = Scenario("rehearsal", StreetSource({"route": "right-turn"}), frames=2, gate=None, metrics=("map",))
-    made: list[Recording] = []
-    yield lambda: made.append(make_recording(usual, 0))
-    for recording in made:
+    recordings: list[Recording] = []
+    yield lambda: recordings.append(make_recording(usual, 0))
+    for recording in recordings:
         yield partial(cramer_rao_bound, recording, ConstantVelocity())
         for choice in usual.filters:
             yield partial(_run_on, recording, Task(0, usual, 0), choice, lambda done, total: None)

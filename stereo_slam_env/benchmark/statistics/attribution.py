@@ -118,28 +118,28 @@ def attribute(
     diverged = np.zeros(shape, dtype=bool) if diverged is None else diverged
     out = diverged.sum(axis=-1) * 2 > ran.sum(axis=-1)
     usable = ran & ~diverged & ~out[..., None]
-    kept = {
+    usable_runs = {
         name: [k for k in range(len(levels)) if np.take(usable, k, axis=axis).any()]
         for axis, (name, levels) in enumerate(factors.items())
     }
-    left = {name: tuple(factors[name][k] for k in ks) for name, ks in kept.items() if len(ks) >= 2}
-    if not left:
+    factors_left = {name: tuple(factors[name][k] for k in ks) for name, ks in usable_runs.items() if len(ks) >= 2}
+    if not factors_left:
         raise ValueError("too many combinations are missing or diverged: no factor has two levels left")
-    grid = np.ix_(*kept.values(), range(shape[-1]))
+    grid = np.ix_(*usable_runs.values(), range(shape[-1]))
     results, left_out = [], set()
     for name, response in responses.items():
         logarithms = np.where(usable, response.logarithms, np.nan)[grid]
-        logarithms = logarithms.reshape(*map(len, left.values()), shape[-1])
-        result, cannot = explain(name, replace(response, logarithms=logarithms), left)
+        logarithms = logarithms.reshape(*map(len, factors_left.values()), shape[-1])
+        result, cannot = explain(name, replace(response, logarithms=logarithms), factors_left)
         results.append(result)
         left_out |= set(cannot)
     return Attribution(
-        factors=left,
+        factors=factors_left,
         seeds=int(usable.any(axis=tuple(range(len(counts)))).sum()),
         combinations=int(usable.any(axis=-1).sum()),
         responses=tuple(results),
         diverged_percent=_diverged_percent(factors, ran, diverged),
-        notes=(*_missing(factors, ran, diverged, out), *_not_estimated(factors, left, sorted(left_out))),
+        notes=(*_missing(factors, ran, diverged, out), *_not_estimated(factors, factors_left, sorted(left_out))),
         conclusion=" ".join(result.conclusion for result in results),
     )
 
@@ -147,13 +147,13 @@ def attribute(
 def _diverged_percent(
     factors: Mapping[str, Sequence[Any]], ran: BoolArray, diverged: BoolArray
 ) -> dict[tuple[str, Any], float]:
-    found = {}
+    percents = {}
     for axis, (name, levels) in enumerate(factors.items()):
         for k, level in enumerate(levels):
             runs = int(np.take(ran, k, axis=axis).sum())
             if runs:
-                found[name, level] = 100.0 * float(np.take(diverged, k, axis=axis).sum()) / runs
-    return found
+                percents[name, level] = 100.0 * float(np.take(diverged, k, axis=axis).sum()) / runs
+    return percents
 
 
 def _missing(factors: Mapping[str, Sequence[Any]], ran: BoolArray, diverged: BoolArray, out: BoolArray) -> list[str]:

@@ -115,18 +115,18 @@ class RunComparison:
     def as_rows(self, most: int = MOST_ROWS) -> list[tuple[str, ...]]:
         """Cells of a table of the shown changes, see `columns`; of more than `most` those of the first measures."""
         order = list(dict.fromkeys(change.measure for change in self.changes))
-        kept = sorted(self.shown, key=lambda change: order.index(change.measure))[:most]
-        return [(c.finding.value, c.filter_name, c.title, *c.values, c.brief) for c in self.shown if c in kept]
+        first_changes = sorted(self.shown, key=lambda change: order.index(change.measure))[:most]
+        return [(c.finding.value, c.filter_name, c.title, *c.values, c.brief) for c in self.shown if c in first_changes]
 
     @property
     def rest(self) -> tuple[str, ...]:
         """Note on what `as_rows` leaves out: a line for all cells (or filters of one scenario) that came out alike."""
         alike: dict[str, list[str]] = {}
         for name in dict.fromkeys(change.cell or change.filter_name for change in self.changes):
-            own = [change for change in self.changes if name == (change.cell or change.filter_name)]
-            not_shown = [change for change in own if change.finding is Finding.NOT_SHOWN]
+            of_cell = [change for change in self.changes if name == (change.cell or change.filter_name)]
+            not_shown = [change for change in of_cell if change.finding is Finding.NOT_SHOWN]
             if not_shown:
-                which = "" if len(not_shown) == len(own) else f"in {len(not_shown)} more measures "
+                which = "" if len(not_shown) == len(of_cell) else f"in {len(not_shown)} more measures "
                 alike.setdefault(which + _outcome(not_shown), []).append(name)
         more = len(self.shown) - len(self.as_rows())
         lines = [f"{few(names)}: {outcome}." for outcome, names in alike.items()]
@@ -208,25 +208,25 @@ def headline(changes: Sequence[Change], *, paired: bool) -> str:
         shown = [f"{c.measure} of {c.filter_name}: {c.words}" for c in changes if c.finding is finding]
         if shown:
             more = f"; and {len(shown) - MOST_WORDED} more" if len(shown) > MOST_WORDED else ""
-            said = "; ".join(shown[:MOST_WORDED])
-            sentences.append(f"{finding.value.capitalize()} after than before, {how(paired=paired)}: {said}{more}.")
+            words = "; ".join(shown[:MOST_WORDED])
+            sentences.append(f"{finding.value.capitalize()} after than before, {how(paired=paired)}: {words}{more}.")
     if sentences:
         return " ".join(sentences)
-    others = [change for change in changes if change.measure != TIME.label]
-    if not others:
+    figure_changes = [change for change in changes if change.measure != TIME.label]
+    if not figure_changes:
         return "Nothing could be compared" + (" but the time, of which no difference is shown." if changes else ".")
-    if all(change.tied for change in others):
-        about = not all(change.identical for change in others)
+    if all(change.tied for change in figure_changes):
+        about = not all(change.identical for change in figure_changes)
         return f"Nothing has changed{f' by {TIE_PERCENT:g} % or more' if about else ''} but perhaps the time."
-    return f"No difference is shown in {len(changes)} comparisons{_too_few(others)}."
+    return f"No difference is shown in {len(changes)} comparisons{_too_few(figure_changes)}."
 
 
 def _outcome(changes: Sequence[Change]) -> str:
     """Reason why none of these changes is shown."""
-    others = [change for change in changes if change.measure != TIME.label]
-    if all(change.tied for change in others):
+    figure_changes = [change for change in changes if change.measure != TIME.label]
+    if all(change.tied for change in figure_changes):
         timed = "" if all(change.tied for change in changes) else " but perhaps the time"
-        return f"the same in all runs{timed}" if others else Finding.NOT_SHOWN.value
+        return f"the same in all runs{timed}" if figure_changes else Finding.NOT_SHOWN.value
     return f"{Finding.NOT_SHOWN.value}{_too_few(changes)}"
 
 

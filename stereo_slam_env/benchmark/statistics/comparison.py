@@ -113,8 +113,8 @@ class _Side:
         """Figures of a filter over its runs on these recordings: kept ones where that is all of them."""
         if set(keys) == set(self.figures[name].of_run):
             return self.summaries[name]
-        chosen = {key_of(run): run for run in self.runs(name) if key_of(run) in set(keys)}
-        return summarise([chosen[key] for key in keys], self.figures[name])
+        runs_by_key = {key_of(run): run for run in self.runs(name) if key_of(run) in set(keys)}
+        return summarise([runs_by_key[key] for key in keys], self.figures[name])
 
 
 def _opened(source: str | Path | BenchmarkResult, name: str) -> _Side:
@@ -137,19 +137,23 @@ def _opened(source: str | Path | BenchmarkResult, name: str) -> _Side:
     cells: dict[str, str] = {}
     for directory in study.cells:
         prefix = f"{directory.cell.name}: " if study.study.is_grid else ""
-        found = results_of(directory)
-        digests = {(about["name"], about["seed"]): pairing_digest(about) for about in found.recordings}
-        for choice, summary in zip(directory.scenario.competitors, found.summaries, strict=True):
+        results = results_of(directory)
+        digests = {(about["name"], about["seed"]): pairing_digest(about) for about in results.recordings}
+        for choice, summary in zip(directory.scenario.competitors, results.summaries, strict=True):
             label = f"{prefix}{choice.label}"
-            figures[label], summaries[label], places[label] = found.figures[choice.label], summary, (directory, choice)
+            figures[label], summaries[label], places[label] = (
+                results.figures[choice.label],
+                summary,
+                (directory, choice),
+            )
             streams |= {(label, key): digests[key] for key in figures[label].of_run}
         code |= {f"{prefix}{label}": digest for label, digest in directory.plugin_code().items()}
-        cells |= {f"{prefix}{label}": directory.cell.name for label in found.figures if prefix}
+        cells |= {f"{prefix}{label}": directory.cell.name for label in results.figures if prefix}
         settings[prefix] = read_json(directory.out / SETTINGS)
 
     def runs_of(label: str) -> Iterator[FilterRun]:
         directory, choice = places[label]
-        return (found.run for found in directory.trials(choice, {}))
+        return (results.run for results in directory.trials(choice, {}))
 
     return _Side(str(source), figures, summaries, runs_of, streams, settings, code, cells)
 
@@ -205,10 +209,12 @@ def _same_streams(was: _Side, now: _Side) -> tuple[bool, list[str]]:
 
 def _changes(was: _Side, now: _Side, filters: Sequence[str], paired: bool) -> tuple[Change, ...]:
     """All changes; values that are identical before and after do not count as a comparison."""
-    found = {(name, m): _values(was, now, name, m, paired) for name in filters for m in (*MEASURES, DIVERGED)}
+    values_by_measure = {
+        (name, m): _values(was, now, name, m, paired) for name in filters for m in (*MEASURES, DIVERGED)
+    }
     known = {
         (name, measure): values
-        for (name, measure), values in found.items()
+        for (name, measure), values in values_by_measure.items()
         if all(map(len, values)) and (measure is not DIVERGED or any(side.any() for side in values))
     }
     moved = [measure is TIME for (_, measure), values in known.items() if not np.array_equal(*values)]
@@ -233,8 +239,8 @@ def _values(was: _Side, now: _Side, name: str, measure: Figure, paired: bool) ->
     after, before = (side.values(measure, common if paired else list(side.of_run)) for side in sides)
     if not paired:
         return after[np.isfinite(after)], before[np.isfinite(before)]
-    known = np.isfinite(after) & np.isfinite(before)
-    return after[known], before[known]
+    finite = np.isfinite(after) & np.isfinite(before)
+    return after[finite], before[finite]
 
 
 def _over_runs(was: _Side, now: _Side, name: str, paired: bool) -> tuple[FilterSummary, FilterSummary]:
@@ -260,11 +266,11 @@ def _other_settings(was: _Side, now: _Side) -> list[str]:
         a, b = (side.settings[cell]["scenario"] for side in (was, now))
         ignored = {"name", "seeds", "filters", "policies"}
         other |= dict.fromkeys(key for key in {**a, **b} if key not in ignored and a.get(key) != b.get(key))
-        made = [
+        changes = [
             {c["label"]: (c["name"], c["options"]) for c in (*side["filters"], *side.get("policies", ()))}
             for side in (a, b)
         ]
-        changed = [label for label, how in made[0].items() if made[1].get(label, how) != how]
+        changed = [label for label, how in changes[0].items() if changes[1].get(label, how) != how]
         other |= dict.fromkeys(f"the options of {label}" for label in changed)
     return [f"The settings of the two runs differ in {', '.join(other)}."] if other else []
 
@@ -274,10 +280,10 @@ def _other_code(was: _Side, now: _Side) -> list[str]:
     common = [label for label in was.plugin_code if label in now.plugin_code]
     other = [label for label in common if was.plugin_code[label] != now.plugin_code[label]]
     ours = [next((about["versions"].get("code") for about in side.settings.values()), None) for side in (was, now)]
-    said = [f"The code of {', '.join(other)} differs between the two runs."] if other else []
+    sentences = [f"The code of {', '.join(other)} differs between the two runs."] if other else []
     if None not in ours and ours[0] != ours[1]:
-        said.append(f"The code of stereo-slam-env differs between the two runs ({ours[0]} and {ours[1]}).")
-    return said
+        sentences.append(f"The code of stereo-slam-env differs between the two runs ({ours[0]} and {ours[1]}).")
+    return sentences
 
 
 def _other_machine(was: _Side, now: _Side) -> list[str]:

@@ -81,10 +81,10 @@ def explain(
     contrasts = _contrasts(name, response, factors, fit)
     by_share = sorted(fit.shares.items(), key=lambda item: -item[1])
     shares = {tuple(names[i] for i in term): 100.0 * share for term, share in by_share}
-    shown = {effect.factors for effect in interactions if effect.difference.shown}
-    together = [term for term in shown if shares[term] >= _WORTH_WORDS]
+    shown_factors = {effect.factors for effect in interactions if effect.difference.shown}
+    together = [term for term in shown_factors if shares[term] >= _WORTH_WORDS]
     mains = [term[0] for term in shares if len(term) == 1]
-    found = ResponseAttribution(
+    attribution = ResponseAttribution(
         response=name,
         unit=response.unit,
         mean=float(np.exp(np.nanmean(response.logarithms))),
@@ -94,7 +94,7 @@ def explain(
         shares={**shares, (): 100.0 * fit.rest},
         conclusion=_conclusion(name, mains, contrasts, together),
     )
-    return found, fit.left_out
+    return attribution, fit.left_out
 
 
 def _effects(blocks: Mapping[Term, FloatArray], factors: Mapping[str, Sequence[Any]]) -> tuple[Effect, ...]:
@@ -116,7 +116,7 @@ def _contrasts(
     name: str, response: Response, factors: Mapping[str, Sequence[Any]], fit: FactorialFit
 ) -> tuple[Contrast, ...]:
     comparisons = sum(len(levels) - 1 for levels in factors.values())
-    found = []
+    contrasts = []
     for i, (factor, levels) in enumerate(factors.items()):
         blocks = fit.blocks[(i,)]
         differences = differences_of(blocks[:, 1:] - blocks[:, :1], comparisons=comparisons)
@@ -127,8 +127,8 @@ def _contrasts(
                 ideal = np.log(response.ideal)
                 finding = Finding.BETTER if abs(at[k] - ideal) < abs(at[0] - ideal) else Finding.WORSE
             words = _contrast_words(name, levels[k], levels[0], d)
-            found.append(Contrast(factor, levels[k], levels[0], d, finding, words))
-    return tuple(found)
+            contrasts.append(Contrast(factor, levels[k], levels[0], d, finding, words))
+    return tuple(contrasts)
 
 
 def _contrast_words(name: str, level: Any, instead_of: Any, difference: Difference) -> str:
@@ -148,10 +148,10 @@ def _conclusion(
     """Sentence on the factors, by the variance they explain, and on strong interactions."""
     parts = []
     for factor in by_share:
-        own = [c for c in contrasts if c.factor == factor]
-        shown = [c.words.replace(f"the {name}", "it") for c in own if c.finding is not Finding.NOT_SHOWN]
-        few = [c.words for c in own if c.difference.too_few and not c.difference.tied]
-        parts.append(f"{factor}: {', '.join(shown or few[:1]) or Finding.NOT_SHOWN.value}")
+        of_factor = [c for c in contrasts if c.factor == factor]
+        conclusions = [c.words.replace(f"the {name}", "it") for c in of_factor if c.finding is not Finding.NOT_SHOWN]
+        few = [c.words for c in of_factor if c.difference.too_few and not c.difference.tied]
+        parts.append(f"{factor}: {', '.join(conclusions or few[:1]) or Finding.NOT_SHOWN.value}")
     parts += [f"{a} and {b} do not act independently" for a, b in sorted(together)]
     return f"{name[0].upper()}{name[1:]} – {'; '.join(parts)}."
 
@@ -187,27 +187,27 @@ def fit_factorial(values: FloatArray) -> FactorialFit:
     def columns(terms: Sequence[Term]) -> FloatArray:
         return centred[:, :, np.concatenate([places[term] for term in terms])]
 
-    kept: list[Term] = []
+    kept_terms: list[Term] = []
     for term in designs:
-        tried = columns([*kept, term])
+        tried = columns([*kept_terms, term])
         gram = np.einsum("scp,scq->pq", tried, tried)
         if np.linalg.matrix_rank(gram, hermitian=True) == len(gram):
-            kept.append(term)
+            kept_terms.append(term)
         elif len(term) == 1:
             raise ValueError("too many combinations are missing: the effects of the factors cannot be told apart")
-    coefficients, residual = _solve(values, columns(kept))
+    coefficients, residual = _solve(values, columns(kept_terms))
     total = float(np.sum(values**2))
     shares = {}
-    for term in kept:
-        others = [other for other in kept if other != term]
-        without = _solve(values, columns(others))[1] if others else total
+    for term in kept_terms:
+        other_terms = [other for other in kept_terms if other != term]
+        without = _solve(values, columns(other_terms))[1] if other_terms else total
         shares[term] = (without - residual) / total if total > 0.0 else 0.0
-    places = _places({term: designs[term] for term in kept})
+    places = _places({term: designs[term] for term in kept_terms})
     return FactorialFit(
-        blocks={term: _expanded(coefficients[:, places[term]], term, levels) for term in kept},
+        blocks={term: _expanded(coefficients[:, places[term]], term, levels) for term in kept_terms},
         shares=shares,
         rest=residual / total if total > 0.0 else 0.0,
-        left_out=tuple(term for term in designs if term not in kept),
+        left_out=tuple(term for term in designs if term not in kept_terms),
     )
 
 
@@ -243,11 +243,11 @@ def _places(designs: dict[Term, FloatArray]) -> dict[Term, IntArray]:
 
 def _centred(rows: FloatArray, design: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Values (S, C) and designs (S, C, p) about their means within each block; 0 where missing."""
-    known = np.isfinite(rows)
-    counts = known.sum(axis=1, keepdims=True)
-    values = np.where(known, rows - np.nanmean(rows, axis=1, keepdims=True), 0.0)
-    means = (known @ design) / counts
-    return values, np.where(known[:, :, None], design[None] - means[:, None, :], 0.0)
+    finite = np.isfinite(rows)
+    counts = finite.sum(axis=1, keepdims=True)
+    values = np.where(finite, rows - np.nanmean(rows, axis=1, keepdims=True), 0.0)
+    means = (finite @ design) / counts
+    return values, np.where(finite[:, :, None], design[None] - means[:, None, :], 0.0)
 
 
 def _solve(values: FloatArray, centred: FloatArray) -> tuple[FloatArray, float]:

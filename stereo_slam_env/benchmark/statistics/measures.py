@@ -128,11 +128,11 @@ def compare_all(
     cells: dict[tuple[str, str, str], Difference] = {}
     for measure in measures:
         for a, b in pairs:
-            found = difference_between(figures[a], figures[b], measure, len(pairs))
-            if found.count:
-                cells[measure.name, a, b], cells[measure.name, b, a] = found, found.reversed
-    known = {name for name, _, _ in cells}
-    return PairwiseTable(names, tuple(m for m in measures if m.name in known), cells)
+            difference = difference_between(figures[a], figures[b], measure, len(pairs))
+            if difference.count:
+                cells[measure.name, a, b], cells[measure.name, b, a] = difference, difference.reversed
+    known_names = {name for name, _, _ in cells}
+    return PairwiseTable(names, tuple(m for m in measures if m.name in known_names), cells)
 
 
 def change_words(measure: Figure, difference: Difference) -> str:
@@ -147,8 +147,8 @@ def change_words(measure: Figure, difference: Difference) -> str:
     if not measure.is_ratio:
         more = "less" if difference.estimate < 0.0 else "more"
         return f"{readable(abs(difference.estimate))} {more} ({difference.evidence})"
-    found = difference.reversed if measure.larger_is_better else difference
-    return f"{percent_words(found.percent)} ({found.evidence})"
+    change = difference.reversed if measure.larger_is_better else difference
+    return f"{percent_words(change.percent)} ({change.evidence})"
 
 
 _RUN = re.compile(r"(.+)\+\d+")
@@ -156,11 +156,11 @@ _RUN = re.compile(r"(.+)\+\d+")
 
 def systems(labels: Sequence[str]) -> dict[str, tuple[str, ...]]:
     """Labels of the runs of each system, in order; one that is run once has its own label."""
-    found: dict[str, list[str]] = {}
+    systems_by_label: dict[str, list[str]] = {}
     for label in labels:
         run = _RUN.fullmatch(label)
-        found.setdefault(label if run is None else run[1], []).append(label)
-    return {name: tuple(runs) for name, runs in found.items()}
+        systems_by_label.setdefault(label if run is None else run[1], []).append(label)
+    return {name: tuple(runs) for name, runs in systems_by_label.items()}
 
 
 def compare_systems(figures: Figures, *, measures: Sequence[Figure] = QUESTIONS) -> PairwiseTable | None:
@@ -177,11 +177,11 @@ def compare_systems(figures: Figures, *, measures: Sequence[Figure] = QUESTIONS)
         for a, b in pairs:
             keys = [key for key in means[a] if key in means[b]]
             ours, theirs = (np.array([means[name][key] for key in keys]) for name in (a, b))
-            found = difference_by(measure, ours, theirs, comparisons=len(pairs))
-            if found.count:
-                cells[measure.name, a, b], cells[measure.name, b, a] = found, found.reversed
-    known = {name for name, _, _ in cells}
-    return PairwiseTable(tuple(runs), tuple(m for m in measures if m.name in known), cells)
+            difference = difference_by(measure, ours, theirs, comparisons=len(pairs))
+            if difference.count:
+                cells[measure.name, a, b], cells[measure.name, b, a] = difference, difference.reversed
+    known_names = {name for name, _, _ in cells}
+    return PairwiseTable(tuple(runs), tuple(m for m in measures if m.name in known_names), cells)
 
 
 def run_spread(figures: Figures, labels: Sequence[str], measure: Figure = POSITION) -> float:

@@ -141,12 +141,12 @@ def _compared(
 
 def _agreement(claim: Difference, truths: Sequence[Difference]) -> Agreement:
     """Agreement of the claimed difference with the true ones."""
-    shown = {difference.finding for difference in truths} - {Finding.NOT_SHOWN}
-    if shown == {claim.finding} - {Finding.NOT_SHOWN}:
-        return Agreement.AGREE if shown else Agreement.NOTHING_SHOWN
+    findings = {difference.finding for difference in truths} - {Finding.NOT_SHOWN}
+    if findings == {claim.finding} - {Finding.NOT_SHOWN}:
+        return Agreement.AGREE if findings else Agreement.NOTHING_SHOWN
     intervals = [difference.interval for difference in truths if difference.interval is not None]
     possible = all(low <= claim.estimate <= high for low, high in intervals)
-    return Agreement.OPEN if not shown and possible else Agreement.DISAGREE
+    return Agreement.OPEN if not findings and possible else Agreement.DISAGREE
 
 
 def _claim(policy: str, baseline: str, claim: Difference) -> str:
@@ -162,9 +162,9 @@ def _claim(policy: str, baseline: str, claim: Difference) -> str:
 
 def _truth(path: Difference, final: Difference) -> str:
     parts = [(path, "along the drive"), (final, "at the end")]
-    shown = [f"{percent_words(d.percent)} {where} ({d.interval_words})" for d, where in parts if d.shown]
-    if shown:
-        return f"and its true position error is, run by run, {' and '.join(shown)}"
+    change_words = [f"{percent_words(d.percent)} {where} ({d.interval_words})" for d, where in parts if d.shown]
+    if change_words:
+        return f"and its true position error is, run by run, {' and '.join(change_words)}"
     open_ones = "; ".join(f"{where} {_change(d)}" for d, where in parts)
     return f"and the true position error does not differ significantly ({open_ones})"
 
@@ -175,8 +175,8 @@ def _nees(summary: FilterSummary) -> str:
 
 
 def _change(difference: Difference) -> str:
-    known = difference.interval is not None and not difference.too_few
-    return f"{signed(difference.percent)} %" + (f", {difference.interval_words}" if known else "")
+    is_known = difference.interval is not None and not difference.too_few
+    return f"{signed(difference.percent)} %" + (f", {difference.interval_words}" if is_known else "")
 
 
 def _headline(
@@ -188,14 +188,14 @@ def _headline(
     if best is None:
         return none_left(summaries)
     held_against = next(s for s in summaries if s.filter_name == baseline)
-    others = "" if best is held_against else f"; {baseline}: {_account(held_against)}"
-    found = comparisons.get(best.filter_name)
-    rivals = comparisons.values() if best is held_against else [found] if found is not None else []
+    baseline_words = "" if best is held_against else f"; {baseline}: {_account(held_against)}"
+    comparison = comparisons.get(best.filter_name)
+    rivals = comparisons.values() if best is held_against else [comparison] if comparison is not None else []
     if any(rival.claim.tied for rival in rivals):
         first = f"No policy leaves the pose less uncertain at the end than {baseline}, by its own account"
     else:
         first = f"{best.filter_name} leaves the pose least uncertain at the end, by its own account"
-    sentences = [f"{first}: {_account(best)}{others}."]
+    sentences = [f"{first}: {_account(best)}{baseline_words}."]
     if best.filter_name in comparisons:
         agreement = comparisons[best.filter_name].agreement.value
         sentences.append(f"{agreement[:1].upper()}{agreement[1:]}.")

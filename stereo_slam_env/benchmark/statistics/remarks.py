@@ -104,14 +104,14 @@ def motion_remarks(runs: Sequence[FilterRun], summaries: Sequence[FilterSummary]
 
 def _accelerations(runs: Sequence[FilterRun]) -> tuple[float, float] | None:
     """Root mean squares per axis of the true accelerations, m/s² and rad/s²; None where no velocity is known."""
-    found = []
+    accelerations = []
     for name in ("true_linear_velocities", "true_angular_velocities"):
         steps = [np.diff(getattr(run, name), axis=0) / np.diff(run.timestamps)[:, None] for run in runs]
         values = np.concatenate([np.zeros((0, 3)), *steps])
-        found.append(values[np.isfinite(values).all(axis=1)])
-    if not all(len(values) for values in found):
+        accelerations.append(values[np.isfinite(values).all(axis=1)])
+    if not all(len(values) for values in accelerations):
         return None
-    linear, angular = (float(np.sqrt(np.mean(np.square(values)))) for values in found)
+    linear, angular = (float(np.sqrt(np.mean(np.square(values)))) for values in accelerations)
     return linear, angular
 
 
@@ -198,8 +198,8 @@ def limit_reached(summary: FilterSummary) -> LimitReached | None:
         return None
     if len(summary.position_rmse_by_run) != len(summary.efficiency_by_run):
         return LimitReached(summary.efficiency_percent, None, summary.runs)
-    found = _interval_of(summary.position_rmse_by_run, summary.efficiency_by_run)
-    return LimitReached(summary.efficiency_percent, *found)
+    interval = _interval_of(summary.position_rmse_by_run, summary.efficiency_by_run)
+    return LimitReached(summary.efficiency_percent, *interval)
 
 
 @lru_cache(maxsize=64)
@@ -208,12 +208,12 @@ def _interval_of(
 ) -> tuple[tuple[float, float] | None, int]:
     """Interval of the efficiency, and of how many runs; several places ask, and of many runs it takes seconds."""
     errors, efficiencies = np.array(errors_by_run), np.array(efficiency_by_run)
-    known = np.isfinite(errors) & np.isfinite(efficiencies)
+    finite = np.isfinite(errors) & np.isfinite(efficiencies)
     interval = None
-    if known.sum() >= MIN_PAIRS:
-        low, high = rms_ratio_interval(0.01 * efficiencies[known] * errors[known], errors[known], CONFIDENCE)
+    if finite.sum() >= MIN_PAIRS:
+        low, high = rms_ratio_interval(0.01 * efficiencies[finite] * errors[finite], errors[finite], CONFIDENCE)
         interval = 100.0 * low, 100.0 * high
-    return interval, int(known.sum())
+    return interval, int(finite.sum())
 
 
 def _digits(percent: float) -> int:

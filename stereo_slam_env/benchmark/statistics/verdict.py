@@ -84,8 +84,8 @@ class Verdict:
     @property
     def is_shown(self) -> bool:
         """Whether the runs show the leaders to be better than all others; False where there are no others."""
-        others = [comparison for comparison in self.comparisons.values() if not comparison.tied]
-        return bool(others) and all(comparison.shown and comparison.is_sure for comparison in others)
+        rivals = [comparison for comparison in self.comparisons.values() if not comparison.tied]
+        return bool(rivals) and all(comparison.shown and comparison.is_sure for comparison in rivals)
 
 
 def judge(summaries: Sequence[FilterSummary], figures: Figures) -> Verdict:
@@ -271,8 +271,8 @@ def _undecided(open_ones: Sequence[FilterComparison]) -> str:
 
 def _too_few(open_ones: Sequence[FilterComparison]) -> str:
     """Words on several rivals with the same, too small number of runs."""
-    first, *others = ((c.other, percent_words(c.difference.percent)) for c in open_ones)
-    errors = [f"the error of {first[0]} is {first[1]}", *(f"that of {name} {words}" for name, words in others)]
+    first, *other_errors = ((c.other, percent_words(c.difference.percent)) for c in open_ones)
+    errors = [f"the error of {first[0]} is {first[1]}", *(f"that of {name} {words}" for name, words in other_errors)]
     runs, needed = open_ones[0].difference.count, open_ones[0].difference.needed
     if runs == 1:
         return f"on this drive {listed(errors)}, but one drive proves nothing"
@@ -317,22 +317,22 @@ def pose_nees(summary: FilterSummary) -> tuple[str, str]:
 
 
 def _limit_words(best: FilterSummary) -> str:
-    found = limit_reached(best)
-    if found is None:
+    reached = limit_reached(best)
+    if reached is None:
         return ""
     bound = "the Cramér–Rao bound" + ("" if best.bound_position_m is None else f", {readable(best.bound_position_m)} m")
-    if found.reach in (Reach.SHORT, Reach.OPEN):
-        sure = found.sureness if found.interval is None else f"95 % interval {found.sureness}"
-        open_ = ", so it may be optimal" if found.reach is Reach.OPEN else ""
-        return f"Its efficiency is {found.value} ({sure}{open_}) of {bound}."
-    if found.reach is Reach.AT:
-        return f"Its error is at the limit: its efficiency, {found.sureness}, may be 100 % of {bound}."
-    if found.reach is Reach.BEYOND:
+    if reached.reach in (Reach.SHORT, Reach.OPEN):
+        sure = reached.sureness if reached.interval is None else f"95 % interval {reached.sureness}"
+        open_ = ", so it may be optimal" if reached.reach is Reach.OPEN else ""
+        return f"Its efficiency is {reached.value} ({sure}{open_}) of {bound}."
+    if reached.reach is Reach.AT:
+        return f"Its error is at the limit: its efficiency, {reached.sureness}, may be 100 % of {bound}."
+    if reached.reach is Reach.BEYOND:
         return (
-            f"Its error is below {bound} (efficiency {found.sureness}): the bound is an average over drives of the "
+            f"Its error is below {bound} (efficiency {reached.sureness}): the bound is an average over drives of the "
             f"assumed motion; these were easier, perhaps by chance, or the filter is told more."
         )
-    return f"Its error is {found.value} ({found.sureness}): {bound}."
+    return f"Its error is {reached.value} ({reached.sureness}): {bound}."
 
 
 def _cost(best: FilterSummary, rivals: Sequence[FilterSummary]) -> str:
