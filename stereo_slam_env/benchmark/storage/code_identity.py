@@ -1,4 +1,4 @@
-"""Identity of the code that made a result, ours and somebody else's: a digest of its meaning, not of its formatting.
+"""Identity of the code that made a result, ours and that of others: a digest of its files, and versions of the rest.
 
 Every file of both packages counts, and there is no list of those that "make no result": such a list is kept by hand,
 and where it is wrong, a stale result passes for a new one. Nor does an import graph say what counts: names are strings.
@@ -6,32 +6,30 @@ and where it is wrong, a stale result passes for a new one. Nor does an import g
 Code that somebody else wrote counts where a scenario names it: filters, policies, parts, front ends and sources by
 their entry points, and "module:name". The digest is:
 
-- of an installed distribution: its version, the record of its files, and its code as it lies there;
+- of an installed distribution: its version and the record of its files, and its code as it lies there;
 - of a project of the user, in place or installed as editable: all code of the top-level package (or script) that
   defines it, and of those beside it that it imports, directly or by others;
 - of a class without a file, as in a notebook: its compiled code, and that of what it refers to in there.
 
 Classes that it is derived from count likewise. Data that it loads by itself does not count, unless it is part of an
-installed distribution. Code is compared by meaning, as ours is.
+installed distribution. Bytes are compared: an edited comment makes a result that of other code, too, because a rule
+that says which edits matter is where a stale result would pass for a new one.
 """
 
 from __future__ import annotations
 
-import ast
 import glob
 import hashlib
 import importlib.machinery
 import importlib.util
 import inspect
-import json
 import platform
 import re
 import sys
 import sysconfig
 import types
 from collections.abc import Callable, Collection, Iterator, Mapping
-from contextlib import suppress
-from functools import cache, lru_cache, partial
+from functools import cache, partial
 from importlib.metadata import Distribution, EntryPoint, entry_points, packages_distributions
 from pathlib import Path
 from typing import Any
@@ -41,7 +39,6 @@ import numpy as np
 from filters.contract.validation import error_line
 from stereo_slam_env.benchmark.recordings.source import Source
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice
-from stereo_slam_env.files.folders import write_atomically
 from stereo_slam_env.files.opening import read_bytes
 from stereo_slam_env.files.package_versions import version_of
 from stereo_slam_env.recording.trajectory_bags import bag_and_topic
@@ -50,20 +47,16 @@ ROOT = Path(__file__).resolve().parents[3]
 PACKAGES = ("filters", "stereo_slam_env")
 """Those of this project."""
 _DISTRIBUTIONS = ("stereo-slam-env", "numpy", "scipy", "numba", "gymnasium", "pybullet", "joblib")
-_UNSAID = {"ctx", "kind", "type_comment"}
-"""Fields of a syntax tree that follow from the others, or only from how the code is written."""
 
 
 @cache
 def code_digest(root: Path = ROOT) -> str:
-    """SHA-256 of both packages in the folder `root`, so that results of different code are never mixed.
+    """SHA-256 of the files of both packages in the folder `root`, so that results of different code are never mixed.
 
-    Comments, docstrings and formatting make no difference, nor does the version of Python. Data such as trained
-    networks count. It is asked for once a run, by the process that keeps the results.
+    Data such as trained networks count. It is asked for once a run, by the process that keeps the results.
     """
-    paths = {path.relative_to(root).as_posix(): path for package in PACKAGES for path in source_files(root / package)}
-    kept = root / "filters" / "__pycache__" / f"code-{sys.implementation.cache_tag}.json"
-    return digest_of(_meanings({name: path.read_bytes() for name, path in paths.items()}, kept))
+    files = (path for package in PACKAGES for path in source_files(root / package))
+    return digest_of({path.relative_to(root).as_posix(): _digest(path.read_bytes()) for path in files})
 
 
 def versions() -> dict[str, str]:
@@ -86,51 +79,14 @@ def _is_kept(name: str) -> bool:
     return name == "__pycache__" or name.startswith(".")
 
 
-def digest_of(meanings: Mapping[str, str]) -> str:
+def digest_of(digests: Mapping[str, str]) -> str:
     """One digest of many, by name."""
-    lines = sorted(f"{name} {digest}" for name, digest in meanings.items())
-    return hashlib.sha256("\n".join(lines).encode()).hexdigest()[:16]
+    lines = sorted(f"{name} {digest}" for name, digest in digests.items())
+    return _digest("\n".join(lines).encode())[:16]
 
 
-def _meanings(sources: Mapping[str, bytes], kept: Path) -> dict[str, str]:
-    """Digests of the meaning of files, by name; the cache file `kept` has them by source."""
-    try:
-        known: dict[str, str] = json.loads(kept.read_bytes())
-    except (OSError, ValueError):
-        known = {}
-    rule = Path(__file__).read_bytes()
-    keys = {name: hashlib.sha256(rule + source).hexdigest() for name, source in sources.items()}
-    found = {key: known.get(key) or meaning(name, sources[name]) for name, key in keys.items()}
-    if found.keys() - known.keys() and not sys.dont_write_bytecode:
-        with suppress(OSError):  # not ours to write: then it is computed every time
-            write_atomically(kept, lambda stream: stream.write(json.dumps(found).encode()))
-    return {name: found[key] for name, key in keys.items()}
-
-
-def meaning(name: str, content: bytes) -> str:
-    """Digest of a module's syntax tree without docstrings, or of the bytes of another file."""
-    if not name.endswith(".py"):
-        return hashlib.sha256(content).hexdigest()
-    said: list[str] = []
-
-    def say(node: object) -> None:
-        if isinstance(node, ast.AST):
-            said.append(type(node).__name__)
-            for name, value in ast.iter_fields(node):
-                # What is empty is not said: newer versions of Python have fields that older ones have not.
-                if name not in _UNSAID and value is not None and value != []:
-                    said.append(f"{name}:")
-                    say(value)
-            said.append(".")
-        elif isinstance(node, list):
-            for item in node:
-                if not (isinstance(item, ast.Expr) and isinstance(item.value, ast.Constant)):
-                    say(item)
-        else:
-            said.append(repr(node))
-
-    say(ast.parse(content))
-    return hashlib.sha256("\n".join(said).encode()).hexdigest()
+def _digest(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()
 
 
 _CODE = tuple({*importlib.machinery.all_suffixes()} - {*importlib.machinery.BYTECODE_SUFFIXES})
@@ -281,7 +237,7 @@ def _package(top: str, known: Distribution | None) -> dict[str, str]:
     if beside.resolve() not in _INSTALLED:
         return _project(top, beside)
     owners = [known] if known else [Distribution.from_name(name) for name in packages_distributions().get(top, ())]
-    records = {f"{one.name}-{one.version}": meaning("", (one.read_text("RECORD") or "").encode()) for one in owners}
+    records = {f"{one.name}-{one.version}": _digest((one.read_text("RECORD") or "").encode()) for one in owners}
     return records | _digests(top, beside)
 
 
@@ -309,16 +265,14 @@ def _project(top: str, beside: Path) -> dict[str, str]:
         name = waiting.pop()
         found |= _digests(name, beside)
         for path in _code_of(name, beside):
-            imported = {*_read(path.name, path.read_bytes())[1]} - seen - _NOT_THEIRS
+            imported = _imported(path.read_bytes()) - seen - _NOT_THEIRS
             seen |= imported
             waiting += sorted(imported)
     return found
 
 
 def _digests(top: str, beside: Path) -> dict[str, str]:
-    return {
-        path.relative_to(beside).as_posix(): _read(path.name, path.read_bytes())[0] for path in _code_of(top, beside)
-    }
+    return {path.relative_to(beside).as_posix(): _digest(path.read_bytes()) for path in _code_of(top, beside)}
 
 
 def _code_of(top: str, beside: Path) -> list[Path]:
@@ -330,16 +284,15 @@ def _code_of(top: str, beside: Path) -> list[Path]:
     return [*(path for path in files if path.name.endswith(_CODE)), *(path for path in alone if path.is_file())]
 
 
-@lru_cache(maxsize=4096)
-def _read(name: str, content: bytes) -> tuple[str, frozenset[str]]:
-    """Digest of what a file means, and the top-level names of what it imports by statements, wherever in it."""
-    try:
-        nodes = list(ast.walk(ast.parse(content))) if name.endswith(".py") else []
-        names = [alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names]
-        names += [node.module or "" for node in nodes if isinstance(node, ast.ImportFrom) and not node.level]
-        return meaning(name, content), frozenset(_top(name) for name in names if name)
-    except (SyntaxError, ValueError, RecursionError):
-        return meaning("", content), frozenset()
+_IMPORT = re.compile(r"^[ \t]*(?:from[ \t]+(?P<package>\w+)|import[ \t]+(?P<modules>[^#;\n]+))", re.MULTILINE)
+
+
+def _imported(content: bytes) -> set[str]:
+    """Top-level names of what a file of Python imports by statements, wherever in it."""
+    names: set[str] = set()
+    for match in _IMPORT.finditer(content.decode(errors="replace")):
+        names |= {match["package"] or ""} if match["modules"] is None else set(map(_top, match["modules"].split(",")))
+    return {name.split()[0] for name in names if name.strip()}
 
 
 # ---- code without files ----------------------------------------------------------------------------------------------

@@ -9,7 +9,7 @@ from functools import partial
 
 import pytest
 
-from stereo_slam_env.benchmark.storage import code_identity, store
+from stereo_slam_env.benchmark.storage import store
 from stereo_slam_env.benchmark.storage.code_identity import ROOT, code_digest
 
 from .test_store import fill
@@ -19,20 +19,16 @@ KERNELS = "filters/kernels/gating.py"
 
 @pytest.fixture(scope="module")
 def known(tmp_path_factory):
-    """Both packages, whose digest has been asked for once."""
+    """Both packages, without what Python keeps."""
     root = tmp_path_factory.mktemp("known")
     for package in ("filters", "stereo_slam_env"):
         shutil.copytree(ROOT / package, root / package, ignore=shutil.ignore_patterns("__pycache__"))
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("sys.dont_write_bytecode", False)
-        digest(root)
     return root
 
 
 @pytest.fixture
-def copy(known, tmp_path, monkeypatch):
+def copy(known, tmp_path):
     """Both packages, to be edited."""
-    monkeypatch.setattr("sys.dont_write_bytecode", False)
     return shutil.copytree(known, tmp_path / "copy")
 
 
@@ -51,32 +47,15 @@ def test_a_copy_elsewhere_is_the_same_code(copy):
 
 
 @pytest.mark.parametrize(
-    ("old", "new"),
-    [
-        ("squared_limit = 1.5", "squared_limit   =  1.5  # a remark"),
-        ("Gates.", "Gates, said otherwise."),
-        ('"""How far."""\n', '"""How far."""\n    """And why."""\n'),
-        ("(a, b)", "(\n        a,\n        b,\n    )"),
-    ],
-)
-def test_docstrings_comments_and_formatting_change_nothing(copy, old, new):
-    (copy / "filters" / "gates.py").write_text(
-        '"""Gates."""\n\nsquared_limit = 1.5\n\n\ndef far(a, b):\n    """How far."""\n    return max((a, b))\n'
-    )
-    before = digest(copy)
-    edit(copy / "filters" / "gates.py", old, new)
-    assert digest(copy) == before
-
-
-@pytest.mark.parametrize(
     ("file", "old", "new"),
     [
         ("stereo_slam_env/world/physics.py", "_SURFACE_GAP = 0.05", "_SURFACE_GAP = 0.06"),
         ("filters/catalogue/presets.py", '="shared-anchor"', '="inverse-depth"'),
         (KERNELS, "import numpy as np\n", "import numpy as np\n\nnp.seterr(all='raise')\n"),
+        (KERNELS, '"""', '"""Edited. '),
     ],
 )
-def test_a_number_a_string_and_a_statement_change_it(copy, file, old, new):
+def test_whatever_is_edited_changes_it(copy, file, old, new):
     before = digest(copy)
     edit(copy / file, old, new)
     assert digest(copy) != before
@@ -116,58 +95,31 @@ def test_what_python_and_editors_keep_does_not_count(copy):
     assert digest(copy) == before
 
 
-def test_a_run_is_kept_when_a_docstring_changes_and_not_when_a_number_does(copy, tmp_path, monkeypatch):
+def test_a_run_is_kept_as_long_as_its_code_is(copy, tmp_path, monkeypatch):
     monkeypatch.setattr(store, "code_digest", partial(digest, copy))
     finished = fill(tmp_path / "out")
-    edit(copy / KERNELS, '"""', '"""Edited. ')
     assert finished.missing() == []
     edit(copy / "stereo_slam_env/world/physics.py", "_SURFACE_GAP = 0.05", "_SURFACE_GAP = 0.06")
     assert len(finished.missing()) == 2
 
 
-def test_it_is_known_at_once_the_second_time(copy):
-    first = digest(copy)
+def test_it_takes_no_time(copy):
     began = time.process_time()
-    assert digest(copy) == first
-    assert time.process_time() - began < 0.1
-    parsed = []
-    edit(copy / KERNELS, '"""', '"""Edited. ')
-    with pytest.MonkeyPatch.context() as patch:
-        meaning = code_identity.meaning
-        patch.setattr(code_identity, "meaning", lambda name, source: parsed.append(name) or meaning(name, source))
-        assert digest(copy) == first
-    assert parsed == [KERNELS]
-
-
-@pytest.mark.parametrize("content", [b"", b"{", b"\xff"])
-def test_a_damaged_memory_is_made_again(copy, content):
-    first = digest(copy)
-    (memory,) = (copy / "filters" / "__pycache__").glob("code-*.json")
-    memory.write_bytes(content)
-    assert digest(copy) == first
-    assert memory.stat().st_size > 1000
-
-
-def test_nothing_is_written_where_python_may_not_write_either(copy, monkeypatch):
-    monkeypatch.setattr("sys.dont_write_bytecode", True)
-    shutil.rmtree(copy / "filters" / "__pycache__")
-    assert digest(copy) == code_digest()
-    assert not (copy / "filters" / "__pycache__").exists()
+    digest(copy)
+    assert time.process_time() - began < 1.0
 
 
 def test_a_run_reads_the_code_once_and_its_workers_never(copy, tmp_path):
-    """Also where Python keeps no bytecode: then it takes a walk over all syntax trees."""
-    shutil.rmtree(copy / "filters" / "__pycache__")
     counted = tmp_path / "counted.txt"
     (tmp_path / "sitecustomize.py").write_text(
-        "import ast, os\n"
-        "parse = ast.parse\n"
-        "def counting(source, *args, **kwargs):\n"
-        "    if isinstance(source, bytes):\n"
+        "import os, pathlib\n"
+        "read = pathlib.Path.read_bytes\n"
+        "def counting(path):\n"
+        "    if path.name == 'page.css':\n"
         f"        with open({str(counted)!r}, 'a') as file:\n"
         "            file.write(f'{os.getpid()}\\n')\n"
-        "    return parse(source, *args, **kwargs)\n"
-        "ast.parse = counting\n"
+        "    return read(path)\n"
+        "pathlib.Path.read_bytes = counting\n"
     )
     (tmp_path / "run.py").write_text(
         "from stereo_slam_env.benchmark import Scenario, run_benchmark\n"
@@ -179,6 +131,4 @@ def test_a_run_reads_the_code_once_and_its_workers_never(copy, tmp_path):
     paths = {"PYTHONPATH": os.pathsep.join([str(tmp_path), str(copy)]), "PYTHONDONTWRITEBYTECODE": "1"}
     environment = {**os.environ, **paths, "NUMBA_DISABLE_JIT": "1"}
     subprocess.run([sys.executable, str(tmp_path / "run.py")], env=environment, timeout=240, check=True)
-    readers = counted.read_text().split()
-    assert len(set(readers)) == 1
-    assert len(readers) == len(list((copy).rglob("*.py")))
+    assert len(counted.read_text().split()) == 1

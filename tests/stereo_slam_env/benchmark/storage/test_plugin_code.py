@@ -162,16 +162,9 @@ def test_the_package_of_a_filter_counts_and_what_it_imports_from_beside_it(proje
     assert digest_of_choice(LAB) != before
 
 
-@pytest.mark.parametrize(
-    ("file", "old", "new"),
-    [
-        ("lab_filter/slam.py", '"""A stranger\'s filter."""', '"""Said otherwise."""  # and remarked'),
-        ("bystander.py", "x = 1", "x = 2"),
-    ],
-)
-def test_words_and_what_it_does_not_import_make_no_difference(project, file, old, new):
+def test_what_it_does_not_import_makes_no_difference(project):
     before = digest_of_choice(LAB)
-    edit(project / file, old, new)
+    edit(project / "bystander.py", "x = 1", "x = 2")
     assert digest_of_choice(LAB) == before
 
 
