@@ -21,7 +21,7 @@ import re
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from html import unescape
 from pathlib import Path
 from typing import Any
@@ -141,9 +141,9 @@ def presets(data: Path) -> Iterator[Figure]:
     """Figures of six presets with few seeds, as in `summary.json`."""
     for name, changes in PRESETS.items():
         study = preset_study(name)
-        cells = tuple(replace(cell, scenario=replace(cell.scenario, **changes)) for cell in study.cells)
+        cells = tuple(cell.replaced(scenario=cell.scenario.replaced(**changes)) for cell in study.cells)
         with tempfile.TemporaryDirectory() as folder:
-            run_benchmark(replace(study, cells=cells), Path(folder) / "run", jobs=2)
+            run_benchmark(study.replaced(cells=cells), Path(folder) / "run", jobs=2)
             for path in sorted(Path(folder).rglob("summary.json")):
                 summary = json.loads(path.read_text(encoding="utf-8"))
                 for label, filter_figures in summary.get("filters", {}).items():

@@ -307,7 +307,7 @@ error = ["so3", "quaternion"]
 def results() -> Files:
     """What a run directory says about itself."""
     one = Scenario("one", ReferenceSource("short_turn"), (FilterChoice("paper", "inverse-depth"),))
-    two = dataclasses.replace(one, name="two", seeds=(0, 1))
+    two = one.replaced(name="two", seeds=(0, 1))
     study = Study.of(one).as_dict()
     study["cells"] += [{"name": "two", "factors": {"seeds": "0, 1"}, "scenario": two.as_dict()}]
     settings = {"version": 2, "scenario": one.as_dict(), "versions": {"python": "3.11"}}

@@ -125,6 +125,7 @@ def test_documentation_is_never_a_single_word(path):
 MESSAGES_OF_LIBRARIES = {
     ("filters/catalogue/registry.py", "multiple values for keyword argument"),
     ("stereo_slam_env/benchmark/recordings/source.py", "Object missing"),
+    ("stereo_slam_env/benchmark/recordings/source.py", "Object contains unknown"),
     ("stereo_slam_env/benchmark/recordings/source.py", "Invalid enum value"),
     ("stereo_slam_env/files/bags.py", "CREATE VIRTUAL"),
     ("stereo_slam_env/recording/archive.py", "independent truth"),

@@ -65,7 +65,7 @@ def nees(path: Path, work: Path, *, small: bool) -> None:
 def worth(path: Path, work: Path, *, small: bool) -> None:
     """Position error by the number of landmarks, for what a filter may be given: the preset `inertial`, 4 seeds."""
     study = preset_study("inertial").with_scenarios(
-        lambda one: replace(one, seeds=(0, 1), frames=20) if small else replace(one, seeds=tuple(range(4)))
+        lambda one: one.replaced(seeds=(0, 1), frames=20) if small else one.replaced(seeds=range(4))
     )
     run_benchmark(study, work / "inertial", jobs=1)
     draw_worth(json.loads((work / "inertial" / "summary.json").read_text(encoding="utf-8")), path)

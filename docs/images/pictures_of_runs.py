@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import os
 import shutil
@@ -41,7 +40,7 @@ def report(path: Path, work: Path, *, small: bool) -> None:
     """The upper end of the page of `stereo-slam bench`; the file says in words what a test compares."""
     study = preset_study("quick")
     if small:
-        study = study.with_scenarios(lambda one: dataclasses.replace(one, seeds=(0, 1), frames=20))
+        study = study.with_scenarios(lambda one: one.replaced(seeds=(0, 1), frames=20))
     result = run_benchmark(study, work / "quick", jobs=1, write_report=sse.write_report_of)
     assert result.report is not None
     with page_in_browser(result.report.as_uri(), REPORT_SIZE) as page:

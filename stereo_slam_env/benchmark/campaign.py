@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import logging
 import signal
 import threading
@@ -24,8 +23,6 @@ from stereo_slam_env.benchmark.scenarios.scenario import (
     FilterChoice,
     PolicyChoice,
     Scenario,
-    filter_choice,
-    policy_choice,
 )
 from stereo_slam_env.benchmark.scenarios.streams import check_source
 from stereo_slam_env.benchmark.scenarios.study import Study, load_study, preset_study
@@ -150,14 +147,9 @@ def run_benchmark(
     """
     workers = Backend(backend, jobs, address)
     study = as_study(what, data=data, allow_code=allow_code)
-    changes: dict[str, Any] = {}
-    if filters is not None:
-        changes["filters"] = tuple(filter_choice(f) if isinstance(f, str) else f for f in filters)
-    if policies is not None:
-        changes["policies"] = tuple(policy_choice(p) if isinstance(p, str) else p for p in policies)
-    if seeds is not None:
-        changes["seeds"] = tuple(seeds)
-    study = study.with_scenarios(lambda scenario: dataclasses.replace(scenario, **changes))
+    given = {"filters": filters, "policies": policies, "seeds": seeds}
+    changes = {key: tuple(values) for key, values in given.items() if values is not None}
+    study = study.with_scenarios(lambda scenario: scenario.replaced(**changes))
     check_study(study)
     return run_checked(prepared_study(Path(out), study), workers, progress, write_report)
 

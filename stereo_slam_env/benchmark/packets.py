@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import secrets
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -124,14 +124,14 @@ def _moved(scenario: Scenario, to: Path | None) -> Scenario:
     path = scenario.source.options.get("path")
     if isinstance(path, str) and path.partition(":")[0] != "gtsam":
         name = Path(path.replace(DATA, ".")).name
-        scenario = replace(scenario, source=scenario.source.replaced(path=f"{DATA if to is None else to}/{name}"))
+        scenario = scenario.replaced(source=scenario.source.replaced(path=f"{DATA if to is None else to}/{name}"))
     filters = tuple(
-        replace(choice, options={**choice.options, "file": Path(str(choice.options["file"])).name})
+        choice.replaced(options={**choice.options, "file": Path(str(choice.options["file"])).name})
         if choice.is_outside
         else choice
         for choice in scenario.filters
     )
-    return replace(scenario, filters=filters)
+    return scenario.replaced(filters=filters)
 
 
 def write_packet(path: Path, packet: Mapping[str, Any]) -> None:
@@ -275,7 +275,7 @@ def verify(
         scenario = _here(cell.scenario, data)
         filters = tuple(choice for choice in scenario.filters if not choice.is_outside)
         wanted_seeds = scenario.seeds if everything or not scenario.source.seeded else _some(rng, scenario.seeds, seeds)
-        chosen_cells.append(replace(cell, scenario=_limited(scenario, filters, wanted_seeds)))
+        chosen_cells.append(cell.replaced(scenario=_limited(scenario, filters, wanted_seeds)))
     part = Study(study.name, tuple(chosen_cells))
     check_study(part)
     run_checked(prepared_study(out, part), Backend("processes", jobs, None), progress)
@@ -324,13 +324,13 @@ def verify(
 
 def _limited(scenario: Scenario, filters: tuple[FilterChoice, ...], seeds: tuple[int, ...]) -> Scenario:
     """The part of a scenario that is run again: its time series are kept, and its limits of time are no longer ones."""
-    return replace(
-        scenario,
+    usual = Scenario("usual")
+    return scenario.replaced(
         filters=filters,
         seeds=seeds,
         kept_seeds=max(scenario.kept_seeds, len(seeds)),
-        frame_time_limit=min(scenario.frame_time_limit, Scenario.frame_time_limit),
-        recording_time_limit=min(scenario.recording_time_limit, Scenario.recording_time_limit),
+        frame_time_limit=min(scenario.frame_time_limit, usual.frame_time_limit),
+        recording_time_limit=min(scenario.recording_time_limit, usual.recording_time_limit),
     )
 
 

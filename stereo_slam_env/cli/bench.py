@@ -5,9 +5,9 @@ from __future__ import annotations
 import errno
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -32,8 +32,6 @@ if TYPE_CHECKING:
     from stereo_slam_env.benchmark import FilterChoice, PolicyChoice, Scenario, Study
     from stereo_slam_env.benchmark.recordings.source import Source
     from stereo_slam_env.benchmark.storage.store import StudyDirectory
-
-Choice = TypeVar("Choice", "FilterChoice", "PolicyChoice")
 
 
 def _setting_keys(incomplete: str) -> list[str]:
@@ -107,11 +105,9 @@ class RunOptions:
         return settings_from(self.settings or ())
 
     def _adjusted(self, scenario: Scenario) -> Scenario:
-        from stereo_slam_env.benchmark.scenarios.scenario import filter_choice
-
         changes: dict[str, Any] = {}
         if self.filters is not None:
-            changes["filters"] = _chosen("--filters", self.filters, scenario.filters, filter_choice)
+            changes["filters"] = _chosen("--filters", self.filters, scenario.filters)
         if self.trajectories:
             changes["filters"] = (*changes.get("filters", scenario.filters), *map(_outside, self.trajectories))
         if self.frames is not None:
@@ -120,7 +116,7 @@ class RunOptions:
             changes["use_odometry"] = self.odometry
         if self.front_end is not None:
             changes["source"] = _with_front_end(scenario.source, self.front_end)
-        return replace(scenario, **changes)
+        return scenario.replaced(**changes)
 
     def require_place(self) -> None:
         """Raise where the results could not be written, before any work."""
@@ -252,7 +248,7 @@ def bench(
     from stereo_slam_env.benchmark import load_study, preset_study, presets
     from stereo_slam_env.benchmark.campaign import check_study
     from stereo_slam_env.benchmark.recordings.source import Renderer, checked
-    from stereo_slam_env.benchmark.scenarios.scenario import Sensor, policy_choice
+    from stereo_slam_env.benchmark.scenarios.scenario import Sensor
 
     if show_list:
         show_groups(presets(), PRESET_GROUPS)
@@ -280,8 +276,8 @@ def bench(
     def adjusted(one: Scenario) -> Scenario:
         changes: dict[str, Any] = {} if seeds is None else {"seeds": range(seeds)}
         if policy is not None:
-            changes["policies"] = _chosen("--policy", policy, one.policies, policy_choice)
-        return replace(one, **changes).with_sensor(measured, drawn)
+            changes["policies"] = _chosen("--policy", policy, one.policies)
+        return one.replaced(**changes).with_sensor(measured, drawn)
 
     study = options.adjusted(study.with_scenarios(adjusted))
     if rig is not None:
@@ -349,19 +345,15 @@ def _with_front_end(source: Source, name: str) -> Source:
     return source.replaced(front_end_name=name)
 
 
-def _chosen(
-    option: str, text: str, own: Sequence[Choice], usual: Callable[[str | dict[str, Any]], Choice]
-) -> tuple[Choice, ...]:
-    """The choices that a scenario has under these labels, or else the usual ones of these names or tables."""
-    labelled = {choice.label: choice for choice in own}
-    entries = listed(option, text)
-    return tuple((isinstance(entry, str) and labelled.get(entry)) or usual(entry) for entry in entries)
+def _chosen(option: str, text: str, choices: Sequence[FilterChoice | PolicyChoice]) -> tuple[Any, ...]:
+    """Entries of a list of filters or policies, with the choices of the scenario in place of their labels."""
+    labelled = {choice.label: choice for choice in choices}
+    return tuple(labelled.get(entry, entry) if isinstance(entry, str) else entry for entry in listed(option, text))
 
 
 def _outside(text: str) -> FilterChoice:
     """The competitor that `--trajectory` names."""
-    from stereo_slam_env.benchmark.scenarios.bounds import OUTSIDE
-    from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice
+    from stereo_slam_env.benchmark.scenarios.scenario import OUTSIDE, FilterChoice
 
     label, equals, name = text.partition("=")
     if not (label and equals and name):

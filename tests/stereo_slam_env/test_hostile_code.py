@@ -248,7 +248,7 @@ def test_nor_do_filters(label, tmp_path):
     scenario = Scenario("one", ReferenceSource("short_turn")).as_dict()
     scenario["filters"] = [{"name": "euclidean", "label": label, "options": {}}]
     (tmp_path / "settings.json").write_text(json.dumps({"scenario": scenario}))
-    with pytest.raises(ValueError, match="label of a filter must be"):
+    with pytest.raises(ValueError, match=r"filters\[0\].label must be text of letters"):
         read_study(tmp_path)
 
 

@@ -18,6 +18,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import cache
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args, get_origin
 
 import msgspec
@@ -36,9 +37,12 @@ Progress = Callable[[int, int], None]
 OpenedImages = tuple[ImageSequence, TrackerSettings]
 Renderer = Literal["tiny", "gl"]
 _PLAIN = {"array": "a list", "object": "a table", "str": "text", "int": "a whole number", "float": "a number"}
+_PLAIN |= {"bool": "true or false", "null": "none"}
 _SHOWN = 100
 """characters: of a value in a message."""
-_PLAIN |= {"bool": "true or false", "null": "none"}
+FILE_NAME = r"^[A-Za-z0-9][A-Za-z0-9._+-]*\Z"
+"""Pattern of names that are usable as those of files."""
+_OF_FILE_NAME = "of letters, digits and . _ + -, with a letter or digit first"
 
 
 class Source(msgspec.Struct, frozen=True, tag_field="kind", forbid_unknown_fields=True):
@@ -173,11 +177,38 @@ class Source(msgspec.Struct, frozen=True, tag_field="kind", forbid_unknown_field
         raise ValueError(f"a source of kind {self.kind!r} has no environment for policies")
 
 
-def checked(what: str, value: object, kind: Any) -> Any:
+class CheckedStruct(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Plain data whose fields have their declared types, whether made by hand or decoded from a file."""
+
+    _of: ClassVar[str] = ""
+    """For messages, after the name of a field."""
+
+    def __post_init__(self) -> None:
+        for name, kind in _types(type(self)).items():
+            value = getattr(self, name)
+            if not isinstance(value, msgspec.Struct | msgspec.UnsetType):  # a struct was checked when it was made
+                msgspec.structs.force_setattr(self, name, checked(f"{name}{self._of}", value, kind))
+
+    def replaced(self, **changes: Any) -> Self:
+        """Copy with other values of some fields, checked anew."""
+        return msgspec.structs.replace(self, **changes)
+
+
+@cache
+def _types(kind: type[msgspec.Struct]) -> dict[str, Any]:
+    return {about.name: about.type for about in msgspec.structs.fields(kind)}
+
+
+def checked(what: str, value: Any, kind: Any) -> Any:
     """The value as `kind`, a type that `msgspec` knows; else a `ValueError` of one line that begins with `what`."""
     try:
         return msgspec.convert(value, kind)
     except msgspec.ValidationError as error:
+        if error.__cause__ is not None:  # a struct that checks itself
+            raise ValueError(str(error.__cause__)) from error
+        if get_origin(kind) is dict and "`$[" in str(error):  # which does not name the key
+            for key, entry in value.items():
+                checked(f"{what}.{key}", entry, get_args(kind)[1])
         raise ValueError(_in_words(what, value, kind, str(error))) from error
 
 
@@ -189,15 +220,16 @@ def _in_words(what: str, value: Any, kind: Any, message: str) -> str:
     place = what + path.rstrip("`")
     if message.startswith("Object missing"):
         return f"{place} must have {message.split('`')[1]}"
+    if message.startswith("Object contains unknown"):
+        return f"{place} has no key {message.split('`')[1]!r}: leave it out"
     if message.startswith("Invalid enum value"):
         allowed = [str(word) for word in _words(kind)]
         return f"{place} must be one of {', '.join(allowed)}, got {value!r}{did_you_mean(value, allowed)}"
     expected = re.sub(", got `.*`$", "", message.removeprefix("Expected "))
     expected = re.sub(r"`([\w |]+)`", lambda m: " or ".join(_PLAIN.get(w, w) for w in m[1].split(" | ")), expected)
-    value_words = repr(value)
-    return (
-        f"{place} must be {expected}, got {value_words if len(value_words) <= _SHOWN else value_words[:_SHOWN] + '...'}"
-    )
+    expected = re.sub("matching regex .*", _OF_FILE_NAME, expected) if FILE_NAME[:-2] in expected else expected
+    words = repr(value)
+    return f"{place} must be {expected}, got {words if len(words) <= _SHOWN else words[:_SHOWN] + '...'}"
 
 
 def _words(kind: Any) -> Iterator[Any]:

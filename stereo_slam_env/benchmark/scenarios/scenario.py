@@ -4,37 +4,35 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping
 from operator import index
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
-from msgspec import Meta
+from msgspec import Meta, field
+from msgspec.structs import asdict, force_setattr
 
 from filters.catalogue.registry import USUAL, usual_options
 from filters.contract.noise import StereoNoise
 from filters.contract.validation import gate_probability, require_known
-from stereo_slam_env.benchmark.recordings.source import Renderer, Source, checked
+from stereo_slam_env.benchmark.recordings.source import FILE_NAME, CheckedStruct, Renderer, Source, checked
 from stereo_slam_env.benchmark.recordings.sources import StreetSource, known_kinds, source_of
 from stereo_slam_env.benchmark.scenarios.bounds import (
     MOST_CORRUPTIONS,
     MOST_FRAMES,
     MOST_SECONDS,
     MOST_SEED,
-    OUTSIDE,
-    SEED,
     require_bounded,
-    require_file,
-    require_place,
 )
 from stereo_slam_env.recording.filter_setup import FilterSetup
 
 if TYPE_CHECKING:
-    from typing import Self
-
     from stereo_slam_env.recording.recording import Recording
 
-Label = Annotated[str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9._+-]*\Z", max_length=100)]
+OUTSIDE = "trajectory"
+"""Name of a competitor that is a trajectory from outside."""
+SEED = "{seed}"
+"""In the name of its file: the seed of the recording."""
+Label = Annotated[str, Meta(pattern=FILE_NAME, max_length=100)]
 """Name of files: of a filter, a policy or a scenario."""
 Search = Literal["flow", "forecast"]
 Sensor = Literal["landmarks", "images"]
@@ -44,32 +42,17 @@ Positive = Annotated[float, Meta(gt=0, le=MOST_SECONDS)]
 _MOTION: Mapping[str, float] = USUAL["motion"]
 
 
-@dataclass(frozen=True)
-class _LabelledChoice:
-    label: str
+class _Choice(CheckedStruct, frozen=True):
+    label: Label
     name: str
-    options: Mapping[str, Any] = field(default_factory=dict)
-    _of: ClassVar[str] = ""
-
-    def __post_init__(self) -> None:
-        checked(f"label of a {self._of}", self.label, Label)
+    options: Mapping[str, Any] = {}
 
     def as_dict(self) -> dict[str, Any]:
         """JSON-able form, as it is written in a scenario."""
         return {"label": self.label, "name": self.name, "options": dict(self.options)}
 
-    @classmethod
-    def from_dict(cls, what: str, entry: Mapping[str, Any]) -> Self:
-        """The choice that an entry of `what` in a scenario describes."""
-        require_known(f"{what} has no key", entry, ("label", "name", "options"))
-        if "name" not in entry:
-            raise ValueError(f"{what} must be names or objects with a name, got {entry!r}")
-        options = checked(f"{what}.options", entry.get("options", {}), dict)
-        return cls(entry.get("label", entry["name"]), entry["name"], options)
 
-
-@dataclass(frozen=True)
-class PolicyChoice(_LabelledChoice):
+class PolicyChoice(_Choice, frozen=True):
     """A policy by name, its options, and the label it has in tables and files.
 
     Raises
@@ -78,11 +61,10 @@ class PolicyChoice(_LabelledChoice):
         The label is not usable as a file name.
     """
 
-    _of: ClassVar[str] = "policy"
+    _of: ClassVar[str] = " of a policy"
 
 
-@dataclass(frozen=True)
-class FilterChoice(_LabelledChoice):
+class FilterChoice(_Choice, frozen=True):
     """One competitor: a filter by name, its options, and the label it has in tables and files.
 
     Attributes
@@ -98,14 +80,17 @@ class FilterChoice(_LabelledChoice):
         The label is not usable as a file name.
     """
 
-    _of: ClassVar[str] = "filter"
+    _of: ClassVar[str] = " of a filter"
 
     policy: PolicyChoice | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.is_outside:
-            require_file(self)
+        if not self.is_outside:
+            return
+        require_known(f"options of {self.label} have no key", self.options, ("file", "body"))
+        if not all(isinstance(value, str) for value in (self.options.get("file"), self.options.get("body", ""))):
+            raise ValueError(f"{self.label} must say its trajectory, as options = {{file = 'est.tum'}}")
 
     @property
     def is_outside(self) -> bool:
@@ -121,28 +106,29 @@ class FilterChoice(_LabelledChoice):
         return str(self.options["file"]).replace(SEED, "recording" if seed is None else str(seed))
 
 
-DEFAULT_FILTERS = tuple(
-    FilterChoice(name, name, usual_options(name)) for name in ("inverse-depth", "dual-bearing", "euclidean")
-)
-"""Those of the paper, which take errors for white."""
-REAL_DRIVE_FILTERS = (FilterChoice("coloured-noise", "coloured-noise"), *DEFAULT_FILTERS)
-"""For tracks in real images, whose errors last from frame to frame."""
-
-
 def filter_choice(entry: str | Mapping[str, Any]) -> FilterChoice:
     """The filter of that name with its usual options, or what a table of name, options and label says."""
-    if not isinstance(entry, str):
-        return FilterChoice.from_dict("filters", entry)
-    return FilterChoice(entry, entry, usual_options(entry))
+    choice: FilterChoice = checked("filter", _spelt_out("filters", entry), FilterChoice)
+    return choice
 
 
-def policy_choice(entry: str | Mapping[str, Any]) -> PolicyChoice:
-    """The policy as it comes, or what a table of name, options and label says."""
-    return PolicyChoice(entry, entry) if isinstance(entry, str) else PolicyChoice.from_dict("policies", entry)
+def _spelt_out(key: str, entry: Any) -> Any:
+    """Table of a filter or policy from a name, or from a table without a label; other entries as they are."""
+    if isinstance(entry, str):
+        return {"label": entry, "name": entry, "options": usual_options(entry) if key == "filters" else {}}
+    if isinstance(entry, Mapping):
+        require_known(f"{key} has no key", entry, PolicyChoice.__struct_fields__)
+        return {**entry, "label": entry.get("label", entry.get("name", key))}
+    return entry
 
 
-@dataclass(frozen=True)
-class Scenario:
+DEFAULT_FILTERS = tuple(map(filter_choice, ("inverse-depth", "dual-bearing", "euclidean")))
+"""Filters of the paper, which take errors for white."""
+REAL_DRIVE_FILTERS = (filter_choice("coloured-noise"), *DEFAULT_FILTERS)
+"""Filters for tracks in real images, whose errors last from frame to frame."""
+
+
+class Scenario(CheckedStruct, frozen=True):
     """A measurement stream and how the filters are set up for it.
 
     Attributes
@@ -152,7 +138,7 @@ class Scenario:
     source : Source
         Where the stream comes from; in files its kind is `kind` and its fields are the table `options`.
     filters : tuple of FilterChoice
-        The filters that are compared.
+        The filters that are compared; names, and tables as in files, become choices.
     policies : tuple of PolicyChoice
         Policies that decide where to look, where the source is for policies and only there; each with each filter.
     seeds : tuple of int
@@ -197,7 +183,7 @@ class Scenario:
     """
 
     name: str
-    source: Source = field(default_factory=StreetSource)
+    source: Source = StreetSource()
     filters: tuple[FilterChoice, ...] = DEFAULT_FILTERS
     policies: tuple[PolicyChoice, ...] = ()
     seeds: Annotated[tuple[Annotated[int, Meta(ge=0, le=MOST_SEED)], ...], Meta(min_length=1)] = (0,)
@@ -218,44 +204,50 @@ class Scenario:
     def __post_init__(self) -> None:
         if not isinstance(self.source, Source):
             raise ValueError(f"source must be a Source, such as StreetSource({{...}}), got {self.source!r}")
-        found = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
-        found["source"] = source_of(self.source.kind, self.source.options)
+        gate_probability(self.gate)
         try:
-            found["seeds"] = tuple(seed if isinstance(seed, bool) else index(seed) for seed in self.seeds)
+            seeds = tuple(seed if isinstance(seed, bool) else index(seed) for seed in self.seeds)
         except TypeError:
             raise ValueError(f"seeds must be whole numbers, got {self.seeds!r}") from None
-        gate_probability(self.gate)
-        self._check_numbers(found["source"])
-        for name, kind in _TYPES.items():
-            object.__setattr__(self, name, checked(name, found[name], kind))
-        object.__setattr__(self, "source", found["source"])
-        require_known("motion has no key", self.motion, _MOTION)
-        object.__setattr__(self, "motion", {**_MOTION, **self.motion})
+        force_setattr(self, "source", source_of(self.source.kind, self.source.options))
+        force_setattr(self, "seeds", seeds)
+        for key in ("filters", "policies"):
+            entries = checked(key, getattr(self, key), list[Any])
+            force_setattr(self, key, [_spelt_out(key, entry) for entry in entries])
+        super().__post_init__()
+        self._check_sizes()
         self._check_competitors()
         if len(set(self.seeds)) < len(self.seeds):
             raise ValueError(f"seeds must be different, got {list(self.seeds)}")
         if self.consensus and self.gate is None:
             raise ValueError("consensus needs a gate: give a probability, or do without consensus")
-        self.assumed_noise(StereoNoise.independent_pixels(1.0))  # refuses an impossible one
+        self.assumed_noise(StereoNoise.independent_pixels(1.0))  # refuses an impossible noise or motion
+        force_setattr(self, "motion", {**_MOTION, **self.motion})
         try:
             json.dumps(self.as_dict(), allow_nan=False)
         except (TypeError, ValueError) as error:
             raise ValueError(f"scenario {self.name!r} must consist of JSON values: {error}") from error
 
-    def _check_numbers(self, source: Source) -> None:
-        """Refuse what is too large for time, memory or arithmetic; what a function takes is its own business."""
-        if not source.runs_code:
-            require_bounded("options", source.options)
+    def _check_sizes(self) -> None:
+        """Refuse numbers of untyped tables that are too large for time, memory or arithmetic."""
+        if not self.source.runs_code:  # what a function takes is its own business
+            require_bounded("options", self.source.options)
         for choice in (*self.filters, *self.policies):
             require_bounded(f"options of {choice.label}", choice.options)
-        for name in ("noise", "motion", "corruptions", "seeds", "frames"):
-            require_bounded(name, getattr(self, name), name)
+        require_bounded("noise", self.noise)
+        require_bounded("corruptions", self.corruptions)
 
     def _check_competitors(self) -> None:
         if not self.filters:
             raise ValueError("filters must name at least one filter")
-        recordings = len(self.seeds) if self.source.seeded else 1
-        require_place(self.filters, with_policies=bool(self.policies), recordings=recordings)
+        outside = [choice for choice in self.filters if choice.is_outside]
+        if outside and (self.policies or len(outside) == len(self.filters)):
+            raise ValueError(
+                f"{outside[0].label} is a trajectory: it stands beside at least one filter, and in no policy's loop"
+            )
+        for choice in outside:
+            if len(self.recording_seeds) > 1 and SEED not in choice.options["file"]:
+                raise ValueError(f"{choice.label} has one file for several recordings: write {SEED} in its name")
         kind = self.source.kind
         if self.policies and not self.source.for_policies:
             raise ValueError(
@@ -283,9 +275,7 @@ class Scenario:
             return self.filters
         alone = len(self.filters) == 1
         return tuple(
-            dataclasses.replace(
-                choice, label=policy.label if alone else f"{policy.label}+{choice.label}", policy=policy
-            )
+            choice.replaced(label=policy.label if alone else f"{policy.label}+{choice.label}", policy=policy)
             for policy in self.policies
             for choice in self.filters
         )
@@ -316,7 +306,7 @@ class Scenario:
         if "consensus" not in chosen:
             changes["consensus"] = changes["consensus"] and changes["gate"] is not None
         setup = dataclasses.replace(recording, stated_setup=FilterSetup(**changes)).filter_setup
-        return dataclasses.replace(self, **setup.as_dict())  # what is stored is what happens
+        return self.replaced(**setup.as_dict())  # what is stored is what happens
 
     @property
     def common_options(self) -> dict[str, Any]:
@@ -338,7 +328,7 @@ class Scenario:
         if sensor == "images" and not sees:
             source = self.source.with_images(renderer or "tiny")
             name = f"{self.name}-{source.options['renderer']}-images"
-            return dataclasses.replace(self, name=name, source=source, noise=None, gate=0.99, consensus=True)
+            return self.replaced(name=name, source=source, noise=None, gate=0.99, consensus=True)
         changes: dict[str, Any] = {}
         if sensor == "landmarks" and sees:
             sees, changes["sensor"] = False, sensor
@@ -346,22 +336,13 @@ class Scenario:
             if not sees:
                 raise ValueError("--renderer needs --sensor images: nothing is drawn for landmarks")
             changes["renderer"] = renderer
-        return dataclasses.replace(self, source=self.source.replaced(**changes)) if changes else self
+        return self.replaced(source=self.source.replaced(**changes)) if changes else self
 
     def as_dict(self) -> dict[str, Any]:
         """JSON-able form; `from_dict` reads it."""
-        own = {f.name: getattr(self, f.name) for f in dataclasses.fields(self) if f.name not in ("name", "source")}
-        return {
-            "name": self.name,
-            "kind": self.source.kind,
-            "options": self.source.options,
-            **own,
-            "corruptions": list(self.corruptions),
-            "metrics": list(self.metrics),
-            "seeds": list(self.seeds),
-            "filters": [choice.as_dict() for choice in self.filters],
-            "policies": [choice.as_dict() for choice in self.policies],
-        }
+        values = {**asdict(self), "kind": self.source.kind, "options": self.source.options}
+        values |= {key: [choice.as_dict() for choice in values[key]] for key in ("filters", "policies")}
+        return {key: list(values[key]) if isinstance(values[key], tuple) else values[key] for key in KEYS}
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Scenario:
@@ -375,22 +356,14 @@ class Scenario:
         checked("scenario", data, dict[str, Any])
         require_known("scenario has no key", data, KEYS)
         if "name" not in data:
-            raise ValueError("scenario must have a name")
+            raise ValueError(NAMELESS)
         if "kind" not in data:
             raise ValueError(f"scenario {data['name']!r} must say its kind, one of {known_kinds()}")
         values = dict(data)
         source = source_of(values.pop("kind"), values.pop("options", {}))
-        choices: tuple[tuple[str, Callable[[str | Mapping[str, Any]], _LabelledChoice]], ...] = (
-            ("filters", filter_choice),
-            ("policies", policy_choice),
-        )
-        for key, choice in choices:
-            if key in values:
-                values[key] = tuple(choice(e) for e in checked(key, values[key], list[str | dict[str, Any]]))
         return cls(source=source, **values)
 
 
-KEYS = ("name", "kind", "options", *(f.name for f in dataclasses.fields(Scenario) if f.name not in ("name", "source")))
+NAMELESS = "scenario must have a name, such as name = 'mine'"
+KEYS = ("name", "kind", "options", *Scenario.__struct_fields__[2:])
 """Keys of the JSON form of a scenario."""
-_TYPES = get_type_hints(Scenario, include_extras=True)
-del _TYPES["source"]  # checked by `source_of`

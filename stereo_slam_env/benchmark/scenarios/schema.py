@@ -12,14 +12,14 @@ import re
 from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import Any
 
 import msgspec
 
 from filters.catalogue.registry import USUAL
 from stereo_slam_env.benchmark.recordings import sources
-from stereo_slam_env.benchmark.scenarios.scenario import KEYS, Label, Scenario
-from stereo_slam_env.benchmark.scenarios.study import preset_text
+from stereo_slam_env.benchmark.scenarios.scenario import KEYS, Scenario
+from stereo_slam_env.benchmark.scenarios.study import FileKeys, preset_text
 from stereo_slam_env.files.folders import write_atomically, write_json
 from stereo_slam_env.files.opening import checked_file
 from stereo_slam_env.sensing.corruptions import CORRUPTIONS
@@ -32,26 +32,6 @@ KINDS = (
     sources.GazeSource,
     sources.FactorySource,
 )
-_NONE = ("gate", "frames", "noise")
-"""What may be false in a file: TOML has no null."""
-_FALSE = {"const": False}
-_OTHERS = {
-    "$schema": "Schema of a JSON file.",
-    "description": "One line for lists.",
-    "kind": "Source of the stream; one of these, or of an installed package.",
-    "options": "Of the source.",
-    "grid": "Every combination is a scenario. Keys are fields, a dot goes into a table; values are lists.",
-    "cells": "Scenarios of one study: each a table with a name, and the fields in which it differs.",
-    "factorial": "Crosses options of one filter: filter, options that all have, and a list of levels for each factor.",
-}
-
-
-class _Choice(msgspec.Struct, forbid_unknown_fields=True):
-    """A filter or policy with options, and the label it has in tables."""
-
-    name: str
-    label: Label | msgspec.UnsetType = msgspec.UNSET
-    options: dict[str, Any] | msgspec.UnsetType = msgspec.UNSET
 
 
 def setting_keys() -> list[str]:
@@ -63,20 +43,23 @@ def setting_keys() -> list[str]:
 
 def scenario_schema() -> dict[str, Any]:
     """JSON Schema (2020-12) of scenario files."""
-    types: dict[str, Any] = get_type_hints(Scenario, include_extras=True)
-    types |= {"filters": list[str | _Choice], "policies": list[str | _Choice]}
-    fields_of = [(key, kind, msgspec.UNSET) for key, kind in types.items() if key not in ("source", "corruptions")]
-    own = msgspec.defstruct("own", fields_of)
-    _, parts = msgspec.json.schema_components((own, *KINDS, *CORRUPTIONS.values()))
-    fields = parts.pop("own")["properties"]
+    _, parts = msgspec.json.schema_components((Scenario, FileKeys, *KINDS, *CORRUPTIONS.values()))
+    fields = parts.pop("Scenario")["properties"]
+    del fields["source"], parts["Source"], parts["FilterChoice"]["properties"]["policy"]
+    for key, choice in (("filters", parts["FilterChoice"]), ("policies", parts["PolicyChoice"])):
+        named = {"anyOf": [{"type": "string"}, fields[key]["items"]]}
+        fields[key] |= {"items": named, "default": Scenario("usual").as_dict()[key]}
+        choice |= {"description": choice["description"].splitlines()[0], "required": ["name"]}  # its label, too
     documented = _descriptions(Scenario)
     for key, about in fields.items():
         fields[key] = {"description": documented.get(key, ""), **about}
-    for key in _NONE:
-        fields[key]["anyOf"].append(_FALSE)
+        if {"type": "null"} in about.get("anyOf", ()):
+            about["anyOf"].append({"const": False})  # TOML has no null
+    seeds = fields["seeds"]
     fields["seeds"] = {
-        "description": f"{documented['seeds']} A number n stands for 0 to n - 1.",
-        "anyOf": [{"type": "integer", "minimum": 1}, {k: v for k, v in fields["seeds"].items() if k != "description"}],
+        "description": f"{seeds.pop('description')} A number n stands for 0 to n - 1.",
+        "default": seeds.pop("default"),
+        "anyOf": [{"type": "integer", "minimum": 1}, seeds],
     }
     found = {kind: parts.pop(corruption.__name__) for kind, corruption in CORRUPTIONS.items()}
     fields["corruptions"] = {
@@ -85,33 +68,24 @@ def scenario_schema() -> dict[str, Any]:
         "items": {"oneOf": [_tagged(kind, about) for kind, about in found.items()]},
     }
     kinds = {str(kind.__struct_config__.tag): parts.pop(kind.__name__) for kind in KINDS}
-    fields["kind"] = {"anyOf": [{"enum": [*kinds]}, {"type": "string"}], "default": "street"}
-    fields["options"] = {"type": "object"}
+    fields["kind"] = {
+        "description": "Source of the stream; one of these, or of an installed package.",
+        "anyOf": [{"enum": [*kinds]}, {"type": "string"}],
+        "default": "street",
+    }
+    fields["options"] = {"description": "Options of the source.", "type": "object"}
     cell = {"type": "object", "properties": {key: {"$ref": f"#/properties/{key}"} for key in fields}}
     levels = {"anyOf": [{"type": "array", "minItems": 1}, {"type": "object"}]}
-    fields |= {
-        "$schema": {"type": "string"},
-        "description": {"type": "string"},
-        "grid": {
-            "type": "object",
-            "propertyNames": {"pattern": rf"^({'|'.join(map(re.escape, cell['properties']))})(\..+)?$"},
-            "additionalProperties": levels,
-        },
-        "cells": {
-            "type": "array",
-            "minItems": 1,
-            "items": {**cell, "required": ["name"], "additionalProperties": False},
-        },
-        "factorial": {
-            "type": "object",
-            "properties": {"filter": {"type": "string"}, "options": {"type": "object"}},
-            "required": ["filter"],
-            "minProperties": 2,
-            "additionalProperties": {"type": "array", "minItems": 2},
-        },
+    fields |= parts.pop("FileKeys")["properties"]
+    keys = "|".join(map(re.escape, cell["properties"]))
+    fields["grid"] |= {"propertyNames": {"pattern": rf"^({keys})(\..+)?$"}, "additionalProperties": levels}
+    fields["cells"] |= {"minItems": 1, "items": {**cell, "required": ["name"], "additionalProperties": False}}
+    fields["factorial"] |= {
+        "properties": {"filter": {"type": "string"}, "options": {"type": "object"}},
+        "required": ["filter"],
+        "minProperties": 2,
+        "additionalProperties": {"type": "array", "minItems": 2},
     }
-    for key, said in _OTHERS.items():
-        fields[key] = {"description": said, **fields[key]}
     schema = {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "Scenario of stereo-slam bench",

@@ -8,6 +8,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+import msgspec
 import numpy as np
 from threadpoolctl import threadpool_limits
 
@@ -123,7 +124,7 @@ def drive_episode(
             )
         )
         policy = make_policy(choice.policy.name, **choice.policy.options)
-        about = {"policy": dataclasses.asdict(choice.policy), "filter": {"name": choice.name, "options": options}}
+        about = {"policy": msgspec.to_builtins(choice.policy), "filter": {"name": choice.name, "options": options}}
         with threadpool_limits(limits=1):
             return run_episode(env, policy, seed, frames=scenario.frames, progress=progress, about=about)
     finally:
@@ -153,7 +154,7 @@ def stream_key(scenario: Scenario, choice: FilterChoice | None = None) -> str:
     if choice is None or choice.policy is None:
         return _short_digest(about)
     told = [scenario.noise and dict(scenario.noise), scenario.common_options, scenario.use_odometry]
-    return f"{choice.label}-{_short_digest([*about, *told, dataclasses.asdict(choice)])}"
+    return f"{choice.label}-{_short_digest([*about, *told, msgspec.to_builtins(choice)])}"
 
 
 def _short_digest(about: list[Any]) -> str:

@@ -14,16 +14,15 @@ import json
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any
 
-from msgspec import Meta
+from msgspec import UNSET, Meta, UnsetType, to_builtins
 
 from filters.contract.validation import did_you_mean, require_known
-from stereo_slam_env.benchmark.recordings.source import checked
-from stereo_slam_env.benchmark.scenarios.scenario import KEYS, FilterChoice, Label, Scenario
+from stereo_slam_env.benchmark.recordings.source import FILE_NAME, CheckedStruct, checked
+from stereo_slam_env.benchmark.scenarios.scenario import KEYS, NAMELESS, FilterChoice, Label, Scenario
 from stereo_slam_env.files.opening import is_there, require_inside
 from stereo_slam_env.files.readers import parse_toml, read_text
 
@@ -32,13 +31,24 @@ MOST_TRIALS = 1_000_000
 """Filters x seeds, over all cells."""
 MOST_BYTES = 1_000_000
 _PRESETS = Path(__file__).with_name("presets.toml")
-_OWN_KEYS = ("$schema", "description", "grid", "cells", "factorial")
 _DATA = "{data}"
-_CellName = Annotated[str, Meta(pattern=r"^[A-Za-z0-9][A-Za-z0-9._+-]*\Z", max_length=200)]  # of a grid: all factors
+_GRID = "Every combination is a scenario. Keys are fields, a dot goes into a table; values are lists."
+_CELLS = "Scenarios of one study: each a table with a name, and the fields in which it differs."
+_FACTORIAL = "Crosses options of one filter: filter, options that all have, and a list of levels for each factor."
+_CellName = Annotated[str, Meta(pattern=FILE_NAME, max_length=200)]  # of a grid: all factors
 
 
-@dataclass(frozen=True)
-class Cell:
+class FileKeys(CheckedStruct, frozen=True, rename={"schema": "$schema"}):
+    """Keys of a scenario file beside those of a scenario."""
+
+    schema: Annotated[str, Meta(description="Schema of a JSON file.")] = ""
+    description: Annotated[str, Meta(description="One line for lists.")] = ""
+    grid: Annotated[dict[str, Any], Meta(description=_GRID)] | UnsetType = UNSET
+    cells: Annotated[list[dict[str, Any]], Meta(description=_CELLS)] | UnsetType = UNSET
+    factorial: Annotated[dict[str, Any], Meta(description=_FACTORIAL)] | UnsetType = UNSET
+
+
+class Cell(CheckedStruct, frozen=True):
     """One point of a grid."""
 
     name: str
@@ -49,8 +59,7 @@ class Cell:
     """What is run."""
 
 
-@dataclass(frozen=True)
-class Study:
+class Study(CheckedStruct, frozen=True):
     """One scenario, or one for each point of a grid.
 
     Raises
@@ -68,6 +77,7 @@ class Study:
     the filters of every cell are those of `factorial_label`."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not self.cells:
             raise ValueError("cells must be at least one")
         names = [cell.name for cell in self.cells]
@@ -94,7 +104,7 @@ class Study:
 
     def with_scenarios(self, change: Callable[[Scenario], Scenario]) -> Study:
         """The same study with every scenario changed."""
-        return replace(self, cells=tuple(replace(cell, scenario=change(cell.scenario)) for cell in self.cells))
+        return self.replaced(cells=[cell.replaced(scenario=change(cell.scenario)) for cell in self.cells])
 
     def with_settings(self, settings: Mapping[str, Any]) -> Study:
         """The same study with other values of fields in every scenario; without a gate there is no consensus.
@@ -127,9 +137,9 @@ class Study:
             values = cell.scenario.as_dict()
             for changes in (replaced, settings, varied):
                 values = _merged(values, _nested(changes))
-            return replace(cell, scenario=Scenario.from_dict(_plain(values)))
+            return cell.replaced(scenario=Scenario.from_dict(_plain(values)))
 
-        return replace(self, cells=tuple(map(changed, self.cells)))
+        return self.replaced(cells=tuple(map(changed, self.cells)))
 
     def as_dict(self) -> dict[str, Any]:
         """JSON-able form; `from_dict` reads it."""
@@ -139,7 +149,7 @@ class Study:
                 {"name": cell.name, "factors": dict(cell.factors), "scenario": cell.scenario.as_dict()}
                 for cell in self.cells
             ],
-            "factorial": None if self.factorial is None else {key: [*levels] for key, levels in self.factorial.items()},
+            "factorial": to_builtins(self.factorial),
         }
 
     @classmethod
@@ -147,21 +157,12 @@ class Study:
         """A study from its JSON form; a `ValueError` names an impossible value, or says that it is too large."""
         if len(data["cells"]) > MOST_CELLS:
             raise ValueError(f"cells must be at most {MOST_CELLS}, got {len(data['cells'])}")
-        trials = sum(_entries(c["scenario"], "seeds", "filters", "policies") for c in data["cells"])
+        axes = ("seeds", "filters", "policies")
+        trials = sum(math.prod(len(c["scenario"].get(axis) or (0,)) for axis in axes) for c in data["cells"])
         if trials > MOST_TRIALS:
             raise ValueError(f"filters x seeds come to more than {MOST_TRIALS} trials: ask for fewer")
-        cells = (
-            Cell(c["name"], checked("factors", c["factors"], dict[str, Any]), Scenario.from_dict(c["scenario"]))
-            for c in data["cells"]
-        )
-        name = checked("name", data["name"], str)
-        crossed = checked("factorial", data["factorial"], dict[str, list[Any]] | None)
-        return cls(name, tuple(cells), crossed and {key: tuple(levels) for key, levels in crossed.items()})
-
-
-def _entries(scenario: Mapping[str, Any], *keys: str) -> int:
-    """Product of the lengths of lists."""
-    return math.prod(len(scenario.get(key) or (0,)) for key in keys)
+        cells = [Cell(c["name"], c["factors"], Scenario.from_dict(c["scenario"])) for c in data["cells"]]
+        return cls(data["name"], tuple(cells), data["factorial"])
 
 
 def factorial_label(levels: Mapping[str, Any]) -> str:
@@ -244,18 +245,21 @@ def study_from(tables: Mapping[str, Any], *, data: str | Path | None = None, all
     A `ValueError` names an unknown key or impossible value, too many cells or trials, or code that is not allowed.
     """
     checked("scenario", tables, dict[str, Any])
-    require_known("scenario has no key", tables, (*KEYS, *_OWN_KEYS))
-    if "grid" in tables and "cells" in tables:
-        raise ValueError("grid and cells exclude each other: give one of them")
+    require_known("scenario has no key", tables, (*KEYS, *FileKeys.__struct_encode_fields__))
     base = {key: value for key, value in tables.items() if key in KEYS}
+    file_keys = FileKeys(**{key.lstrip("$"): value for key, value in tables.items() if key not in KEYS})
+    if UNSET not in (file_keys.grid, file_keys.cells):
+        raise ValueError("grid and cells exclude each other: give one of them")
     factorial = None
-    if "factorial" in tables:
+    if file_keys.factorial is not UNSET:
         if "filters" in tables:
             raise ValueError("factorial and filters exclude each other: the factorial makes the filters")
-        factorial, base["filters"] = _crossed(checked("factorial", tables["factorial"], dict[str, Any]))
-    name: str = checked("name of a scenario", base.get("name", ""), Label)
+        factorial, base["filters"] = _crossed(file_keys.factorial)
+    if "name" not in base:
+        raise ValueError(NAMELESS)
+    name: str = checked("name of a scenario", base["name"], Label)
     cells, trials = [], 0
-    for factors, values in _variants(base, tables):
+    for factors, values in _variants(base, file_keys):
         here = _with_data(values, data)
         if here is None:
             continue
@@ -273,16 +277,16 @@ def study_from(tables: Mapping[str, Any], *, data: str | Path | None = None, all
     return Study(name, tuple(cells), factorial)
 
 
-def _variants(base: Mapping[str, Any], tables: Mapping[str, Any]) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
+def _variants(base: Mapping[str, Any], file_keys: FileKeys) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
     """Factors and fields of every cell."""
-    if "cells" in tables:
-        for number, cell in enumerate(checked("cells", tables["cells"], list[dict[str, Any]])):
+    if file_keys.cells is not UNSET:
+        for number, cell in enumerate(file_keys.cells):
             require_known(f"cells[{number}] has no key", cell, KEYS)
             if "name" not in cell:
                 raise ValueError(f"cells[{number}] must have a name")
             yield {"cell": cell["name"]}, _merged(base, cell)
         return
-    levels = _flat(checked("grid", tables.get("grid", {}), dict[str, Any]))
+    levels = _flat(file_keys.grid or {})
     for key, values in levels.items():
         require_known("grid has no key", [key.partition(".")[0]], KEYS)
         if not isinstance(values, list) or not values:

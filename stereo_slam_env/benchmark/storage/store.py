@@ -7,11 +7,12 @@ of files is `seed-0007`, or `recording` for real data; beside each recording (np
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+
+from msgspec import to_builtins
 
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, Scenario
 from stereo_slam_env.benchmark.scenarios.streams import as_given, pairing_digest, stream_key
@@ -102,7 +103,7 @@ class RunDirectory:
                 other_code = _code_in(provenance) != (code, self._plugins[choice.label])
                 if other_code or (self.keeps(seed) and not is_whole):
                     todo.append((seed, choice))
-                elif provenance["filter"] != dataclasses.asdict(choice):
+                elif provenance["filter"] != to_builtins(choice):
                     raise ValueError(
                         f"{path} was made with other options of that filter: give it another label, or choose "
                         f"another output directory"
@@ -155,7 +156,7 @@ class RunDirectory:
         Where a policy drives its own episode, the trial adds what was recorded.
         """
         about: dict[str, Any] = {
-            "filter": choice and dataclasses.asdict(choice),
+            "filter": choice and to_builtins(choice),
             "code": code_digest(),
             "plugin_code": self._plugins[None if choice is None else choice.label],
         }

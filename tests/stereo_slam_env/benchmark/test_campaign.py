@@ -4,7 +4,6 @@ import errno
 import json
 import sqlite3
 from contextlib import closing
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -129,7 +128,7 @@ def test_a_resumed_run_says_the_same_as_one_in_one_go(tmp_path):
 @pytest.mark.usefixtures("third_party")
 def test_filters_that_crash_or_hang_never_take_the_run_down(tmp_path):
     filters = ["crashes", "hangs", "euclidean"]
-    scenario = replace(SHORT, frame_time_limit=1.0)
+    scenario = SHORT.replaced(frame_time_limit=1.0)
     crashing, hanging, sound = run_benchmark(scenario, tmp_path / "out", filters=filters, seeds=[0], jobs=1).summaries
     assert crashing.failures == ("seed 0, its process ended with code 7",)
     assert hanging.failures == ("seed 0, no sign of life for 1 s",)
@@ -252,9 +251,9 @@ def test_no_jobs_is_refused(tmp_path):
 
 def test_of_more_seeds_than_are_kept_the_figures_are_kept(tmp_path):
     """The same figures, summaries and table, bit for bit, from files of which most have no trajectory."""
-    three = replace(SHORT, seeds=(0, 1, 2), metrics=("map", "bound"))
+    three = SHORT.replaced(seeds=(0, 1, 2), metrics=("map", "bound"))
     whole = run_benchmark(three, tmp_path / "whole", jobs=1)
-    thin = run_benchmark(replace(three, kept_seeds=1), tmp_path / "thin", jobs=1)
+    thin = run_benchmark(three.replaced(kept_seeds=1), tmp_path / "thin", jobs=1)
     timed = {"ms_per_frame", "ms_predict", "ms_update", "memory_mb"}
     for label in whole.figures:
         for key, figures in whole.figures[label].of_run.items():
@@ -276,13 +275,13 @@ def test_of_more_seeds_than_are_kept_the_figures_are_kept(tmp_path):
 
 
 def test_to_keep_more_seeds_runs_those_again_and_a_filter_that_joins_hears_the_same(tmp_path):
-    thin = replace(SHORT, seeds=(0, 1, 2), kept_seeds=1, filters=SHORT.filters[:1])
+    thin = SHORT.replaced(seeds=(0, 1, 2), kept_seeds=1, filters=SHORT.filters[:1])
     run_benchmark(thin, tmp_path / "out", jobs=1)
     more = read_study(tmp_path / "out").cells[0]
     assert more.missing() == []
-    joined = run_benchmark(replace(thin, filters=SHORT.filters[:2]), tmp_path / "out", jobs=1)
+    joined = run_benchmark(thin.replaced(filters=SHORT.filters[:2]), tmp_path / "out", jobs=1)
     assert [len(figures.of_run) for figures in joined.figures.values()] == [3, 3]  # or it would be refused
-    kept = replace(thin, kept_seeds=2, filters=SHORT.filters[:2])
+    kept = thin.replaced(kept_seeds=2, filters=SHORT.filters[:2])
     (directory,) = prepared_study(tmp_path / "out", Study.of(kept)).cells
     assert {seed for seed, _ in directory.missing()} == {1}
 
@@ -295,7 +294,7 @@ def test_figures_are_computed_with_the_trial_and_not_with_the_report(tmp_path, m
 
 
 def test_trajectories_are_those_of_the_first_ten_recordings_and_on_demand_of_all(tmp_path):
-    one = replace(SHORT, seeds=tuple(range(11)), filters=(filter_choice("euclidean"),), metrics=())
+    one = SHORT.replaced(seeds=tuple(range(11)), filters=(filter_choice("euclidean"),), metrics=())
     run_benchmark(one, tmp_path / "out", jobs=1)
     names = [f"seed-{seed:04d}" for seed in range(11)]
     assert sorted(path.name for path in (tmp_path / "out" / "trajectories").iterdir()) == names[:10]

@@ -35,7 +35,7 @@ SETUPS = {
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("setup", SETUPS)
 def test_every_road_has_the_same_digits(tmp_path, setup, name):
-    scenario = replace(PLAIN, **SETUPS[setup], filters=(filter_choice(name),), seeds=(1,), frames=10)
+    scenario = PLAIN.replaced(**SETUPS[setup], filters=(filter_choice(name),), seeds=(1,), frames=10)
     recording = sse.make_recording(scenario, 1)
     result = run_benchmark(scenario, tmp_path / "run", jobs=1)
     (run,) = result.runs
@@ -68,7 +68,7 @@ def test_every_road_has_the_same_digits(tmp_path, setup, name):
 
 def test_the_case_of_the_street():
     """The simulated sensor, with odometry in the recording that the scenario does not give to the filters."""
-    scenario = replace(preset("quick"), frames=8)
+    scenario = preset("quick").replaced(frames=8)
     recording = sse.make_recording(scenario, 1)
     assert any(frame.odometry is not None for frame in recording.frames)
     row = sse.compare(["inverse-depth"], scenario, seeds=[1]).summaries[0].position_rmse_m
@@ -119,7 +119,7 @@ def replayed(folder, name):
 
 
 def test_cells_that_share_a_recording_keep_their_own_setups(tmp_path):
-    cells = [replace(PLAIN, gate=gate, frames=6, filters=(filter_choice("inverse-depth"),)) for gate in (None, 0.5)]
+    cells = [PLAIN.replaced(gate=gate, frames=6, filters=(filter_choice("inverse-depth"),)) for gate in (None, 0.5)]
     study = Study("gates", tuple(Cell(f"gate-{cell.gate}", {"gate": str(cell.gate)}, cell) for cell in cells))
     run_benchmark(study, tmp_path / "run", jobs=1)
     kept = read_study(tmp_path / "run").cells
@@ -154,7 +154,7 @@ def test_the_command_line_names_the_near_names_too(tmp_path, capsys, command):
 
 
 def test_a_search_that_each_filter_guides_has_no_recording():
-    scenario = replace(PLAIN, search="forecast")
+    scenario = PLAIN.replaced(search="forecast")
     for ask in (lambda: sse.make_recording(scenario, 0), lambda: sse.compare(["inverse-depth"], scenario, seeds=1)):
         with pytest.raises(ValueError, match="search 'forecast' has no recording"):
             ask()

@@ -71,7 +71,7 @@ def test_what_is_repeated_agrees_and_what_was_changed_does_not(packet, tmp_path)
 
 
 def test_policies_measure_something_else_each_and_are_repeated_as_well(tmp_path):
-    scenario = replace(preset("gaze"), frames=8)
+    scenario = preset("gaze").replaced(frames=8)
     run_benchmark(scenario, tmp_path / "run", policies=["fixed", "sweep"], seeds=[3], jobs=1)
     packet = packet_of(tmp_path / "run")
     write_packet(tmp_path / "gaze.json", packet)

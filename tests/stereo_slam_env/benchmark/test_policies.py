@@ -1,6 +1,5 @@
 """Policies x seeds: paired drives, the same bits again, resumption, failures (15 s)."""
 
-import dataclasses
 import json
 import sqlite3
 from contextlib import closing
@@ -22,8 +21,7 @@ from stereo_slam_env.report.benchmark_report import write_report_of
 
 from ..third_party import install
 
-SHORT = dataclasses.replace(
-    preset("gaze"),
+SHORT = preset("gaze").replaced(
     source=GazeSource({"route": "right-turn", "rig": "qvga"}),
     seeds=(0, 1),
     frames=8,
@@ -138,7 +136,7 @@ def test_the_preset_has_fifty_scenes_and_known_policies():
 )
 def test_what_cannot_be_run_is_known_before_any_work(changes, said):
     with pytest.raises(ValueError, match=said):
-        check_study(Study.of(dataclasses.replace(preset("gaze"), **changes)))
+        check_study(Study.of(preset("gaze").replaced(**changes)))
 
 
 @pytest.mark.parametrize(
@@ -152,7 +150,7 @@ def test_what_cannot_be_run_is_known_before_any_work(changes, said):
 )
 def test_what_makes_no_sense_is_no_scenario(changes, said):
     with pytest.raises(ValueError, match=said):
-        dataclasses.replace(SHORT, **changes)
+        SHORT.replaced(**changes)
 
 
 def test_there_is_no_recording_for_all():
@@ -225,7 +223,7 @@ def test_processes_change_nothing(finished, tmp_path):
 
 @pytest.mark.usefixtures("third_party", "finished")  # after the latter nothing has to be compiled within the limit
 def test_policies_that_raise_crash_or_hang_never_take_the_run_down(tmp_path):
-    scenario = dataclasses.replace(SHORT, frame_time_limit=5.0, seeds=(0,))
+    scenario = SHORT.replaced(frame_time_limit=5.0, seeds=(0,))
     result = run_benchmark(scenario, tmp_path / "out", policies=["raises", "crashes", "hangs", "fixed"], jobs=1)
     raising, crashing, hanging, sound = result.summaries
     assert raising.failures == ("seed 0, frame 2: policy: RuntimeError: my neck hurts",)
@@ -236,7 +234,7 @@ def test_policies_that_raise_crash_or_hang_never_take_the_run_down(tmp_path):
 
 
 def test_a_filter_that_fails_in_the_loop_says_so_itself(tmp_path):
-    scenario = dataclasses.replace(SHORT, seeds=(0,), use_odometry=False)
+    scenario = SHORT.replaced(seeds=(0,), use_odometry=False)
     result = run_benchmark(scenario, tmp_path / "out", policies=["sweep"], jobs=1)
     failure = result.summaries[0].failures[0]
     assert failure.startswith("seed 0, frame 1: ValueError: odometry must be given")
@@ -297,7 +295,7 @@ def test_two_runs_are_compared_drive_by_drive(finished, tmp_path):
 def test_drives_that_are_not_the_same_are_refused(finished, tmp_path):
     directory = read_study(finished.out).cells[0]
     assert len(directory.load()[1]) == 2
-    other = dataclasses.replace(SHORT, source=SHORT.source.replaced(perturbation=0.0))
+    other = SHORT.replaced(source=SHORT.source.replaced(perturbation=0.0))
     run_benchmark(other, tmp_path / "other", jobs=1, seeds=[0])
     foreign = read_study(tmp_path / "other").cells[0].trial_path(0, SWEEP)
     kept = directory.trial_path(0, SWEEP)

@@ -161,8 +161,6 @@ OWN = {
     "stereo_slam_env/benchmark/storage/code_identity.py": {
         "one.read_text": "a list of files of an installed package",
         "path.read_bytes": "the package's own source, or code that runs here anyway",
-        "kept.read_bytes": "a file that the package wrote beside itself",
-        "Path(__file__).read_bytes": "the package's own source",
     },
     "stereo_slam_env/benchmark/storage/result_tables.py": {"sqlite3.connect": "a new file, to write it"},
     "stereo_slam_env/paper/paper_claims.py": {

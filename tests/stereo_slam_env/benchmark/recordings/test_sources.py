@@ -124,7 +124,7 @@ def test_options_are_what_was_given_and_key_the_same_whatever_their_order():
 )
 def test_noise_that_is_not_gaussian_disturbs_the_same_drive(scenario, noise):
     """Nothing but the errors of the measurements differs from the drive with Gaussian noise."""
-    other = replace(scenario, source=scenario.source.replaced(noise=noise, sigma=0.5))
+    other = scenario.replaced(source=scenario.source.replaced(noise=noise, sigma=0.5))
     gaussian, disturbed = (make_recording(s, 1) for s in (scenario, other))
     for a, b in zip(gaussian.frames, disturbed.frames, strict=True):
         np.testing.assert_array_equal(a.truth.position, b.truth.position)

@@ -3,7 +3,6 @@
 import itertools
 import os
 import time
-from dataclasses import replace
 from functools import partial
 from typing import get_args
 
@@ -96,7 +95,7 @@ def test_impossible_backends_are_refused(arguments, complaint):
 def test_a_cluster_that_does_not_answer_is_told_in_one_line(tmp_path, monkeypatch):
     monkeypatch.setattr(backends, "SECONDS_TO_ANSWER", 1)
     pytest.importorskip("dask.distributed", reason="needs the extra dask")
-    scenario = replace(SHORT, seeds=(0,))
+    scenario = SHORT.replaced(seeds=(0,))
     with pytest.raises(ValueError, match=r"no Dask scheduler answers at tcp://127\.0\.0\.1:9"):
         run_benchmark(scenario, tmp_path / "out", backend="dask", address="tcp://127.0.0.1:9")
 

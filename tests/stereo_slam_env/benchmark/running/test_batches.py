@@ -26,7 +26,7 @@ SHORT = Scenario("short", ReferenceSource("short_turn"), seeds=tuple(range(5)), 
 
 def quick(**changes):
     (cell,) = preset_study("quick").cells
-    return replace(cell.scenario, **{"frames": 60, "seeds": (0, 1, 2), **changes})
+    return cell.scenario.replaced(**{"frames": 60, "seeds": (0, 1, 2), **changes})
 
 
 @pytest.fixture
@@ -109,7 +109,7 @@ def test_strangers_and_the_first_drives_are_run_one_by_one():
     assert tasks.goes_in_a_batch(task)
     assert not tasks.goes_in_a_batch(replace(task, timed=True))
     assert not tasks.goes_in_a_batch(replace(task, choice=filter_choice("listens")))
-    assert not tasks.goes_in_a_batch(replace(task, scenario=replace(quick(), metrics=("windows",))))
+    assert not tasks.goes_in_a_batch(replace(task, scenario=quick().replaced(metrics=("windows",))))
 
 
 @pytest.mark.parametrize("how", ["crash", "raise"])
@@ -121,7 +121,7 @@ def test_a_batch_that_fails_is_done_one_by_one(tmp_path, monkeypatch, few_are_ti
             os._exit(7)
         raise ArithmeticError("in the batch")
 
-    scenario = replace(SHORT, filters=tuple(map(filter_choice, ("inverse-depth", "euclidean"))))
+    scenario = SHORT.replaced(filters=tuple(map(filter_choice, ("inverse-depth", "euclidean"))))
     monkeypatch.setattr("stereo_slam_env.benchmark.running.tasks._filter_all", fail)
     result = run_benchmark(scenario, tmp_path / "out", jobs=1)
     assert all(run.failure is None for run in result.runs)
@@ -133,7 +133,7 @@ def test_an_interrupted_campaign_goes_on_where_it_stopped(tmp_path, few_are_time
         if done >= 2 + 5:
             raise KeyboardInterrupt
 
-    scenario = replace(SHORT, filters=tuple(map(filter_choice, ("inverse-depth", "euclidean"))))
+    scenario = SHORT.replaced(filters=tuple(map(filter_choice, ("inverse-depth", "euclidean"))))
     with pytest.raises(KeyboardInterrupt):
         run_benchmark(scenario, tmp_path / "out", jobs=1, progress=stop_after_a_batch)
     kept = {path: path.stat().st_mtime_ns for path in (tmp_path / "out").glob("trials/*/*.npz")}

@@ -3,7 +3,6 @@
 import json
 import re
 import shutil
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -65,7 +64,7 @@ def in_this_process(monkeypatch):
 
 def of(folder, **changes):
     filters = (filter_choice("inverse-depth"), filter_choice("euclidean"))
-    return replace(Scenario("seen", DatasetSource(str(folder)), filters=filters), **changes)
+    return Scenario("seen", DatasetSource(str(folder)), filters=filters).replaced(**changes)
 
 
 def counted(monkeypatch, module, name):
@@ -103,11 +102,11 @@ def test_a_scenario_of_the_simulated_world_can_be_measured_in_images():
 @pytest.mark.parametrize(
     ("scenario", "complaint"),
     [
-        (replace(preset("quick"), search="forecast"), "search 'forecast' needs images: scenario 'quick' has none"),
-        (replace(preset("reference-turn"), search="forecast"), "scenario 'reference-turn' has none"),
-        (replace(STREET, noise={"independent_pixels": 1.0}), "each measurement comes with its own covariance"),
-        (replace(STREET, source=STREET.source.replaced(renderer="foo")), "renderer must be one of 'tiny', 'gl'"),
-        (replace(STREET, source=STREET.source.replaced(rout="town")), "did you mean 'route'"),
+        (preset("quick").replaced(search="forecast"), "search 'forecast' needs images: scenario 'quick' has none"),
+        (preset("reference-turn").replaced(search="forecast"), "scenario 'reference-turn' has none"),
+        (STREET.replaced(noise={"independent_pixels": 1.0}), "each measurement comes with its own covariance"),
+        (STREET.replaced(source=STREET.source.replaced(renderer="foo")), "renderer must be one of 'tiny', 'gl'"),
+        (STREET.replaced(source=STREET.source.replaced(rout="town")), "did you mean 'route'"),
     ],
     ids=["no images", "no pictures of pure geometry", "noise", "renderer", "option"],
 )
@@ -119,7 +118,7 @@ def test_what_cannot_be_run_is_refused_before_any_work(scenario, complaint, tmp_
 
 def test_a_renderer_that_is_missing_is_wrong_input(missing_gl):
     with pytest.raises(ValueError, match=re.escape(missing_gl)):
-        check_source(replace(STREET, source=STREET.source.replaced(renderer="gl")))
+        check_source(STREET.replaced(source=STREET.source.replaced(renderer="gl")))
 
 
 def test_without_images_there_is_no_sequence(tmp_path):
@@ -133,7 +132,7 @@ def test_without_images_there_is_no_sequence(tmp_path):
 
 
 def test_the_same_seed_gives_the_same_stream_and_another_one_another():
-    short = replace(STREET, frames=2)
+    short = STREET.replaced(frames=2)
     digests = []
     for seed in (3, 3, 4):
         sources._tracked.cache_clear()
@@ -142,19 +141,19 @@ def test_the_same_seed_gives_the_same_stream_and_another_one_another():
 
 
 def test_the_renderer_is_part_of_the_source():
-    source = json.loads(json.dumps(make_recording(replace(STREET, frames=2), 0).source))
+    source = json.loads(json.dumps(make_recording(STREET.replaced(frames=2), 0).source))
     assert source["renderer"] == renderer_identity("tiny")
     assert source["arguments"]["sensor"] == "images"
 
 
 def test_the_images_of_a_scenario_are_those_its_recording_was_made_of():
     """Without a filter, tracks through the sequence are the stream, bit by bit."""
-    scenario = replace(STREET, source=STREET.source.replaced(refill_below=30), frames=3)
+    scenario = STREET.replaced(source=STREET.source.replaced(refill_below=30), frames=3)
     sequence, settings = make_sequence(scenario, 7)
     assert isinstance(sequence, RenderedDrive)
     assert (settings.max_landmarks, settings.refill_below, len(sequence)) == (40, 30, 3)
     recording, found = make_recording(scenario, 7), []
-    watch_search(replace(scenario, seeds=(7,)), lambda pair, tracked: found.append((pair, tracked.observation)))
+    watch_search(scenario.replaced(seeds=(7,)), lambda pair, tracked: found.append((pair, tracked.observation)))
     for frame, (pair, seen) in zip(recording.frames, found, strict=True):
         assert frame.timestamp == pair.timestamp
         np.testing.assert_array_equal(frame.observation.uvd, seen.uvd)
@@ -186,14 +185,14 @@ def test_images_are_followed_without_a_filter_once_and_calibrated_once(folder, t
 @pytest.mark.usefixtures("in_this_process")
 def test_rendered_drives_are_looked_at_once_a_seed(tmp_path, monkeypatch):
     drives = counted(monkeypatch, recorder, "record")
-    run_benchmark(replace(STREET, seeds=(0, 1), frames=2), tmp_path / "out", jobs=1)
+    run_benchmark(STREET.replaced(seeds=(0, 1), frames=2), tmp_path / "out", jobs=1)
     assert len(drives) == 2
 
 
 def test_a_long_drive_is_refused_before_it_is_driven(monkeypatch):
     monkeypatch.setattr(recorder.StereoDriveEnv, "reset", lambda *_, **__: pytest.fail("it was driven"))
     with pytest.raises(ValueError, match="frames must be at most 80 on route 'right-turn', got 81"):
-        make_recording(replace(STREET, frames=81), 0)
+        make_recording(STREET.replaced(frames=81), 0)
 
 
 # --- searching as each filter expects --------------------------------------------------------------------------------
@@ -212,7 +211,7 @@ def test_a_guided_search_gives_each_filter_measurements_of_its_own(tmp_path, mon
         return run_filter(recording, name, *args, observe=listen, **options)
 
     monkeypatch.setattr(tasks, "run_filter", listening)
-    result = run_benchmark(replace(STREET, search="forecast"), tmp_path / "out", jobs=1)
+    result = run_benchmark(STREET.replaced(search="forecast"), tmp_path / "out", jobs=1)
     assert [r.failure for r in result.runs] == [None, None]
     assert [len(seen) for seen in heard.values()] == [4, 4]
     first, second = heard.values()
@@ -225,7 +224,7 @@ def test_a_guided_search_gives_each_filter_measurements_of_its_own(tmp_path, mon
 
 def test_landmarks_of_a_guided_search_are_not_judged_by_the_truth_of_other_tracks(tmp_path):
     """Each search numbers its own corners: the same id is another point in the stream without a filter."""
-    result = run_benchmark(replace(STREET, search="forecast", filters=STREET.filters[:1]), tmp_path / "out", jobs=1)
+    result = run_benchmark(STREET.replaced(search="forecast", filters=STREET.filters[:1]), tmp_path / "out", jobs=1)
     (guided,) = result.runs
     assert np.isnan(guided.landmark_nees).all()
     assert np.isnan(guided.landmark_rmse).all()
@@ -273,7 +272,7 @@ def test_a_search_that_fails_is_not_passed_over(folder):
 
 def test_results_of_another_renderer_are_not_mixed_in(tmp_path):
     open_study(tmp_path / "out", Study.of(STREET))
-    other = replace(STREET, name="another", source=STREET.source.replaced(renderer="gl"))
+    other = STREET.replaced(name="another", source=STREET.source.replaced(renderer="gl"))
     with pytest.raises(ValueError, match=r'holds a run with options\.renderer = null, now it is "gl": choose another'):
         open_study(tmp_path / "out", Study.of(other))
 
@@ -281,7 +280,7 @@ def test_results_of_another_renderer_are_not_mixed_in(tmp_path):
 @pytest.mark.usefixtures("in_this_process")
 def test_recordings_drawn_by_different_renderers_are_not_compared(tmp_path, monkeypatch):
     """Another version or device of the renderer of the same name draws other pictures, too."""
-    short = replace(STREET, filters=STREET.filters[:1], frames=2)
+    short = STREET.replaced(filters=STREET.filters[:1], frames=2)
     run_benchmark(short, tmp_path / "out", jobs=1)
     monkeypatch.setattr(recorder, "renderer_identity", lambda name: {"name": name, "version": "next"})
     with pytest.raises(ValueError, match=r"were drawn by different renderers, .*next.* not to be compared"):

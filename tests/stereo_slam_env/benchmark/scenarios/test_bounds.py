@@ -15,10 +15,10 @@ STREET = 'name = "huge"\nkind = "street"\n'
     [
         (
             HEAD + SHORT + "seeds = [18446744073709551616]",
-            r"seeds\[0\] must be .* at most 9.22337e\+18, got 1.84467e\+19",
+            r"seeds\[0\] must be a whole number <= 9223372036854775807, got 18446744073709551616",
         ),
         (HEAD + SHORT + "seeds = [9223372036854775808]", r"seeds\[0\] must be .*9\.?22337"),
-        (HEAD + SHORT + f"seeds = [{10**400}]", r"seeds\[0\] must be .*, got 10000000000000000000\.\.\."),
+        (HEAD + SHORT + f"seeds = [{10**400}]", r"seeds\[0\] must be .*, got 10000000000000000000.*\.\.\."),
         (HEAD + SHORT + "seeds = [-1]", r"seeds\[0\] must be .* >= 0, got -1"),
         (
             HEAD + 'options = { name = "short_turn", sigma = 1e308 }',
@@ -34,7 +34,7 @@ STREET = 'name = "huge"\nkind = "street"\n'
         (HEAD + SHORT + "noise = { independent_pixels = 1e308 }", r"noise.independent_pixels must be .*got 1e\+308"),
         (HEAD + SHORT + "noise = { diagonal = [1, 1, 1e308] }", r"noise.diagonal\[2\] must be .*got 1e\+308"),
         (HEAD + SHORT + "motion = { sigma_acceleration = 1e308 }", r"motion.sigma_acceleration must be .*got 1e\+308"),
-        (HEAD + SHORT + "frames = 1000000000", r"frames must be .* at most 1e\+06, got 1e\+09"),
+        (HEAD + SHORT + "frames = 1000000000", r"frames must be a whole number <= 1000000, got 1000000000"),
         (HEAD + SHORT + "frame_time_limit = 1e300", r"frame_time_limit must be a number <= 1000000.0, got 1e\+300"),
         (
             HEAD + SHORT + 'corruptions = [{ kind = "latency", frames = 1000000000 }]',

@@ -28,7 +28,7 @@ SCENARIO = Scenario(
 
 
 def bench(out, **changes):
-    return run_benchmark(replace(SCENARIO, **changes), out, jobs=1).out
+    return run_benchmark(SCENARIO.replaced(**changes), out, jobs=1).out
 
 
 @pytest.fixture(scope="module")
@@ -173,7 +173,7 @@ def test_times_of_different_machines_are_not_comparable(stored, tmp_path):
 
 def test_a_grid_is_compared_cell_by_cell(tmp_path):
     cells = tuple(
-        Cell(f"gate-{gate}", {"gate": gate}, replace(SCENARIO, gate=gate, seeds=(0, 1))) for gate in (0.9, 0.99)
+        Cell(f"gate-{gate}", {"gate": gate}, SCENARIO.replaced(gate=gate, seeds=(0, 1))) for gate in (0.9, 0.99)
     )
     before = run_benchmark(Study("grid", cells), tmp_path / "before", jobs=1)
     comparison = compare(before, shutil.copytree(before.out, tmp_path / "after"))
@@ -206,7 +206,7 @@ def test_recordings_of_another_kind_are_refused_in_one_line(stored, tmp_path):
 
 def test_a_grid_that_came_out_alike_is_one_line(tmp_path):
     cells = tuple(
-        Cell(f"gate-{gate}", {"gate": gate}, replace(SCENARIO, gate=gate, seeds=(0, 1))) for gate in (0.9, 0.95, 0.99)
+        Cell(f"gate-{gate}", {"gate": gate}, SCENARIO.replaced(gate=gate, seeds=(0, 1))) for gate in (0.9, 0.95, 0.99)
     )
     before = run_benchmark(Study("grid", cells), tmp_path / "before", jobs=1)
     comparison = compare(before, shutil.copytree(before.out, tmp_path / "after"))

@@ -147,17 +147,17 @@ def test_trials_of_other_code_are_run_again(finished, monkeypatch):
 
 
 def test_more_seeds_and_filters_may_join(finished):
-    more = replace(SCENARIO, seeds=(0, 1, 2), filters=(*SCENARIO.filters, filter_choice("inverse-depth")))
+    more = SCENARIO.replaced(seeds=(0, 1, 2), filters=(*SCENARIO.filters, filter_choice("inverse-depth")))
     assert len(opened(finished.out, more).missing()) == 4
 
 
 def test_other_settings_are_refused_and_nothing_is_lost(finished):
     before = (finished.out / "settings.json").read_text()
     with pytest.raises(ValueError, match=r"holds a run with gate = 0.99, now it is 0.9: choose another"):
-        opened(finished.out, replace(SCENARIO, gate=0.9))
-    changed = replace(SCENARIO.filters[0], options={"min_disparity": 5.0})
+        opened(finished.out, SCENARIO.replaced(gate=0.9))
+    changed = SCENARIO.filters[0].replaced(options={"min_disparity": 5.0})
     with pytest.raises(ValueError, match=r"euclidean\.npz was made with other options"):
-        opened(finished.out, replace(SCENARIO, filters=(changed,)))
+        opened(finished.out, SCENARIO.replaced(filters=(changed,)))
     assert (finished.out / "settings.json").read_text() == before
 
 
@@ -170,7 +170,7 @@ def test_a_damaged_trial_is_named(finished):
 
 
 def test_filters_that_were_not_given_the_same_stream_are_found_out(tmp_path):
-    scenario = replace(SCENARIO, filters=(filter_choice("euclidean"), filter_choice("inverse-depth")), seeds=(0,))
+    scenario = SCENARIO.replaced(filters=(filter_choice("euclidean"), filter_choice("inverse-depth")), seeds=(0,))
     directory = fill(tmp_path / "out", scenario)
     run = directory.load()[0][1]
     provenance = directory.provenance(0, scenario.filters[1])
