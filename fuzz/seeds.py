@@ -22,7 +22,7 @@ from stereo_slam_env.benchmark.scenarios.streams import description_of
 from stereo_slam_env.benchmark.scenarios.study import Study
 from stereo_slam_env.benchmark.storage.code_identity import code_digest
 from stereo_slam_env.benchmark.storage.run_files import packed_bound, packed_run
-from stereo_slam_env.benchmark.storage.store import open_study
+from stereo_slam_env.benchmark.storage.store import prepared_study
 from stereo_slam_env.evaluation.cramer_rao import cramer_rao_bound
 from stereo_slam_env.evaluation.drift_model import DriftModel, claim
 from stereo_slam_env.evaluation.filter_run import run_filter
@@ -320,7 +320,7 @@ def finished() -> Files:
     scenario = Scenario("one", ReferenceSource("short_turn"), (choice,), frames=4)
     with TemporaryDirectory() as folder:
         out = Path(folder) / "run"
-        (directory,) = open_study(out, Study.of(scenario)).cells
+        (directory,) = prepared_study(out, Study.of(scenario)).write_settings().cells
         directory.save_recording(0, packed_recording(_drive()), description_of(_drive()))
         ran = run_filter(_drive(), "inverse-depth", seed=0)
         directory.save_trial(0, choice, packed_run(ran, directory.provenance(0, choice)))

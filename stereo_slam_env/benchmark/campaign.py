@@ -30,7 +30,6 @@ from stereo_slam_env.benchmark.storage.result_tables import CellResult, write_re
 from stereo_slam_env.benchmark.storage.store import (
     RunDirectory,
     StudyDirectory,
-    open_study,
     prepared_study,
 )
 from stereo_slam_env.evaluation.body_frames import read_body
@@ -162,8 +161,11 @@ def run_checked(
 ) -> BenchmarkResult:
     """Run a study that `check_study` has passed, in a directory of `prepared_study`; as `run_benchmark`."""
     with claimed_folder(directory.root), _interruptible():
-        directory = open_study(directory.out, directory.study)
-        _run_missing(directory.cells, backend, progress or (lambda done, total: None))
+        directory = prepared_study(directory.out, directory.study)  # somebody may have written there meanwhile
+        cells = directory.cells
+        missing = [Missing(number, seed, choice) for number, run in enumerate(cells) for seed, choice in run.missing()]
+        directory.write_settings()
+        _run_missing(cells, missing, backend, progress or (lambda done, total: None))
         results = write_results(directory)
         page = None if write_report is None else write_report(directory, results)
     return BenchmarkResult(directory.out, tuple(results), page)
@@ -253,9 +255,10 @@ _FEW = 2
 """Recordings for which nothing is loaded beforehand."""
 
 
-def _run_missing(cells: Sequence[RunDirectory], backend: Backend, progress: Progress) -> None:
+def _run_missing(
+    cells: Sequence[RunDirectory], missing: Sequence[Missing], backend: Backend, progress: Progress
+) -> None:
     """Make what is missing and keep each result as soon as it is there."""
-    missing = [Missing(number, seed, choice) for number, run in enumerate(cells) for seed, choice in run.missing()]
     wanted = sum(len(run.seeds) * (len(run.scenario.competitors) + run.scenario.has_bound) for run in cells)
     work = _Work(cells, backend, progress, wanted - len(missing), wanted)
     to_record = work.to_record(missing)

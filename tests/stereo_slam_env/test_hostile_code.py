@@ -17,7 +17,7 @@ from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, Scenario
 from stereo_slam_env.benchmark.scenarios.study import MOST_TRIALS, Study, load_study
 from stereo_slam_env.benchmark.storage.result_tables import write_results
 from stereo_slam_env.benchmark.storage.run_files import load_run, packed_run
-from stereo_slam_env.benchmark.storage.store import open_study, read_study
+from stereo_slam_env.benchmark.storage.store import prepared_study, read_study
 from stereo_slam_env.cli.app import main
 from stereo_slam_env.cli.shared_options import console
 from stereo_slam_env.evaluation.filter_run import run_filter
@@ -224,7 +224,7 @@ def test_nor_do_those_of_a_name_that_is_shown(capsys):
 
 def test_results_do_not_name_files_outside_their_folder(tmp_path):
     scenario = Scenario("one", ReferenceSource("short_turn"), (FilterChoice("paper", "inverse-depth"),))
-    (directory,) = open_study(tmp_path / "run", Study.of(scenario)).cells
+    (directory,) = prepared_study(tmp_path / "run", Study.of(scenario)).write_settings().cells
     run = run_filter(short_turn(seed=0, frames=3), "inverse-depth", label="../../../evil", seed=0)
     directory.save_trial(0, scenario.filters[0], packed_run(run, {"recording": {}, "code": "none"}))
     assert load_run(directory.trial_path(0, scenario.filters[0])).run.filter_name == "../../../evil"
@@ -254,7 +254,7 @@ def test_nor_do_filters(label, tmp_path):
 
 def test_reading_the_results_of_a_factory_calls_nothing(evil):
     scenario = Scenario("x", FactorySource("evil_module:make"), (FilterChoice("paper", "euclidean"),))
-    (directory,) = open_study(evil.parent / "run", Study.of(scenario)).cells
+    (directory,) = prepared_study(evil.parent / "run", Study.of(scenario)).write_settings().cells
     run = run_filter(short_turn(seed=0, frames=3), "euclidean", label="paper", seed=0)
     provenance = {"recording": {"name": "x", "stream_sha256": "0"}, "code": "none"}
     directory.save_trial(0, scenario.filters[0], packed_run(run, provenance))

@@ -283,7 +283,7 @@ class RunDirectory:
 
 
 class StudyDirectory:
-    """Run directory `out` of a study. `open_study` starts or resumes one, `read_study` reads one.
+    """Run directory `out` of a study. `prepared_study` starts or resumes one, `read_study` reads one.
 
     `cells` has a `RunDirectory` for each cell; that of a study of one scenario is `out` itself. `root` is the directory
     that the run shares with others: of a cell that of its grid.
@@ -298,6 +298,13 @@ class StudyDirectory:
             RunDirectory(place, cell, self.root) for place, cell in zip(places, study.cells, strict=True)
         )
 
+    def write_settings(self) -> StudyDirectory:
+        """Write the study and the settings of its cells, where it is started or resumed; returns itself."""
+        write_json(self.out / STUDY, self.study.as_dict())
+        for run in self.cells:
+            write_json(run.out / SETTINGS, run.settings())
+        return self
+
     def write_trajectories(self) -> None:
         """Write the trajectories of all recordings that are kept."""
         for directory in self.cells:
@@ -307,15 +314,6 @@ class StudyDirectory:
 def _code_in(provenance: Mapping[str, Any]) -> tuple[str | None, str | None]:
     """Digests of our code and of that of the filter and policy that made a trial."""
     return provenance.get("code"), provenance.get("plugin_code")
-
-
-def open_study(out: Path, study: Study) -> StudyDirectory:
-    """Start a study, or resume the one in `out`, whose finished trials are kept; raises as `prepared_study`."""
-    directory = prepared_study(out, study)
-    write_json(out / STUDY, study.as_dict())
-    for run in directory.cells:
-        write_json(run.out / SETTINGS, run.settings())
-    return directory
 
 
 def prepared_study(out: Path, study: Study) -> StudyDirectory:
@@ -333,7 +331,6 @@ def prepared_study(out: Path, study: Study) -> StudyDirectory:
         refuse_foreign(run.out)
         if (run.out / SETTINGS).exists():
             refuse_other_settings(run.out, _scenario_in(run.out).as_dict(), run.scenario.as_dict())
-        run.missing()
     return directory
 
 

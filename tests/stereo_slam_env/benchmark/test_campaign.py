@@ -13,6 +13,7 @@ from stereo_slam_env.benchmark import FilterChoice, Scenario, campaign, run_benc
 from stereo_slam_env.benchmark.recordings.sources import DatasetSource, FactorySource, ReferenceSource
 from stereo_slam_env.benchmark.scenarios.scenario import filter_choice
 from stereo_slam_env.benchmark.scenarios.study import Study, study_from
+from stereo_slam_env.benchmark.storage import store
 from stereo_slam_env.benchmark.storage.result_tables import write_results
 from stereo_slam_env.benchmark.storage.store import prepared_study, read_study
 from stereo_slam_env.evaluation.trial import Trial
@@ -83,6 +84,19 @@ def test_an_interrupted_run_goes_on_where_it_stopped(tmp_path, monkeypatch):
     made.clear()
     run_benchmark(SHORT, tmp_path / "out", jobs=1)
     assert made == []
+
+
+def test_a_resumed_run_looks_at_each_finished_trial_once_before_it_works(tmp_path, monkeypatch):
+    run_benchmark(SHORT, tmp_path / "out", jobs=1)
+    looked_at, look = [], store.load_provenance
+    monkeypatch.setattr(store, "load_provenance", lambda path, **how: looked_at.append(path) or look(path, **how))
+
+    def stop_before_work(done, total):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_benchmark(SHORT, tmp_path / "out", jobs=1, progress=stop_before_work)
+    assert sorted(looked_at) == sorted((tmp_path / "out").glob("trials/*/*.npz"))
 
 
 def test_what_an_interruption_breaks_on_its_way_out_is_an_interruption(tmp_path):

@@ -9,7 +9,7 @@ import pytest
 from stereo_slam_env.benchmark.recordings.sources import ReferenceSource
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, Scenario
 from stereo_slam_env.benchmark.scenarios.study import Study
-from stereo_slam_env.benchmark.storage.store import open_study, prepared_study, root_of
+from stereo_slam_env.benchmark.storage.store import prepared_study, root_of
 from stereo_slam_env.cli import app as cli
 from stereo_slam_env.files.folders import (
     CLAIM,
@@ -169,7 +169,7 @@ def test_settings_of_other_programs_are_no_run(settings, stranger, capsys):
     before = content(stranger, (*STRANGE, "settings.json"))
     for study in (Study.of(one()), Study("two", (*Study.of(one()).cells, *Study.of(one("two")).cells))):
         with pytest.raises(ValueError, match="is not empty and holds no run"):
-            open_study(stranger, study)
+            prepared_study(stranger, study).write_settings()
     if "versions" not in settings:
         assert cli.main(["paper", "--quick", "--out", str(stranger)]) == 2
     assert content(stranger, (*STRANGE, "settings.json")) == before
@@ -184,7 +184,7 @@ def test_a_folder_that_is_no_run_is_not_walked(command, stranger, capsys):
 
 
 def test_a_link_of_the_user_in_a_run_is_left_alone(tmp_path, capsys):
-    open_study(tmp_path / "run", Study.of(one()))
+    prepared_study(tmp_path / "run", Study.of(one())).write_settings()
     (tmp_path / "run" / "env").mkdir()
     (tmp_path / "run" / "env" / "lib").symlink_to("/usr")
     assert cli.main(["submit", str(tmp_path / "run"), "--out", str(tmp_path / "p.json")]) == 2

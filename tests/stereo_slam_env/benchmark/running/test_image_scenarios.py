@@ -23,7 +23,7 @@ from stereo_slam_env.benchmark.scenarios.streams import (
 )
 from stereo_slam_env.benchmark.scenarios.study import Study, preset
 from stereo_slam_env.benchmark.storage.result_tables import write_results
-from stereo_slam_env.benchmark.storage.store import open_study, read_study
+from stereo_slam_env.benchmark.storage.store import prepared_study, read_study
 from stereo_slam_env.envs import recorder
 from stereo_slam_env.envs.recorder import RenderedDrive
 from stereo_slam_env.evaluation.filter_run import run_filter
@@ -271,10 +271,10 @@ def test_a_search_that_fails_is_not_passed_over(folder):
 
 
 def test_results_of_another_renderer_are_not_mixed_in(tmp_path):
-    open_study(tmp_path / "out", Study.of(STREET))
+    prepared_study(tmp_path / "out", Study.of(STREET)).write_settings()
     other = STREET.replaced(name="another", source=STREET.source.replaced(renderer="gl"))
     with pytest.raises(ValueError, match=r'holds a run with options\.renderer = null, now it is "gl": choose another'):
-        open_study(tmp_path / "out", Study.of(other))
+        prepared_study(tmp_path / "out", Study.of(other)).write_settings()
 
 
 @pytest.mark.usefixtures("in_this_process")

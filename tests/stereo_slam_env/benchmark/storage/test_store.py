@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from filters.geometry import rotations
+from stereo_slam_env.benchmark import run_benchmark
 from stereo_slam_env.benchmark.recordings.sources import ReferenceSource
 from stereo_slam_env.benchmark.scenarios.scenario import Scenario, filter_choice
 from stereo_slam_env.benchmark.scenarios.streams import stream_digest
@@ -39,7 +40,7 @@ DESIGNED_KEYS = {
 
 def opened(out, scenario):
     """The only cell of a study of one scenario."""
-    (directory,) = store.open_study(out, Study.of(scenario)).cells
+    (directory,) = store.prepared_study(out, Study.of(scenario)).write_settings().cells
     return directory
 
 
@@ -157,7 +158,7 @@ def test_other_settings_are_refused_and_nothing_is_lost(finished):
         opened(finished.out, SCENARIO.replaced(gate=0.9))
     changed = SCENARIO.filters[0].replaced(options={"min_disparity": 5.0})
     with pytest.raises(ValueError, match=r"euclidean\.npz was made with other options"):
-        opened(finished.out, SCENARIO.replaced(filters=(changed,)))
+        run_benchmark(SCENARIO.replaced(filters=(changed,)), finished.out, jobs=1)
     assert (finished.out / "settings.json").read_text() == before
 
 
