@@ -208,20 +208,17 @@ _UNLIKE = 20.0
 
 def _show(model: DriftModel) -> None:
     """Print how the drives are covered by the model of the others."""
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table
+    from stereo_slam_env.report.trajectory_table import show_table
 
     if model.coverage_error is None:
         typer.echo("one drive: nothing is known of its coverage of another one, give two or more; ten are few")
         return
-    table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    for title in ("windows, s", "drives", "NEES / 6", "inside the 90 % ellipsoid, %"):
-        table.add_column(title, justify="right")
-    for check in model.checks:
-        table.add_row(
-            f"{check.seconds:g}", f"{check.drives}", f"{check.nees / 6.0:.2f}", f"{100.0 * check.coverage:.0f}"
-        )
-    console().print(table, highlight=False)
+    headings = ("windows, s", "drives", "NEES / 6", "inside the 90 % ellipsoid, %")
+    rows = (
+        (f"{check.seconds:g}", f"{check.drives}", f"{check.nees / 6.0:.2f}", f"{100.0 * check.coverage:.0f}")
+        for check in model.checks
+    )
+    show_table(console(), headings, rows, right=headings)
     typer.echo(
         f"each of {len(model.drives)} drives by the model of the others; 90 % are covered on average, "
         f"± {100.0 * model.coverage_error:.0f} % by their number, after the variances were multiplied by "

@@ -39,6 +39,7 @@ from stereo_slam_env.benchmark.storage.result_tables import CellResult
 from stereo_slam_env.evaluation.figures import FIGURES, UNKNOWN, Figure
 from stereo_slam_env.evaluation.results import FilterSummary
 from stereo_slam_env.recording.recording import Recording
+from stereo_slam_env.report.trajectory_table import show_table
 
 if TYPE_CHECKING:  # runs the front end
     from stereo_slam_env.benchmark.campaign import Progress as ProgressCallback
@@ -248,12 +249,7 @@ def show_comparison(console: Console, comparison: RunComparison) -> None:
     for warning in comparison.warnings:
         console.print(f"[yellow]note[/yellow]: {escape(warning)}", highlight=False, soft_wrap=True)
     if comparison.shown:
-        table = Table(box=SIMPLE_HEAD, pad_edge=False)
-        for heading in comparison.columns:
-            table.add_column(heading, justify="right" if heading in ("before", "after") else "left")
-        for row in comparison.as_rows():
-            table.add_row(*map(escape, row))
-        console.print(table, highlight=False)
+        show_table(console, comparison.columns, comparison.as_rows(), right=("before", "after"))
     for line in comparison.rest:
         console.print(escape(line), highlight=False, soft_wrap=True)
 

@@ -7,12 +7,14 @@ from pathlib import Path
 
 from markupsafe import Markup
 
+from stereo_slam_env.evaluation.figures import readable
 from stereo_slam_env.evaluation.trajectory_runs import RunsScore
 from stereo_slam_env.evaluation.trajectory_score import PairedVerdict, TrajectoryScore
 from stereo_slam_env.report.charts import trajectories
 from stereo_slam_env.report.page import clean_figures, figure_block, part, write_page
 from stereo_slam_env.report.page_sections import Column, TableCell, data_section, table
 from stereo_slam_env.report.trajectory_table import (
+    RUNS,
     alignment_text,
     gauge_rows,
     headline,
@@ -72,15 +74,14 @@ def write_trajectory_report(
     body += [_path(scores, folder), *_consistency(scores, folder), *_windows(scores, folder)]
     body += [part("section", "Figures", "", [_figures(scores)]), data_section(out)]
     first = scores[0]
-    subtitle = f"{first.frames} scored poses over {first.path_m:.0f} m · aligned: {alignment_text(first)}"
+    subtitle = f"{first.frames} scored poses over {readable(first.path_m)} m · aligned: {alignment_text(first)}"
     return write_page(out / "report.html", title=f"{names} against {reference}", subtitle=subtitle, parts=body)
 
 
 def _together(runs: RunsScore, folder: Path) -> Markup:
     """What runs of one estimator show together."""
     caption = f"Mean over {len(runs.runs)} runs, which are independent: the more, the narrower the band."
-    headings = ["claim on", "ANEES / dof", "95 % band", "frames in band", "one by one"]
-    columns = [Column(headings[0], kind="text"), *map(Column, headings[1:]), Column("verdict", kind="words")]
+    columns = [Column(RUNS[0], kind="text"), *map(Column, RUNS[1:-1]), Column(RUNS[-1], kind="words")]
     chart = figure_block(trajectories.plot_runs(runs), "runs", caption, folder)
     guide = "Many runs together show what none of them shows alone."
     return part("section", "All runs together", guide, [chart, table(columns, runs_rows(runs))])

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from functools import partial
+from typing import Literal
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
@@ -21,15 +22,32 @@ from stereo_slam_env.evaluation.windows import WindowScore
 _Row = tuple[str, Callable[[TrajectoryScore], str]]
 
 
+RUNS = ("claim on", "ANEES / dof", "95 % band", "frames in band, %", "one by one", "verdict")
+"""Headings of `runs_rows`."""
+_LONGEST_WORD = 14
+"""Characters; longer ones, such as names of files, are broken where the console is narrow."""
+
+
+def show_table(
+    console: Console, headings: Sequence[str], rows: Iterable[Sequence[str]], right: Collection[str] = ()
+) -> None:
+    """Print a table on the console, whose first column is not wrapped; headings in `right` are of numbers."""
+    table, rows = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0)), list(rows)
+    for k, heading in enumerate(headings):
+        words = [word for text in (heading, *(row[k] for row in rows)) for word in text.split()]
+        justify: Literal["left", "right"] = "right" if heading in right else "left"
+        least = min(max(map(len, words)), _LONGEST_WORD)
+        table.add_column(escape(heading), justify=justify, no_wrap=k == 0, overflow="fold", min_width=least)
+    for row in rows:
+        table.add_row(*map(escape, row))
+    console.print(table, highlight=False)
+
+
 def show_trajectory_scores(console: Console, scores: Sequence[TrajectoryScore]) -> None:
     """Print errors, claims and windows of estimates against one reference; rows that none of them has are left out."""
-    table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    table.add_column(f"against {escape(scores[0].reference)}", no_wrap=True)
-    for score in scores:
-        table.add_column(escape(score.estimate), justify="right")
-    for title, cells in score_rows(scores):
-        table.add_row(title, *cells)
-    console.print(table, highlight=False)
+    names = [score.estimate for score in scores]
+    rows = ([title, *cells] for title, cells in score_rows(scores))
+    show_table(console, [f"against {scores[0].reference}", *names], rows, right=names)
     for note in notes_of(scores):
         console.print(f"[yellow]note[/yellow]: {escape(note)}", highlight=False, soft_wrap=True)
     for score in scores:
@@ -38,12 +56,7 @@ def show_trajectory_scores(console: Console, scores: Sequence[TrajectoryScore]) 
 
 def show_runs_score(console: Console, score: RunsScore) -> None:
     """Print what the runs of one estimator show together."""
-    table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    for title in ("runs together", "ANEES / dof", "95 % band", "frames in band, %", "one by one", "claim"):
-        table.add_column(title)
-    for row in runs_rows(score):
-        table.add_row(*row)
-    console.print(table, highlight=False)
+    show_table(console, RUNS, runs_rows(score))
     console.print(escape(score.words), highlight=False, soft_wrap=True)
 
 
@@ -60,8 +73,10 @@ def runs_rows(score: RunsScore) -> list[list[str]]:
 
 
 def notes_of(scores: Sequence[TrajectoryScore]) -> list[str]:
-    """What is to be known of the scores, each sentence once."""
-    return list(dict.fromkeys(note for score in scores for note in (*score.notes, unusable_note(score)) if note))
+    """Notes on the scores, each sentence once; of several estimates, with the name of the one that it is on."""
+    notes = ((score.estimate, note) for score in scores for note in (*score.notes, unusable_note(score)) if note)
+    named = (note if len(scores) == 1 or name in note else f"{name}: {note}" for name, note in notes)
+    return list(dict.fromkeys(named))
 
 
 def score_rows(scores: Sequence[TrajectoryScore]) -> list[tuple[str, list[str]]]:
@@ -83,7 +98,7 @@ def headline(score: TrajectoryScore) -> str:
         said = f"its covariance is not judged ({claim.obstacle})"
     elif claim.of_a_pair:
         said = score.verdict
-    return f"{score.estimate}: position error {error} m RMS over {score.path_m:.0f} m; {said}."
+    return f"{score.estimate}: position error {error} m RMS over {readable(score.path_m)} m; {said}."
 
 
 def unusable_note(score: TrajectoryScore) -> str:
