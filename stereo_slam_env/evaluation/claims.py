@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
@@ -125,37 +125,6 @@ def error_ratio(mean_nees: float, dof: int) -> float:
     return float(np.sqrt(mean_nees / dof))
 
 
-def claim_score(
-    values: FloatArray,
-    claimed: FloatArray,
-    sharpness: FloatArray,
-    dof: int,
-    unusable: int,
-    obstacle: str,
-    of_a_pair: bool,
-) -> ClaimScore:
-    """The score of NEES (K,) and half log volumes (K,) of usable frames; `claimed` is the NEES before an alignment."""
-    median, ideal = float(np.median(values)), chi_square_quantile(0.5, dof)
-    return ClaimScore(
-        dof=dof,
-        frames=len(values),
-        unusable=unusable,
-        nees=mean_interval(values),
-        median_nees=median,
-        band=mean_band(dof, 1),
-        scale_gap=median / ideal,
-        claimed_scale_gap=float(np.median(claimed)) / ideal,
-        coverage={p: float(np.mean(values <= chi_square_quantile(p, dof))) for p in COVERED},
-        log_score=mean_interval(0.5 * values + sharpness),
-        calibration=0.5 * float(values.mean()),
-        sharpness=float(sharpness.mean()),
-        crps=None,
-        energy_score=None,
-        obstacle=obstacle,
-        of_a_pair=of_a_pair,
-    )
-
-
 def crps(errors: FloatArray, covariances: FloatArray) -> FloatArray:
     """Continuous ranked probability score (K,) of errors (K, n), mean over axes, of Gaussians (K, n, n).
 
@@ -239,21 +208,30 @@ def score_claims(pair: AlignedPair, obstacles: Mapping[str, str], of_a_pair: boo
     scores: dict[str, FloatArray] = {}
     for name, numbers in claimed_numbers(estimate.rows(usable)).items():
         dof = numbers.shape[-2]
-        own_errors, own = rotations.turned(numbers, errors), transformed(numbers, covariances)
-        values, sharpness = np.full((2, len(usable)), np.nan)
-        values[usable] = nees(own_errors, own)
-        before = nees_of(numbers, errors, as_claimed)
-        sharpness[usable] = 0.5 * (np.linalg.slogdet(own)[1] + dof * np.log(2.0 * np.pi))
-        series[name], scores[name] = values, 0.5 * values + sharpness
-        none = int(np.count_nonzero(~usable))
-        claim = claim_score(values[usable], before, sharpness[usable], dof, none, obstacles[name], of_a_pair)
-        if name == "position":
-            claim = replace(
-                claim,
-                crps=float(crps(own_errors, own).mean()),
-                energy_score=float(energy_scores(own_errors, own).mean()),
-            )
-        claims[name] = claim
+        own_errors, variances = rotations.turned(numbers, errors), transformed(numbers, covariances)
+        values, ideal = nees(own_errors, variances), chi_square_quantile(0.5, dof)
+        sharpness = 0.5 * (np.linalg.slogdet(variances)[1] + dof * np.log(2.0 * np.pi))
+        series[name], scores[name] = np.full((2, len(usable)), np.nan)
+        series[name][usable], scores[name][usable] = values, 0.5 * values + sharpness
+        median, is_position = float(np.median(values)), name == "position"
+        claims[name] = ClaimScore(
+            dof=dof,
+            frames=len(values),
+            unusable=int(np.count_nonzero(~usable)),
+            nees=mean_interval(values),
+            median_nees=median,
+            band=mean_band(dof, 1),
+            scale_gap=median / ideal,
+            claimed_scale_gap=float(np.median(nees_of(numbers, errors, as_claimed))) / ideal,
+            coverage={p: float(np.mean(values <= chi_square_quantile(p, dof))) for p in COVERED},
+            log_score=mean_interval(0.5 * values + sharpness),
+            calibration=0.5 * float(values.mean()),
+            sharpness=float(sharpness.mean()),
+            crps=float(crps(own_errors, variances).mean()) if is_position else None,
+            energy_score=float(energy_scores(own_errors, variances).mean()) if is_position else None,
+            obstacle=obstacles[name],
+            of_a_pair=of_a_pair,
+        )
     return ScoredClaims(claims, series, scores)
 
 

@@ -14,15 +14,19 @@ from msgspec.structs import asdict, force_setattr
 from filters.catalogue.registry import USUAL, usual_options
 from filters.contract.noise import StereoNoise
 from filters.contract.validation import gate_probability, require_known
-from stereo_slam_env.benchmark.recordings.source import FILE_NAME, CheckedStruct, Renderer, Source, checked
-from stereo_slam_env.benchmark.recordings.sources import StreetSource, known_kinds, source_of
-from stereo_slam_env.benchmark.scenarios.bounds import (
+from stereo_slam_env.benchmark.recordings.source import (
+    FILE_NAME,
     MOST_CORRUPTIONS,
     MOST_FRAMES,
     MOST_SECONDS,
     MOST_SEED,
+    CheckedStruct,
+    Renderer,
+    Source,
+    checked,
     require_bounded,
 )
+from stereo_slam_env.benchmark.recordings.sources import StreetSource, known_kinds, source_of
 from stereo_slam_env.recording.filter_setup import FilterSetup
 
 if TYPE_CHECKING:
