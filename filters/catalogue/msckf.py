@@ -208,28 +208,25 @@ class MultiStateConstraintEKF(StereoEKF):
         R = self.noise.R[None] if observation.R is None else observation.R
         numbers[:, :r, :r] = np.linalg.inv(np.linalg.cholesky(R[:, :r, :r]))  # whitens
         numbers[:, 3] = observation.uvd - [self.camera.cx, self.camera.cy, 0.0]
-        numbers_by_id = dict(zip(ids, numbers, strict=True))
-        ended = [i for i in self._tracks if i not in numbers_by_id]
-        moved = r == 3 or not self._stands(numbers_by_id)
-        full = sorted(
-            i for i, track in self._tracks.items() if len(track) == self.window and i in numbers_by_id and moved
-        )
-        corrected_ids = self._correct_by({i: self._tracks.pop(i) for i in (*ended, *full)})
+        rows_by_id = dict(zip(ids, numbers, strict=True))
+        ended = [i for i in self._tracks if i not in rows_by_id]
+        moved = r == 3 or not self._stands(rows_by_id)
+        full = sorted(i for i, track in self._tracks.items() if len(track) == self.window and i in rows_by_id and moved)
+        report = self._correct_by({i: self._tracks.pop(i) for i in (*ended, *full)})
         new = [i for i in ids if i not in in_map and i not in self._tracks and i not in full]
-        in_map.update((full + new)[: max(self.map_landmarks - len(in_map & numbers_by_id.keys()), 0)])
+        in_map.update((full + new)[: max(self.map_landmarks - len(in_map & rows_by_id.keys()), 0)])
         mine = super().update(observation.select(np.array([i in in_map for i in ids], dtype=np.bool_)))
         if moved:
             if self._frame >= self.window:
                 self.forget_clone(self._names[0])
             self.clone_pose(f"window {self._frame}")
             self._frame, self._since = self._frame + 1, 0.0
-            for i in numbers_by_id.keys() - set(self.ids.tolist()):
-                self._tracks.setdefault(i, []).append(numbers_by_id[i])
+            for i in rows_by_id.keys() - set(self.ids.tolist()):
+                self._tracks.setdefault(i, []).append(rows_by_id[i])
         both = {
-            n: np.concatenate([getattr(corrected_ids, n), getattr(mine, n)])
-            for n in ("updated", "gated", "behind_camera")
+            n: np.concatenate([getattr(report, n), getattr(mine, n)]) for n in ("updated", "gated", "behind_camera")
         }
-        return replace(mine, **both, nis=corrected_ids.nis + mine.nis, nis_dof=corrected_ids.nis_dof + mine.nis_dof)
+        return replace(mine, **both, nis=report.nis + mine.nis, nis_dof=report.nis_dof + mine.nis_dof)
 
     def forget(self, ids: Sequence[int] | NDArray[np.int64]) -> None:
         """Forget landmarks and tracks."""

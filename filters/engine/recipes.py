@@ -34,12 +34,7 @@ from filters.kernels.sigma_points import fit
 def recipe_of(camera: StereoCamera, options: Options) -> Recipe:
     """Recipe of a filter, in plain numbers and functions."""
     layout, model, sensor, motion = options.layout, options.landmark, options.measurement, options.motion
-    landmark, sensor_functions, driven, error = (
-        functions_of(model),
-        functions_of(sensor),
-        functions_of(motion),
-        options.error,
-    )
+    landmark, sensing, driven, error = (functions_of(model), functions_of(sensor), functions_of(motion), options.error)
     sigma_points = options.update.sigma_points(layout.measured + 3 * model.anchored + model.size)
     values, v = ValuePlaces(layout), layout.places[VELOCITY].start
     prior = np.zeros((0, 0)) if model.prior is None else np.array(model.prior, dtype=np.float64)
@@ -47,7 +42,7 @@ def recipe_of(camera: StereoCamera, options: Options) -> Recipe:
     plan = Plan(
         camera=np.array((camera.fx, camera.fy, camera.cx, camera.cy, camera.baseline)),
         landmark=settings_of(model, landmark),
-        sensor=settings_of(sensor, sensor_functions),
+        sensor=settings_of(sensor, sensing),
         motion=settings_of(motion, driven),
         size=model.size,
         prior=prior,
@@ -87,7 +82,7 @@ def recipe_of(camera: StereoCamera, options: Options) -> Recipe:
         gauge_walk=float(options.gauge_walk),
         **stage_tables((sensor.rows(False), sensor.rows(True)), sensor.size, options.gate),
     )
-    return Recipe(plan, landmark, sensor_functions, driven, sensor.size, model.value_size, model.seen_size, values.size)
+    return Recipe(plan, landmark, sensing, driven, sensor.size, model.value_size, model.seen_size, values.size)
 
 
 def _places(numbers: Sequence[int] | IntArray) -> IntArray:

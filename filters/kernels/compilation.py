@@ -172,14 +172,8 @@ def sources_digest(module: str) -> str:
 
 def stamped(function: Callable[..., Any]) -> Callable[..., Any]:
     """The same function under a name with the digest of its sources, which is what Numba keeps its machine code by."""
-    function_type: Any = function
-    parts = (
-        function_type.__code__,
-        function_type.__globals__,
-        function_type.__name__,
-        function_type.__defaults__,
-        function_type.__closure__,
-    )
+    untyped: Any = function
+    parts = (untyped.__code__, untyped.__globals__, untyped.__name__, untyped.__defaults__, untyped.__closure__)
     copy = FunctionType(*parts)
     copy.__module__, copy.__doc__ = function.__module__, function.__doc__
     copy.__qualname__ = f"{function.__qualname__}.{sources_digest(function.__module__)}"

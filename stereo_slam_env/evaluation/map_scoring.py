@@ -222,16 +222,12 @@ class TraceRecorder:
         """Note the traced landmarks in the maps of the next frames."""
         observations = {one.number: one.frame.observation for one in maps}
         for label, landmark in self._chosen.items():
-            of_landmark = view[view.ids == landmark]
+            views = view[view.ids == landmark]
             for number, depth, sigma, point in zip(
-                of_landmark.frames.tolist(), *depths(of_landmark, self._camera), of_landmark.true_points, strict=True
+                views.frames.tolist(), *depths(views, self._camera), views.true_points, strict=True
             ):
-                measurement = observations[number].uvd[observations[number].ids == landmark, 2]
-                measured = (
-                    self._camera.disparity_constant / measurement[0]
-                    if measurement.size and measurement[0] > 0
-                    else np.nan
-                )
+                d = observations[number].uvd[observations[number].ids == landmark, 2]
+                measured = self._camera.disparity_constant / d[0] if d.size and d[0] > 0 else np.nan
                 self._rows[label].append((number, depth, sigma, point[2], measured))
 
     def traces(self) -> tuple[LandmarkTrace, ...]:

@@ -117,12 +117,9 @@ class TrajectoryScore:
             return "none: no covariance is claimed"
         if not self.depends_on_the_gauge or claim.obstacle:
             return claim.verdict
-        dof, other_alignments = (
-            self.gauges[0].dof,
-            (f"{one.nees / one.dof:.3g} ({one.alignment})" for one in self.gauges),
-        )
+        dof, ratios = (self.gauges[0].dof, (f"{one.nees / one.dof:.3g} ({one.alignment})" for one in self.gauges))
         doubt = "but it depends on the alignment, which no header says"
-        return f"{claim.verdict}; {doubt}: NEES / {dof} is {', '.join(other_alignments)}"
+        return f"{claim.verdict}; {doubt}: NEES / {dof} is {', '.join(ratios)}"
 
     def _repr_html_(self) -> str:
         from stereo_slam_env.recording import notebook_html as html
@@ -154,12 +151,8 @@ class TrajectoryScore:
         }
         gauges = [asdict(one) | {"verdict": one.verdict} for one in self.gauges]
         lists = {"gauges": gauges, "windows": [asdict(one) for one in self.windows]}
-        verdict_words = {
-            "verdict": self.verdict,
-            "depends_on_the_gauge": self.depends_on_the_gauge,
-            "notes": list(self.notes),
-        }
-        return {"schema": SCHEMA} | plain | {"claims": claims} | lists | verdict_words
+        words = {"verdict": self.verdict, "depends_on_the_gauge": self.depends_on_the_gauge, "notes": list(self.notes)}
+        return {"schema": SCHEMA} | plain | {"claims": claims} | lists | words
 
     def against(self, other: TrajectoryScore) -> PairedVerdict:
         """This estimate against another one of the same drive, on the frames that both have.
@@ -300,29 +293,27 @@ def evaluate_trajectory(
     pairs = replace(pairs, estimate=matched, reference=truth)
     notes += fillers
     if not matched.is_oriented and (body is not None or align == "start"):
-        argument = "body" if body is not None else "align 'start'"
-        raise ValueError(
-            f"{argument} needs orientations, and positions alone are to be had: align by 'rigid', or 'none'"
-        )
+        what = "body" if body is not None else "align 'start'"
+        raise ValueError(f"{what} needs orientations, and positions alone are to be had: align by 'rigid', or 'none'")
     if body is not None:
         T_bc = body if isinstance(body, Pose) else find_body_offset(pairs.estimate, pairs.reference).T_bc
         pairs = replace(pairs, estimate=pairs.estimate.of_body(T_bc))
         if not isinstance(body, Pose):
             notes.append(f"the body was moved {np.linalg.norm(T_bc.position):.3g} m by what fits best: errors are low")
     matched, truth = pairs.estimate, pairs.reference
-    asked_alignment, said = gauge_of(matched, truth)
+    usual, said = gauge_of(matched, truth)
     if pair:
         if truth.covariances is None or matched.covariances is None:
             raise ValueError("pair needs covariances in both files: without a truth they are all there is to judge")
-        asked_alignment, said = ("start" if is_zero_at_start(matched) and is_zero_at_start(truth) else "rigid"), ""
-    if not matched.is_oriented and asked_alignment == "start":
-        asked_alignment = "rigid"
+        usual, said = ("start" if is_zero_at_start(matched) and is_zero_at_start(truth) else "rigid"), ""
+    if not matched.is_oriented and usual == "start":
+        usual = "rigid"
     if align is None and said:
         notes.append(said)
     rows = _rows_within(truth, align_seconds)
-    if not matched.is_oriented and np.count_nonzero(rows) < FEWEST and (align or asked_alignment) != "none":
+    if not matched.is_oriented and np.count_nonzero(rows) < FEWEST and (align or usual) != "none":
         raise ValueError(f"align_seconds leaves {np.count_nonzero(rows)} positions to align by: give more seconds")
-    alignment = find_alignment(align or asked_alignment, matched, truth, rows, UP[up])
+    alignment = find_alignment(align or usual, matched, truth, rows, UP[up])
     in_world = aligned_pair(matched, truth, alignment)
     findings = find_obstacles(pairs, (estimate, reference), in_world)
     stamps = truth.timestamps if truth.timestamps is not None else matched.timestamps

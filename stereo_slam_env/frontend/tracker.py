@@ -118,20 +118,13 @@ def judged(
     over: Step | None = None
     for back, step in enumerate(steps, start=1):
         over = step if over is None else chained(step, over)
-        measured_rows = np.flatnonzero(matched & np.isfinite(measured[:, back, 0]))
-        pairs = Pairs(
-            measured[measured_rows, back],
-            measured[measured_rows, 0],
-            measured_R[measured_rows, back],
-            measured_R[measured_rows, 0],
-        )
+        rows = np.flatnonzero(matched & np.isfinite(measured[:, back, 0]))
+        pairs = Pairs(measured[rows, back], measured[rows, 0], measured_R[rows, back], measured_R[rows, 0])
         off = squared_distances(camera, pairs, over) > limit
-        unlike[measured_rows] |= off
+        unlike[rows] |= off
         off &= (pairs.first[:, 2] > 0) & (pairs.second[:, 2] > 0)
         moved = pairs.select(off)
-        together[measured_rows[off]] |= moving_together(
-            camera, moved.first, moved.second, moved.R_first, moved.R_second, over
-        )
+        together[rows[off]] |= moving_together(camera, moved.first, moved.second, moved.R_first, moved.R_second, over)
     strikes = np.where(matched, np.where(unlike, tracks.strikes + 1, 0), tracks.strikes)
     moving = tracks.moving | (together & (strikes >= STRIKES))
     outcome = found.outcome.copy()
@@ -298,17 +291,17 @@ class StereoTracker:
 
     def _flow_step(self, finder: PairFinder, tracks: Tracks) -> Step | None:
         """The motion from optical flow, for pairs that no motion so far explains."""
-        visible_rows = np.flatnonzero((tracks.misses == 0) & ~tracks.moving)
-        if len(visible_rows) < MIN_POINTS or self._left is None:
+        rows = np.flatnonzero((tracks.misses == 0) & ~tracks.moving)
+        if len(rows) < MIN_POINTS or self._left is None:
             return None
-        before = tracks.uvd[visible_rows]
+        before = tracks.uvd[rows]
         start = before[:, None, :2].astype(np.float32)
         uv, status, _ = cv2.calcOpticalFlowPyrLK(
             self._left, finder.left, start, np.empty_like(start), winSize=(21, 21), maxLevel=4
         )
         uv = np.asarray(uv, dtype=np.float64)[:, 0]
         tracked = (np.asarray(status)[:, 0] > 0) & finder.inside(uv)
-        visible_rows, uv, before = visible_rows[tracked], uv[tracked], before[tracked]
+        rows, uv, before = rows[tracked], uv[tracked], before[tracked]
         d = before[:, 2]
         disparity, variance, accepted = finder.disparities(uv, 0.5 * d - 2.0, 2.0 * d + 4.0)
         if accepted.sum() < MIN_POINTS:
@@ -316,8 +309,8 @@ class StereoTracker:
         now = np.column_stack([uv, disparity])[accepted]
         R = np.tile(np.diag([0.25, 0.25, 0.0]), (len(now), 1, 1))
         R[:, 2, 2] = 0.25 + variance[accepted]
-        step_found = robust_step(self.camera, Pairs(before[accepted], now, tracks.R[visible_rows[accepted]], R), None)
-        return None if step_found is None else step_found.step
+        motion = robust_step(self.camera, Pairs(before[accepted], now, tracks.R[rows[accepted]], R), None)
+        return None if motion is None else motion.step
 
     def _searched(
         self, finder: PairFinder, tracks: Tracks, expected: Expectation

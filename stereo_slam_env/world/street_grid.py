@@ -62,9 +62,9 @@ class StreetGrid:
     def taken(self, place: Place, choice: int) -> tuple[int, Place]:
         """The choice that is driven where `choice` is asked for, and where it leads."""
         for possible in (choice, *_FALL_BACK):
-            place_beyond = self.beyond(place, possible)
-            if place_beyond is not None:
-                return possible, place_beyond
+            beyond = self.beyond(place, possible)
+            if beyond is not None:
+                return possible, beyond
         raise ValueError(f"there must be a road on from every junction, got columns {self.columns}, rows {self.rows}")
 
     def road(self, place: Place) -> int:
@@ -88,13 +88,7 @@ class StreetGrid:
             if any(wanted[self.road(each)] for each in near):
                 return count
             further = (self.beyond(each, choice) for each in near for choice in _FALL_BACK)
-            near = list(
-                {
-                    place_beyond: None
-                    for place_beyond in further
-                    if place_beyond is not None and place_beyond not in visited
-                }
-            )
+            near = list({beyond: None for beyond in further if beyond is not None and beyond not in visited})
             visited.update(near)
             count += 1
         return self.count

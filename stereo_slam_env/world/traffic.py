@@ -108,19 +108,15 @@ def traffic(
     """
     car_rng, walker_rng = rng.spawn(2)
     cast = _Cast(route)
-    for car_own_rng in car_rng.spawn(cars):
-        parts = props.vehicle(car_own_rng)
+    for own_rng in car_rng.spawn(cars):
+        parts = props.vehicle(own_rng)
         long = props.length_of(parts)
-        draw = (
-            partial(cast.leading, long, car_own_rng)
-            if car_own_rng.random() < _LEADING
-            else partial(cast.oncoming, car_own_rng)
-        )
+        draw = partial(cast.leading, long, own_rng) if own_rng.random() < _LEADING else partial(cast.oncoming, own_rng)
         cast.add("car", parts, 0.5 * long, 1.35, draw)
     obstacles = GroundOutlines(solids)
-    for car_own_rng in walker_rng.spawn(pedestrians):
-        walk = cast.crossing if car_own_rng.random() < _CROSSING else cast.walking
-        cast.add("pedestrian", props.pedestrian(car_own_rng), 0.0, 0.35, partial(walk, walkway, car_own_rng), obstacles)
+    for own_rng in walker_rng.spawn(pedestrians):
+        walk = cast.crossing if own_rng.random() < _CROSSING else cast.walking
+        cast.add("pedestrian", props.pedestrian(own_rng), 0.0, 0.35, partial(walk, walkway, own_rng), obstacles)
     return tuple(cast.bodies)
 
 
@@ -162,9 +158,7 @@ class _Cast:
             if self._seen(points, here) < _LEAST_SEEN:
                 continue
             circles = _circles(np.where(here[:, None], points, np.nan), yaws, centers)
-            if any(
-                _touch(circles[here], other_bodies[here], radius + reach + _ROOM) for other_bodies, reach in self._taken
-            ):
+            if any(_touch(circles[here], bodies[here], radius + reach + _ROOM) for bodies, reach in self._taken):
                 continue
             self._taken.append((circles, radius))
             positions = np.column_stack([points, np.where(here, 0.0, _OUT_OF_SIGHT)])

@@ -137,23 +137,23 @@ def _opened(source: str | Path | BenchmarkResult, name: str) -> _Side:
     cells: dict[str, str] = {}
     for directory in study.cells:
         prefix = f"{directory.cell.name}: " if study.study.is_grid else ""
-        results = results_of(directory)
-        digests = {(about["name"], about["seed"]): pairing_digest(about) for about in results.recordings}
-        for choice, summary in zip(directory.scenario.competitors, results.summaries, strict=True):
+        result = results_of(directory)
+        digests = {(about["name"], about["seed"]): pairing_digest(about) for about in result.recordings}
+        for choice, summary in zip(directory.scenario.competitors, result.summaries, strict=True):
             label = f"{prefix}{choice.label}"
             figures[label], summaries[label], places[label] = (
-                results.figures[choice.label],
+                result.figures[choice.label],
                 summary,
                 (directory, choice),
             )
             streams |= {(label, key): digests[key] for key in figures[label].of_run}
         code |= {f"{prefix}{label}": digest for label, digest in directory.plugin_code().items()}
-        cells |= {f"{prefix}{label}": directory.cell.name for label in results.figures if prefix}
+        cells |= {f"{prefix}{label}": directory.cell.name for label in result.figures if prefix}
         settings[prefix] = read_json(directory.out / SETTINGS)
 
     def runs_of(label: str) -> Iterator[FilterRun]:
         directory, choice = places[label]
-        return (results.run for results in directory.trials(choice, {}))
+        return (trial.run for trial in directory.trials(choice, {}))
 
     return _Side(str(source), figures, summaries, runs_of, streams, settings, code, cells)
 
@@ -209,12 +209,10 @@ def _same_streams(was: _Side, now: _Side) -> tuple[bool, list[str]]:
 
 def _changes(was: _Side, now: _Side, filters: Sequence[str], paired: bool) -> tuple[Change, ...]:
     """All changes; values that are identical before and after do not count as a comparison."""
-    values_by_measure = {
-        (name, m): _values(was, now, name, m, paired) for name in filters for m in (*MEASURES, DIVERGED)
-    }
+    both = {(name, m): _values(was, now, name, m, paired) for name in filters for m in (*MEASURES, DIVERGED)}
     known = {
         (name, measure): values
-        for (name, measure), values in values_by_measure.items()
+        for (name, measure), values in both.items()
         if all(map(len, values)) and (measure is not DIVERGED or any(side.any() for side in values))
     }
     moved = [measure is TIME for (_, measure), values in known.items() if not np.array_equal(*values)]
