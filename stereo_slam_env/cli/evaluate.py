@@ -208,17 +208,17 @@ _UNLIKE = 20.0
 
 def _show(model: DriftModel) -> None:
     """Print how the drives are covered by the model of the others."""
-    from stereo_slam_env.report.trajectory_table import show_table
+    from stereo_slam_env.report.table import Column, Table, show_table
 
     if model.coverage_error is None:
         typer.echo("one drive: nothing is known of its coverage of another one, give two or more; ten are few")
         return
-    headings = ("windows, s", "drives", "NEES / 6", "inside the 90 % ellipsoid, %")
-    rows = (
-        (f"{check.seconds:g}", f"{check.drives}", f"{check.nees / 6.0:.2f}", f"{100.0 * check.coverage:.0f}")
+    columns = [Column("windows", "s"), Column("drives"), Column("NEES / 6"), Column("inside the 90 % ellipsoid", "%")]
+    rows = [
+        [f"{check.seconds:g}", f"{check.drives}", f"{check.nees / 6.0:.2f}", f"{100.0 * check.coverage:.0f}"]
         for check in model.checks
-    )
-    show_table(console(), headings, rows, right=headings)
+    ]
+    show_table(console(), Table(columns, rows))
     typer.echo(
         f"each of {len(model.drives)} drives by the model of the others; 90 % are covered on average, "
         f"± {100.0 * model.coverage_error:.0f} % by their number, after the variances were multiplied by "

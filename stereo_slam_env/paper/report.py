@@ -36,7 +36,7 @@ from stereo_slam_env.paper.paper_claims import (
     FloatArray,
     finite_mean,
 )
-from stereo_slam_env.report import Chart, Column, TableCell, Tone, figure_block, html_page, number, table
+from stereo_slam_env.report import Chart, Column, Table, TableCell, Tone, figure_block, html_page, number, on_page
 
 if TYPE_CHECKING:
     from stereo_slam_env.paper import PaperSettings
@@ -235,7 +235,7 @@ def _verdicts(claims: Sequence[Claim]) -> str:
         ]
         verdict = TableCell(one.verdict.value.replace(" if", " if …"), tone=TONES[one.verdict])
         rows.append([one.sentence.section, f"{one.sentence.claim} – {one.sentence.statement}", verdict, *cells])
-    return table(columns, rows, wide=True)
+    return on_page(Table(columns, rows, "wide"))
 
 
 def _findings(claim: Claim) -> str:
@@ -262,7 +262,7 @@ def _findings(claim: Claim) -> str:
     ]
     verdict = f"<b class='{TONES[claim.verdict]}'>{escape(claim.verdict.value.replace(' if', ' if …'))}</b>"
     head = f"<summary>{escape(claim.sentence.claim)}: {verdict}</summary>"
-    return f"<details>{head}<p>{escape(claim.sentence.statement)}</p>{table(columns, rows)}</details>"
+    return f"<details>{head}<p>{escape(claim.sentence.statement)}</p>{on_page(Table(columns, rows))}</details>"
 
 
 def _numbers(heads: Sequence[str], rows: Sequence[Row]) -> str:
@@ -271,7 +271,7 @@ def _numbers(heads: Sequence[str], rows: Sequence[Row]) -> str:
         for head, value in zip(heads, rows[0], strict=True)
     ]
     cells = [[value if isinstance(value, str) else number(value, ".3g") for value in row] for row in rows]
-    return table(columns, cells)
+    return on_page(Table(columns, cells))
 
 
 # What was measured, in absolute numbers.

@@ -19,9 +19,10 @@ from .charts.nees import plot_error_bounds as plot_error_bounds
 from .charts.nees import plot_nees as plot_nees
 from .page import figure_block as figure_block
 from .page import html_page as html_page
-from .page_sections import Column as Column
-from .page_sections import TableCell as TableCell
-from .page_sections import Tone as Tone
-from .page_sections import number as number
-from .page_sections import table as table
+from .page_sections import on_page as on_page
+from .table import Column as Column
+from .table import Table as Table
+from .table import TableCell as TableCell
+from .table import Tone as Tone
+from .table import number as number
 from .trajectory_report import write_trajectory_report as write_trajectory_report

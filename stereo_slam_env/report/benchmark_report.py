@@ -28,8 +28,9 @@ from stereo_slam_env.report.charts.factors import FactorResponse, plot_factor
 from stereo_slam_env.report.comparison_report import attribution_section, conclusions
 from stereo_slam_env.report.overview import RUN_BY_RUN, TONES, colour_key, lost
 from stereo_slam_env.report.page import TABLES, clean_figures, figure_block, part, write_page
-from stereo_slam_env.report.page_sections import Column, TableCell, Tone, data_section, filter_cell, number, table
+from stereo_slam_env.report.page_sections import data_section, on_page
 from stereo_slam_env.report.run_report import reference_banner, write_report
+from stereo_slam_env.report.table import Column, Table, TableCell, Tone, filter_cell, number
 from stereo_slam_env.report.tables import (
     FINDING_TONES,
     capital,
@@ -146,7 +147,7 @@ def _matrix(
     else:
         columns = [Column("Scenario", kind="text"), *(Column(name) for name in names)]
         rows = [[TableCell(cell, link=links[cell]), *(entry(cell, name) for name in names)] for cell in results]
-    return table(columns, rows, latex=out / TABLES / "scenarios.tex")
+    return on_page(Table(columns, rows), out / TABLES / "scenarios.tex")
 
 
 def _entry(summary: FilterSummary, verdict: Verdict) -> TableCell:
@@ -278,7 +279,7 @@ def _everything(
                 _against_best(s, verdicts[cell]),
             ]
             rows.append([*first, *(figure_cell(figure, s, tones.get(figure.name, "")) for figure in figures)])
-    return part("section", "All figures", "", [table(columns, rows, wide=True, latex=out / TABLES / "figures.tex")])
+    return part("section", "All figures", "", [on_page(Table(columns, rows, "wide"), out / TABLES / "figures.tex")])
 
 
 def _against_best(summary: FilterSummary, verdict: Verdict) -> TableCell:

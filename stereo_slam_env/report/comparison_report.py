@@ -17,7 +17,8 @@ from stereo_slam_env.report.charts.axes import filter_colours
 from stereo_slam_env.report.charts.factors import plot_changes, plot_effects
 from stereo_slam_env.report.overview import RUN_BY_RUN
 from stereo_slam_env.report.page import FIGURES, TABLES, figure_block, part, write_page
-from stereo_slam_env.report.page_sections import Column, TableCell, Tone, filter_cell, known, number, table
+from stereo_slam_env.report.page_sections import on_page
+from stereo_slam_env.report.table import Column, Table, TableCell, Tone, filter_cell, known, number
 from stereo_slam_env.report.tables import FINDING_TONES, capital, percent_cell
 
 
@@ -99,7 +100,7 @@ def _table(changes: Sequence[Change], how: str, latex: Path | None = None) -> Ma
                 TableCell(finding, tone=tone),
             ]
         )
-    return table(columns, rows, wide=True, latex=latex)
+    return on_page(Table(columns, rows, "wide"), latex)
 
 
 def _only(comparison: RunComparison) -> Markup:
@@ -143,7 +144,7 @@ def attribution_section(attribution: Attribution, folder: Path) -> Markup:
             for (factor, level), percent in attribution.diverged_percent.items()
         ]
         columns = [Column("Option", kind="text"), Column("Level", kind="text"), Column("Diverged", "% of runs")]
-        parts.append(part("titled", "Divergence", table(columns, rows)))
+        parts.append(part("titled", "Divergence", on_page(Table(columns, rows))))
     if attribution.notes:
         parts.append(part("titled", "Left out", part("items", attribution.notes)))
     return part("section", "Which choice makes the difference?", crossed, parts)
@@ -167,7 +168,7 @@ def _contrasts(responses: Sequence[ResponseAttribution]) -> Markup:
         for response in responses:
             row.append(_contrast_cell(contrasts.get(response.response)))
         rows.append(row)
-    return table(columns, rows)
+    return on_page(Table(columns, rows))
 
 
 def _contrast_cell(contrast: Contrast | None) -> TableCell:
@@ -198,7 +199,7 @@ def _interactions(responses: Sequence[ResponseAttribution]) -> Markup:
                     TableCell("yes" if shown else "no", tone=tone),
                 ]
             )
-    return table(columns, rows)
+    return on_page(Table(columns, rows))
 
 
 def _shares(responses: Sequence[ResponseAttribution]) -> Markup:
@@ -210,4 +211,4 @@ def _shares(responses: Sequence[ResponseAttribution]) -> Markup:
     rows: list[list[TableCell | str]] = []
     for key in keys:
         rows.append([" × ".join(key) or "the rest", *(number(r.shares.get(key), ".1f") for r in responses)])
-    return table(columns, rows)
+    return on_page(Table(columns, rows))

@@ -8,12 +8,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from rich.box import SIMPLE_HEAD
 from rich.cells import cell_len
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-from rich.table import Table
+from rich.table import Table as ScreenTable
 
 from stereo_slam_env.benchmark.scenarios.recording_description import (
     LAGS,
@@ -39,7 +38,7 @@ from stereo_slam_env.benchmark.storage.result_tables import CellResult
 from stereo_slam_env.evaluation.figures import FIGURES, UNKNOWN, Figure
 from stereo_slam_env.evaluation.results import FilterSummary
 from stereo_slam_env.recording.recording import Recording
-from stereo_slam_env.report.trajectory_table import show_table
+from stereo_slam_env.report.table import Column, Table, show_table
 
 if TYPE_CHECKING:  # runs the front end
     from stereo_slam_env.benchmark.campaign import Progress as ProgressCallback
@@ -117,24 +116,16 @@ def show_noise(console: Console, name: str, found: MeasurementErrors) -> None:
     if not rows:
         console.print("none of them has a known truth")
         return
-    table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    table.add_column("depth, m")
-    for heading in ("count", "", "bias", "sigma (MAD)", "claimed sigma", f"beyond {OUTLIER:g} px"):
-        table.add_column(heading, justify="right", no_wrap=True)
+    headings = ("count", "", "bias", "sigma (MAD)", "claimed sigma", f"beyond {OUTLIER:g} px")
+    cells = []
     for row in rows:
         depths = f"{row.low:g}–{row.high:g}" if math.isfinite(row.high) else f"{row.low:g} and more"
         about = ("all" if row is rows[-1] else depths, str(row.count))
         for axis, coordinate in enumerate("uvd"):
-            table.add_row(
-                *(about if axis == 0 else ("", "")),
-                coordinate,
-                f"{row.bias[axis]:+.3f}",
-                f"{row.sigma[axis]:.3f}",
-                f"{row.claimed[axis]:.3f}",
-                f"{row.outliers[axis]:.1%}",
-                end_section=axis == 2,
-            )
-    console.print(table, highlight=False)
+            errors = (f"{row.bias[axis]:+.3f}", f"{row.sigma[axis]:.3f}", f"{row.claimed[axis]:.3f}")
+            start = about if axis == 0 else ("", "")
+            cells.append([*start, coordinate, *errors, f"{row.outliers[axis]:.1%}"])
+    show_table(console, Table([Column("depth", "m", kind="words"), *map(Column, headings)], cells, block=3))
     console.print("correlation of two errors of a landmark (u, v, d)", highlight=False)
     for lag in LAGS:
         known = ["–" if math.isnan(value) else f"{value:+.2f}" for value in error_correlation(found, lag)]
@@ -207,7 +198,7 @@ def _print_columns(console: Console, names: Sequence[str], columns: Mapping[str,
         while columns_left and (len(shown) == 1 or _width([*shown, columns_left[0]], least) <= console.width):
             shown.append(columns_left.pop(0))
         spare = console.width - _width(shown, least)
-        table = Table(box=None, pad_edge=False, header_style="bold")
+        table = ScreenTable(box=None, pad_edge=False, header_style="bold")
         for k in shown:
             width = least[k] + min(max(spare, 0), most[k] - least[k])
             spare -= width - least[k]
@@ -249,7 +240,8 @@ def show_comparison(console: Console, comparison: RunComparison) -> None:
     for warning in comparison.warnings:
         console.print(f"[yellow]note[/yellow]: {escape(warning)}", highlight=False, soft_wrap=True)
     if comparison.shown:
-        show_table(console, comparison.columns, comparison.as_rows(), right=("before", "after"))
+        columns = [Column(of, kind="number" if of in ("before", "after") else "words") for of in comparison.columns]
+        show_table(console, Table(columns, comparison.as_rows()))
     for line in comparison.rest:
         console.print(escape(line), highlight=False, soft_wrap=True)
 

@@ -31,7 +31,8 @@ from stereo_slam_env.evaluation.figures import UNKNOWN, Figure, readable
 from stereo_slam_env.evaluation.results import FilterSummary
 from stereo_slam_env.report.charts.axes import filter_colours
 from stereo_slam_env.report.page import part
-from stereo_slam_env.report.page_sections import Column, TableCell, Tone, filter_cell, number, table
+from stereo_slam_env.report.page_sections import on_page
+from stereo_slam_env.report.table import Column, Table, TableCell, Tone, filter_cell, number
 from stereo_slam_env.report.tables import FINDING_TONES
 
 TONES: dict[Consistency, Tone] = {
@@ -81,7 +82,7 @@ def answers_table(who: str, questions: Sequence[Question], summaries: Sequence[F
         [filter_cell(s.filter_name, colours), *(cells[i] or number(None) for _, cells in shown)]
         for i, s in enumerate(summaries)
     ]
-    return table([Column(who), *(column for column, _ in shown)], rows, answers=True)
+    return on_page(Table([Column(who), *(column for column, _ in shown)], rows, "answers"))
 
 
 def consistency_question(summaries: Sequence[FilterSummary], *, with_share: bool = True) -> Question:

@@ -14,7 +14,8 @@ from stereo_slam_env.benchmark.statistics.remarks import limit_reached
 from stereo_slam_env.evaluation.figures import FIGURES, Figure, Group
 from stereo_slam_env.evaluation.results import FilterSummary
 from stereo_slam_env.report.charts.axes import filter_colours
-from stereo_slam_env.report.page_sections import Column, TableCell, Tone, filter_cell, known, number, table
+from stereo_slam_env.report.page_sections import on_page
+from stereo_slam_env.report.table import Column, Table, TableCell, Tone, filter_cell, known, number
 
 
 def figures_table(
@@ -75,7 +76,7 @@ def pair_table(compared: PairwiseTable, who: str = "Filter", latex: Path | None 
             continue
         found = (pair_cell(measure, compared.cell(measure, a, b)) for measure in compared.measures)
         rows.append([filter_cell(a, colours), filter_cell(b, colours), *found])
-    return table(columns, rows, wide=True, latex=latex)
+    return on_page(Table(columns, rows, "wide"), latex)
 
 
 FINDING_TONES: dict[Finding, Tone] = {Finding.BETTER: "good", Finding.WORSE: "bad", Finding.NOT_SHOWN: "none"}
@@ -159,4 +160,4 @@ def _rows(
     """Markup of a table with a row a filter."""
     colours = filter_colours(s.filter_name for s in summaries)
     rows = [[filter_cell(s.filter_name, colours), *row] for s, row in zip(summaries, cells, strict=True)]
-    return table([Column(who, kind="text"), *columns], rows, wide=True, latex=latex)
+    return on_page(Table([Column(who, kind="text"), *columns], rows, "wide"), latex)

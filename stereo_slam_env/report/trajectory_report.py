@@ -12,15 +12,16 @@ from stereo_slam_env.evaluation.trajectory_runs import RunsScore
 from stereo_slam_env.evaluation.trajectory_score import PairedVerdict, TrajectoryScore
 from stereo_slam_env.report.charts import trajectories
 from stereo_slam_env.report.page import clean_figures, figure_block, part, write_page
-from stereo_slam_env.report.page_sections import Column, TableCell, data_section, table
+from stereo_slam_env.report.page_sections import data_section, on_page
 from stereo_slam_env.report.trajectory_table import (
     RUNS,
     alignment_text,
-    gauge_rows,
+    gauge_table,
     headline,
+    labels_of,
     notes_of,
-    runs_rows,
-    score_rows,
+    runs_table,
+    score_table,
 )
 
 DRAWN = 4
@@ -60,7 +61,7 @@ def write_trajectory_report(
         raise ValueError("scores must not be empty: there is nothing to report")
     out = Path(out)
     folder = clean_figures(out)
-    names = f"{len(scores)} runs" if runs is not None else " and ".join(trajectories.labels_of(scores))
+    names = f"{len(scores)} runs" if runs is not None else " and ".join(labels_of(scores))
     reference = scores[0].reference
     body = [
         *([part("paragraph", runs.words, "headline")] if runs is not None else []),
@@ -72,7 +73,7 @@ def write_trajectory_report(
         body.append(_together(runs, folder))
         scores = scores[:DRAWN]
     body += [_path(scores, folder), *_consistency(scores, folder), *_windows(scores, folder)]
-    body += [part("section", "Figures", "", [_figures(scores)]), data_section(out)]
+    body += [part("section", "Figures", "", [on_page(score_table(scores))]), data_section(out)]
     first = scores[0]
     subtitle = f"{first.frames} scored poses over {readable(first.path_m)} m · aligned: {alignment_text(first)}"
     return write_page(out / "report.html", title=f"{names} against {reference}", subtitle=subtitle, parts=body)
@@ -81,10 +82,9 @@ def write_trajectory_report(
 def _together(runs: RunsScore, folder: Path) -> Markup:
     """What runs of one estimator show together."""
     caption = f"Mean over {len(runs.runs)} runs, which are independent: the more, the narrower the band."
-    columns = [Column(RUNS[0], kind="text"), *map(Column, RUNS[1:-1]), Column(RUNS[-1], kind="words")]
     chart = figure_block(trajectories.plot_runs(runs), "runs", caption, folder)
     guide = "Many runs together show what none of them shows alone."
-    return part("section", "All runs together", guide, [chart, table(columns, runs_rows(runs))])
+    return part("section", "All runs together", guide, [chart, on_page(runs_table(runs))])
 
 
 def _path(scores: Sequence[TrajectoryScore], folder: Path) -> Markup:
@@ -101,7 +101,7 @@ def _path(scores: Sequence[TrajectoryScore], folder: Path) -> Markup:
 
 def _consistency(scores: Sequence[TrajectoryScore], folder: Path) -> list[Markup]:
     guide = "Position in the world, rotation in the body; equal scales for all estimates."
-    charts = zip(trajectories.labels_of(scores), trajectories.plot_errors(scores), strict=True)
+    charts = zip(labels_of(scores), trajectories.plot_errors(scores), strict=True)
     drawn = [figure_block(chart, f"errors_{i}", f"{name}.", folder) for i, (name, chart) in enumerate(charts)]
     sections = [part("section", "Errors and their 3σ bounds" if _claiming(scores) else "Errors", guide, drawn)]
     if _claiming(scores):
@@ -121,9 +121,7 @@ def _alignments(scores: Sequence[TrajectoryScore]) -> Markup:
         "The same claim on the pose, by the alignment of the worlds; the covariance is carried through each. Errors of "
         f"two poses are taken as {' and '.join(dict.fromkeys(score.correlation for score in scores))}."
     )
-    columns = [Column("estimate", kind="text"), Column("alignment", kind="text")]
-    columns += [Column("position RMSE", unit="m"), Column("NEES / dof"), Column("claim", kind="words")]
-    return part("section", "Alignments", guide, [table(columns, gauge_rows(scores))])
+    return part("section", "Alignments", guide, [on_page(gauge_table(scores))])
 
 
 def _windows(scores: Sequence[TrajectoryScore], folder: Path) -> list[Markup]:
@@ -138,10 +136,3 @@ def _windows(scores: Sequence[TrajectoryScore], folder: Path) -> list[Markup]:
 
 def _claiming(scores: Sequence[TrajectoryScore]) -> bool:
     return any(score.claims for score in scores)
-
-
-def _figures(scores: Sequence[TrajectoryScore]) -> Markup:
-    columns = [Column(f"against {scores[0].reference}", kind="text")]
-    columns += [Column(label) for label in trajectories.labels_of(scores)]
-    rows: list[list[TableCell | str]] = [[title, *cells] for title, cells in score_rows(scores)]
-    return table(columns, rows)

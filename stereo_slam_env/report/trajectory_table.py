@@ -6,10 +6,8 @@ from collections.abc import Callable, Collection, Iterable, Sequence
 from functools import partial
 from typing import Literal
 
-from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.markup import escape
-from rich.table import Table
 
 from filters.checks.consistency import chi_square_quantile
 from stereo_slam_env.evaluation.bands import mean_band
@@ -18,6 +16,7 @@ from stereo_slam_env.evaluation.figures import FIGURES, UNKNOWN, readable
 from stereo_slam_env.evaluation.trajectory_runs import RunsScore
 from stereo_slam_env.evaluation.trajectory_score import TrajectoryScore
 from stereo_slam_env.evaluation.windows import WindowScore
+from stereo_slam_env.report.table import Column, Table, show_table
 
 _Row = tuple[str, Callable[[TrajectoryScore], str]]
 
@@ -45,9 +44,7 @@ def show_table(
 
 def show_trajectory_scores(console: Console, scores: Sequence[TrajectoryScore]) -> None:
     """Print errors, claims and windows of estimates against one reference; rows that none of them has are left out."""
-    names = [score.estimate for score in scores]
-    rows = ([title, *cells] for title, cells in score_rows(scores))
-    show_table(console, [f"against {scores[0].reference}", *names], rows, right=names)
+    show_table(console, score_table(scores))
     for note in notes_of(scores):
         console.print(f"[yellow]note[/yellow]: {escape(note)}", highlight=False, soft_wrap=True)
     for score in scores:
@@ -56,12 +53,14 @@ def show_trajectory_scores(console: Console, scores: Sequence[TrajectoryScore]) 
 
 def show_runs_score(console: Console, score: RunsScore) -> None:
     """Print what the runs of one estimator show together."""
-    show_table(console, RUNS, runs_rows(score))
+    show_table(console, runs_table(score))
     console.print(escape(score.words), highlight=False, soft_wrap=True)
 
 
-def runs_rows(score: RunsScore) -> list[list[str]]:
-    """A row of cells for the pose, the position and the rotation of several runs."""
+def runs_table(score: RunsScore) -> Table:
+    """Claims on the pose, the position and the rotation of several runs together, a row each."""
+    numbers = (Column("ANEES / dof"), Column("95 % band"), Column("frames in band", "%"), Column("one by one"))
+    columns = [Column("runs together", kind="text"), *numbers, Column("claim", kind="words")]
     rows = []
     for name, claim in score.claims.items():
         mean, low, high, least, most = (
@@ -69,7 +68,7 @@ def runs_rows(score: RunsScore) -> list[list[str]]:
         )
         share = f"{100.0 * claim.inside:.0f}"
         rows.append([name, mean, f"{low} to {high}", share, f"{least} to {most}", claim.verdict])
-    return rows
+    return Table(columns, rows)
 
 
 def notes_of(scores: Sequence[TrajectoryScore]) -> list[str]:
@@ -79,12 +78,19 @@ def notes_of(scores: Sequence[TrajectoryScore]) -> list[str]:
     return list(dict.fromkeys(named))
 
 
-def score_rows(scores: Sequence[TrajectoryScore]) -> list[tuple[str, list[str]]]:
-    """Title and one cell an estimate of each row; rows that none of them has are left out."""
+def labels_of(scores: Sequence[TrajectoryScore]) -> list[str]:
+    """Names of the estimates, numbered where two have the same."""
+    names = [score.estimate for score in scores]
+    return [f"{name} ({i + 1})" if names.count(name) > 1 else name for i, name in enumerate(names)]
+
+
+def score_table(scores: Sequence[TrajectoryScore]) -> Table:
+    """Errors, claims and windows, a column an estimate; rows that none of them has are left out."""
+    columns = [Column(f"against {scores[0].reference}", kind="text"), *map(Column, labels_of(scores))]
     kinds = {(name, claim.dof): None for score in scores for name, claim in score.claims.items()}
     claims = [row for kind in kinds for row in _claim_rows(*kind)]
     rows = [(title, [text(score) for score in scores]) for title, text in [*_ERRORS, *claims, *_windows(scores)]]
-    return [(title, cells) for title, cells in rows if set(cells) != {UNKNOWN}]
+    return Table(columns, [[title, *cells] for title, cells in rows if set(cells) != {UNKNOWN}])
 
 
 def headline(score: TrajectoryScore) -> str:
@@ -161,13 +167,16 @@ def _claim_rows(name: str, dof: int) -> list[_Row]:
     ]
 
 
-def gauge_rows(scores: Sequence[TrajectoryScore]) -> list[list[str]]:
+def gauge_table(scores: Sequence[TrajectoryScore]) -> Table:
     """The claim on the pose under each alignment: a row an alignment and estimate."""
-    return [
+    columns = [Column("estimate", kind="text"), Column("alignment", kind="text")]
+    columns += [Column("position RMSE", unit="m"), Column("NEES / dof"), Column("claim", kind="words")]
+    rows = [
         [score.estimate, one.alignment, readable(one.position_rmse_m), readable(one.nees / one.dof), one.verdict]
         for score in scores
         for one in score.gauges
     ]
+    return Table(columns, rows)
 
 
 def _log_score(claim: ClaimScore) -> str:

@@ -26,18 +26,13 @@ from stereo_slam_env.report.charts.axes import (
 )
 from stereo_slam_env.report.charts.drawing import DASHED, Chart, Curve, Panel, figure
 from stereo_slam_env.report.charts.nees import band_chart, pose_error_chart, shared_error_limits
+from stereo_slam_env.report.trajectory_table import labels_of
 
 SIGMAS = 3.0
 """Half width of a tube."""
 _SEEN = 0.02
 """Errors and tubes are magnified until the largest of them is this share of the path's extent."""
 _FACTORS = tuple(factor * 10.0**decade for decade in range(7) for factor in (1.0, 2.0, 5.0))
-
-
-def labels_of(scores: Sequence[TrajectoryScore]) -> list[str]:
-    """Names of the estimates, numbered where two have the same."""
-    names = [score.estimate for score in scores]
-    return [f"{name} ({i + 1})" if names.count(name) > 1 else name for i, name in enumerate(names)]
 
 
 def pose_error(score: TrajectoryScore) -> tuple[FloatArray, FloatArray]:

@@ -9,7 +9,8 @@ from stereo_slam_env.benchmark import FilterChoice, Scenario, run_benchmark
 from stereo_slam_env.benchmark.recordings.sources import ReferenceSource
 from stereo_slam_env.benchmark.scenarios.study import Cell, Study
 from stereo_slam_env.report.benchmark_report import write_report_of
-from stereo_slam_env.report.page_sections import Column, TableCell, latex_text, table
+from stereo_slam_env.report.page_sections import on_page
+from stereo_slam_env.report.table import Column, Table, TableCell, latex_text
 
 from .test_run_report import Page, without_library
 
@@ -106,7 +107,7 @@ def test_no_table_of_a_report_has_a_sign_that_latex_does_not_know(pages):
 
 
 def test_a_note_of_a_cell_stands_in_brackets(tmp_path):
-    table([Column("a"), Column("b", "m")], [["x", TableCell("1", note="2")]], latex=tmp_path / "t.tex")
+    on_page(Table([Column("a"), Column("b", "m")], [["x", TableCell("1", note="2")]]), tmp_path / "t.tex")
     assert r"x & 1 (2) \\" in (tmp_path / "t.tex").read_text()
 
 

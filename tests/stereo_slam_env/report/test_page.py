@@ -13,7 +13,8 @@ from stereo_slam_env.report import page as page_module
 from stereo_slam_env.report.charts.axes import PALETTE, Axis
 from stereo_slam_env.report.charts.drawing import Curve, Panel, figure
 from stereo_slam_env.report.page import figure_block, html_page, part, write_page
-from stereo_slam_env.report.page_sections import Column, TableCell, filter_cell, number, table
+from stereo_slam_env.report.page_sections import on_page
+from stereo_slam_env.report.table import Column, Table, TableCell, filter_cell, number
 
 
 def line(name="a", width=500):
@@ -107,7 +108,9 @@ def test_a_page_without_figures_carries_no_library():
 def test_a_table_sorts_by_values_and_shows_text():
     colours = {"mine": PALETTE[3]}
     rows = [[filter_cell("mine", colours), number(1234.5678), number(-2.0, ".1f", " %", "bad"), TableCell("<b>")]]
-    markup = table([Column("Filter", kind="text"), Column("A", "m", "what A is"), Column("B"), Column("C")], rows)
+    markup = on_page(
+        Table([Column("Filter", kind="text"), Column("A", "m", "what A is"), Column("B"), Column("C")], rows)
+    )
     assert 'data-value="1234.5678">1,230<' in markup
     assert 'class="bad" data-value="-2.0">−2.0 %<' in markup
     assert "--colour: var(--series-3)" in markup
@@ -118,12 +121,12 @@ def test_a_table_sorts_by_values_and_shows_text():
 @pytest.mark.parametrize("value", [None, float("nan"), float("inf")])
 def test_what_is_not_known_is_a_dash_and_sorts_last(value):
     assert number(value) == TableCell("–", None, "none")
-    assert 'data-value="">–<' in table([Column("A"), Column("B")], [["x", number(value)]])
+    assert 'data-value="">–<' in on_page(Table([Column("A"), Column("B")], [["x", number(value)]]))
 
 
 def test_a_row_of_the_wrong_length_is_refused():
     with pytest.raises(ValueError, match="2 cells each, got one with 1"):
-        table([Column("A"), Column("B")], [["x"]])
+        on_page(Table([Column("A"), Column("B")], [["x"]]))
 
 
 class Text(HTMLParser):
