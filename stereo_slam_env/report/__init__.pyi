@@ -19,7 +19,7 @@ from .charts.nees import plot_error_bounds as plot_error_bounds
 from .charts.nees import plot_nees as plot_nees
 from .page import figure_block as figure_block
 from .page import html_page as html_page
-from .page_sections import on_page as on_page
+from .page import on_page as on_page
 from .table import Column as Column
 from .table import Table as Table
 from .table import TableCell as TableCell

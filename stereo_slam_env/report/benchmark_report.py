@@ -27,8 +27,7 @@ from stereo_slam_env.report.charts.axes import filter_colours
 from stereo_slam_env.report.charts.factors import FactorResponse, plot_factor
 from stereo_slam_env.report.comparison_report import attribution_section, conclusions
 from stereo_slam_env.report.overview import RUN_BY_RUN, TONES, colour_key, lost
-from stereo_slam_env.report.page import TABLES, clean_figures, figure_block, part, write_page
-from stereo_slam_env.report.page_sections import data_section, on_page
+from stereo_slam_env.report.page import TABLES, clean_figures, data_section, figure_block, on_page, part, write_page
 from stereo_slam_env.report.run_report import reference_banner, write_report
 from stereo_slam_env.report.table import Column, Table, TableCell, Tone, filter_cell, number
 from stereo_slam_env.report.tables import (

@@ -16,8 +16,7 @@ from stereo_slam_env.evaluation.figures import UNKNOWN
 from stereo_slam_env.report.charts.axes import filter_colours
 from stereo_slam_env.report.charts.factors import plot_changes, plot_effects
 from stereo_slam_env.report.overview import RUN_BY_RUN
-from stereo_slam_env.report.page import FIGURES, TABLES, figure_block, part, write_page
-from stereo_slam_env.report.page_sections import on_page
+from stereo_slam_env.report.page import FIGURES, TABLES, figure_block, on_page, part, write_page
 from stereo_slam_env.report.table import Column, Table, TableCell, Tone, filter_cell, known, number
 from stereo_slam_env.report.tables import FINDING_TONES, capital, percent_cell
 

@@ -30,8 +30,7 @@ from stereo_slam_env.evaluation.bands import DOF
 from stereo_slam_env.evaluation.figures import UNKNOWN, Figure, readable
 from stereo_slam_env.evaluation.results import FilterSummary
 from stereo_slam_env.report.charts.axes import filter_colours
-from stereo_slam_env.report.page import part
-from stereo_slam_env.report.page_sections import on_page
+from stereo_slam_env.report.page import on_page, part
 from stereo_slam_env.report.table import Column, Table, TableCell, Tone, filter_cell, number
 from stereo_slam_env.report.tables import FINDING_TONES
 

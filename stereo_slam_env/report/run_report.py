@@ -30,8 +30,7 @@ from stereo_slam_env.report.charts import accuracy, factors, nees, policies, ser
 from stereo_slam_env.report.charts.drawing import Chart
 from stereo_slam_env.report.comparison_report import attribution_section, conclusions
 from stereo_slam_env.report.overview import colour_key, overview, policy_overview
-from stereo_slam_env.report.page import TABLES, clean_figures, figure_blocks, part, write_page
-from stereo_slam_env.report.page_sections import Recordings, data_section
+from stereo_slam_env.report.page import TABLES, Recordings, clean_figures, data_section, figure_blocks, part, write_page
 
 MOST_SHOWN = 6
 """Of more filters than that, each is compared with the best one only, and the first ones have figures of their own."""

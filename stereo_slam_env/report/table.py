@@ -17,6 +17,8 @@ from stereo_slam_env.evaluation.figures import UNKNOWN, readable
 if TYPE_CHECKING:  # only pages need it
     from markupsafe import Markup
 
+_LONGEST_WORD = 14
+"""Characters; longer ones, such as names of files, are broken where the screen is narrow."""
 Tone = Literal["", "good", "fair", "bad", "none"]
 
 
@@ -113,12 +115,18 @@ def filter_cell(name: str, colours: Mapping[str, str], link: str = "") -> TableC
 
 def show_table(console: Console, table: Table) -> None:
     """Print a table on the screen."""
-    printed = ScreenTable(box=SIMPLE_HEAD, pad_edge=False)
-    for column in table.columns:
+    printed, cells = ScreenTable(box=SIMPLE_HEAD, padding=(0, 1, 0, 0)), table.cells
+    for k, column in enumerate(table.columns):
         heading = ", ".join(filter(None, (column.heading, column.unit)))
-        justify: Literal["left", "right"] = "right" if column.kind == "number" else "left"
-        printed.add_column(escape(heading), justify=justify, no_wrap=column.kind == "text")
-    for count, row in enumerate(table.cells, 1):
+        words = [word for text in (heading, *(row[k].words for row in cells)) for word in text.split()]
+        printed.add_column(
+            escape(heading),
+            justify="right" if column.kind == "number" else "left",
+            no_wrap=column.kind == "text",
+            overflow="fold",
+            min_width=min(max(map(len, words), default=0), _LONGEST_WORD),
+        )
+    for count, row in enumerate(cells, 1):
         end = table.block > 0 and count % table.block == 0
         printed.add_row(*(escape(cell.words) for cell in row), end_section=end)
     console.print(printed, highlight=False)

@@ -14,7 +14,7 @@ from stereo_slam_env.benchmark.statistics.remarks import limit_reached
 from stereo_slam_env.evaluation.figures import FIGURES, Figure, Group
 from stereo_slam_env.evaluation.results import FilterSummary
 from stereo_slam_env.report.charts.axes import filter_colours
-from stereo_slam_env.report.page_sections import on_page
+from stereo_slam_env.report.page import on_page
 from stereo_slam_env.report.table import Column, Table, TableCell, Tone, filter_cell, known, number
 
 

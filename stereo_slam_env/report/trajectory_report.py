@@ -11,10 +11,8 @@ from stereo_slam_env.evaluation.figures import readable
 from stereo_slam_env.evaluation.trajectory_runs import RunsScore
 from stereo_slam_env.evaluation.trajectory_score import PairedVerdict, TrajectoryScore
 from stereo_slam_env.report.charts import trajectories
-from stereo_slam_env.report.page import clean_figures, figure_block, part, write_page
-from stereo_slam_env.report.page_sections import data_section, on_page
+from stereo_slam_env.report.page import clean_figures, data_section, figure_block, on_page, part, write_page
 from stereo_slam_env.report.trajectory_table import (
-    RUNS,
     alignment_text,
     gauge_table,
     headline,

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Literal
 
 from rich.console import Console
 from rich.markup import escape
@@ -19,27 +18,6 @@ from stereo_slam_env.evaluation.windows import WindowScore
 from stereo_slam_env.report.table import Column, Table, show_table
 
 _Row = tuple[str, Callable[[TrajectoryScore], str]]
-
-
-RUNS = ("claim on", "ANEES / dof", "95 % band", "frames in band, %", "one by one", "verdict")
-"""Headings of `runs_rows`."""
-_LONGEST_WORD = 14
-"""Characters; longer ones, such as names of files, are broken where the console is narrow."""
-
-
-def show_table(
-    console: Console, headings: Sequence[str], rows: Iterable[Sequence[str]], right: Collection[str] = ()
-) -> None:
-    """Print a table on the console, whose first column is not wrapped; headings in `right` are of numbers."""
-    table, rows = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0)), list(rows)
-    for k, heading in enumerate(headings):
-        words = [word for text in (heading, *(row[k] for row in rows)) for word in text.split()]
-        justify: Literal["left", "right"] = "right" if heading in right else "left"
-        least = min(max(map(len, words)), _LONGEST_WORD)
-        table.add_column(escape(heading), justify=justify, no_wrap=k == 0, overflow="fold", min_width=least)
-    for row in rows:
-        table.add_row(*map(escape, row))
-    console.print(table, highlight=False)
 
 
 def show_trajectory_scores(console: Console, scores: Sequence[TrajectoryScore]) -> None:

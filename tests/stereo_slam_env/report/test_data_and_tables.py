@@ -9,7 +9,7 @@ from stereo_slam_env.benchmark import FilterChoice, Scenario, run_benchmark
 from stereo_slam_env.benchmark.recordings.sources import ReferenceSource
 from stereo_slam_env.benchmark.scenarios.study import Cell, Study
 from stereo_slam_env.report.benchmark_report import write_report_of
-from stereo_slam_env.report.page_sections import on_page
+from stereo_slam_env.report.page import on_page
 from stereo_slam_env.report.table import Column, Table, TableCell, latex_text
 
 from .test_run_report import Page, without_library

@@ -12,8 +12,7 @@ from stereo_slam_env.files.folders import LIST
 from stereo_slam_env.report import page as page_module
 from stereo_slam_env.report.charts.axes import PALETTE, Axis
 from stereo_slam_env.report.charts.drawing import Curve, Panel, figure
-from stereo_slam_env.report.page import figure_block, html_page, part, write_page
-from stereo_slam_env.report.page_sections import on_page
+from stereo_slam_env.report.page import figure_block, html_page, on_page, part, write_page
 from stereo_slam_env.report.table import Column, Table, TableCell, filter_cell, number
 
 
