@@ -17,8 +17,6 @@ from stereo_slam_env.evaluation.figures import UNKNOWN, readable
 if TYPE_CHECKING:  # only pages need it
     from markupsafe import Markup
 
-_LONGEST_WORD = 14
-"""Characters; longer ones, such as names of files, are broken where the screen is narrow."""
 Tone = Literal["", "good", "fair", "bad", "none"]
 
 
@@ -116,15 +114,20 @@ def filter_cell(name: str, colours: Mapping[str, str], link: str = "") -> TableC
 def show_table(console: Console, table: Table) -> None:
     """Print a table on the screen."""
     printed, cells = ScreenTable(box=SIMPLE_HEAD, padding=(0, 1, 0, 0)), table.cells
-    for k, column in enumerate(table.columns):
-        heading = ", ".join(filter(None, (column.heading, column.unit)))
-        words = [word for text in (heading, *(row[k].words for row in cells)) for word in text.split()]
+    headings = [", ".join(filter(None, (column.heading, column.unit))) for column in table.columns]
+    longest = [
+        max(map(len, " ".join((heading, *(row[k].words for row in cells))).split()), default=0)
+        for k, heading in enumerate(headings)
+    ]
+    has_room = sum(longest) + 2 * len(longest) < console.width  # else words are broken
+    for column, heading, least in zip(table.columns, headings, longest, strict=True):
+        justify: Literal["left", "right"] = "right" if column.kind == "number" else "left"
         printed.add_column(
             escape(heading),
-            justify="right" if column.kind == "number" else "left",
+            justify=justify,
             no_wrap=column.kind == "text",
             overflow="fold",
-            min_width=min(max(map(len, words), default=0), _LONGEST_WORD),
+            min_width=least if has_room else None,
         )
     for count, row in enumerate(cells, 1):
         end = table.block > 0 and count % table.block == 0

@@ -38,7 +38,7 @@ def show_runs_score(console: Console, score: RunsScore) -> None:
 def runs_table(score: RunsScore) -> Table:
     """Claims on the pose, the position and the rotation of several runs together, a row each."""
     numbers = (Column("ANEES / dof"), Column("95 % band"), Column("frames in band", "%"), Column("one by one"))
-    columns = [Column("runs together", kind="text"), *numbers, Column("claim", kind="words")]
+    columns = [Column("claim on", kind="text"), *numbers, Column("verdict", kind="words")]
     rows = []
     for name, claim in score.claims.items():
         mean, low, high, least, most = (
@@ -148,7 +148,7 @@ def _claim_rows(name: str, dof: int) -> list[_Row]:
 def gauge_table(scores: Sequence[TrajectoryScore]) -> Table:
     """The claim on the pose under each alignment: a row an alignment and estimate."""
     columns = [Column("estimate", kind="text"), Column("alignment", kind="text")]
-    columns += [Column("position RMSE", unit="m"), Column("NEES / dof"), Column("claim", kind="words")]
+    columns += [Column("position RMSE", unit="m"), Column("NEES / dof"), Column("verdict", kind="words")]
     rows = [
         [score.estimate, one.alignment, readable(one.position_rmse_m), readable(one.nees / one.dof), one.verdict]
         for score in scores
