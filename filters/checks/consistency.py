@@ -77,8 +77,8 @@ def _are_clearly_definite(covariances: FloatArray) -> BoolArray:
         sigmas = np.sqrt(np.diagonal(covariances, axis1=-2, axis2=-1))
         x, y, z = (covariances[..., i, j] / (sigmas[..., i] * sigmas[..., j]) for i, j in ((1, 0), (2, 0), (2, 1)))
         determinant = 1.0 + 2.0 * x * y * z - x * x - y * y - z * z
-        found: BoolArray = (np.abs(x) < 1.0) & (determinant > CLEARLY)
-    return found
+        is_clear: BoolArray = (np.abs(x) < 1.0) & (determinant > CLEARLY)
+    return is_clear
 
 
 def fault_of(covariance: FloatArray, *, definite: bool = True) -> str | None:

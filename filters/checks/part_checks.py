@@ -189,8 +189,8 @@ def check_error_invariance(error: ErrorDefinition) -> None:
         one.update(StereoObservation(np.arange(4), _UVD + [[3.0, -2.0, 0.5]] * 4))
     assert_close("landmarks in a turned world", turned.landmarks.positions, slam.landmarks.positions @ TURN.T, 1e-7)
     assert_close("position in a turned world", turned.pose.position, TURN @ slam.pose.position, 1e-7)
-    here, there = rotations.matrix(slam.pose.orientation), rotations.matrix(turned.pose.orientation)
-    assert_close("orientation in a turned world", there, TURN @ here, 1e-7)
+    here, turned_R = rotations.matrix(slam.pose.orientation), rotations.matrix(turned.pose.orientation)
+    assert_close("orientation in a turned world", turned_R, TURN @ here, 1e-7)
 
 
 def check_error_of_the_pose(error: ErrorDefinition) -> None:

@@ -318,11 +318,11 @@ class Engine:
     @contextmanager
     def _unless_failed(self, which: BoolArray) -> Iterator[None]:
         """Put these filters back where a function of a part raises an error."""
-        kept = [(b, self.export(b)) for b in np.flatnonzero(which).tolist()] if self.recipe.in_python else []
+        saved = [(b, self.export(b)) for b in np.flatnonzero(which).tolist()] if self.recipe.in_python else []
         try:
             yield
         except BaseException:
-            for b, state in kept:
+            for b, state in saved:
                 self.load(b, state)
             raise
 

@@ -246,7 +246,7 @@ class Row:
 
     @state.setter
     def state(self, state: JointState) -> None:
-        own, size = state.parameter_block, state.blocks.shape[1]
+        own_blocks, size = state.parameter_block, state.blocks.shape[1]
         blocks, first = np.zeros((2, len(state.blocks), self.engine.recipe.block_values))
         walk = np.zeros((len(blocks), 3))
         kind = np.full(len(blocks), POINT)
@@ -254,7 +254,7 @@ class Row:
         free = state.anchor_block < 0
         plan = self.engine.recipe.plan
         points = free & (plan.changes or plan.points)
-        kind[own[~points]] = OWN
+        kind[own_blocks[~points]] = OWN
         for clone in state.clones.values():
             position, rotation = clone.blocks
             kind[position], kind[rotation] = CLONE_POSITION, CLONE_ROTATION
@@ -275,7 +275,7 @@ class Row:
                 kind=kind,
                 walk=walk,
                 ids=state.ids,
-                own=own,
+                own=own_blocks,
                 anchor=state.anchor_block,
                 held=state.held,
             ),

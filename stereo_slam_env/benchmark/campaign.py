@@ -259,8 +259,8 @@ def _run_missing(
     cells: Sequence[RunDirectory], missing: Sequence[Missing], backend: Backend, progress: Progress
 ) -> None:
     """Make what is missing and keep each result as soon as it is there."""
-    wanted = sum(len(run.seeds) * (len(run.scenario.competitors) + run.scenario.has_bound) for run in cells)
-    work = _Work(cells, backend, progress, wanted - len(missing), wanted)
+    total = sum(len(run.seeds) * (len(run.scenario.competitors) + run.scenario.has_bound) for run in cells)
+    work = _Work(cells, backend, progress, total - len(missing), total)
     to_record = work.to_record(missing)
     work.wanted += len(to_record)
     work.tell()
@@ -303,14 +303,14 @@ class _Work:
 
     def do(self, missing: Sequence[Missing], run_all: RunAll[Any, Any]) -> None:
         """Make recordings, then bounds, then trials, whose figures hang on both."""
-        told = self.within if self.backend.in_this_process else None
-        self._record(missing, run_all, told)
+        tell = self.within if self.backend.in_this_process else None
+        self._record(missing, run_all, tell)
         for some in ([m for m in missing if m.choice is None], [m for m in missing if m.choice is not None]):
-            for batch in run_all(partial(run_all_trials, progress=told), batches(map(self._task, some))):
+            for batch in run_all(partial(run_all_trials, progress=tell), batches(map(self._task, some))):
                 for finished in batch:
-                    run, own = self.cells[finished.cell], finished.made
-                    if own is not None:
-                        run.save_recording(finished.seed, own.content, own.description, finished.choice)
+                    run, episode = self.cells[finished.cell], finished.made
+                    if episode is not None:
+                        run.save_recording(finished.seed, episode.content, episode.description, finished.choice)
                     run.save_trial(finished.seed, finished.choice, finished.content)
                     self.done += 1
                     self.tell()
@@ -321,9 +321,9 @@ class _Work:
         alone = len(to_record) == 1
         maker = partial(make_all, here=alone or self.backend.in_this_process, progress=self.within if alone else told)
         for batch in (map if alone else run_all)(maker, batches(to_record)):
-            for made in batch:
-                run = self.cells[made.cell]
-                run.save_recording(made.seed, self._shared(run, made), made.description)
+            for recording in batch:
+                run = self.cells[recording.cell]
+                run.save_recording(recording.seed, self._shared(run, recording), recording.description)
                 self.done += 1
                 self.tell()
 
@@ -337,12 +337,12 @@ class _Work:
 
     def to_record(self, missing: Sequence[Missing]) -> list[Task]:
         """Recordings that are not there, once for all cells that share one."""
-        found: dict[Path, Task] = {}
+        tasks: dict[Path, Task] = {}
         for number, seed, choice in missing:
             run = self.cells[number]
             if not _drives(choice) and not run.recording_is_made(seed):
-                found.setdefault(run.recording_path(seed), Task(number, run.scenario, seed))
-        return list(found.values())
+                tasks.setdefault(run.recording_path(seed), Task(number, run.scenario, seed))
+        return list(tasks.values())
 
     def _task(self, missing: Missing) -> Task:
         number, seed, choice = missing

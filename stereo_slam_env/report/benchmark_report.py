@@ -96,13 +96,13 @@ def _sentences(verdicts: Mapping[str, Verdict], names: Sequence[str]) -> list[st
     for verdict in verdicts.values():
         by_leaders.setdefault(tuple(name for name in names if name in verdict.leaders), []).append(verdict)
     unknown = by_leaders.pop((), [])
-    for leaders, found in sorted(by_leaders.items(), key=lambda item: -len(item[1])):
+    for leaders, best in sorted(by_leaders.items(), key=lambda item: -len(item[1])):
         have = "tie for" if len(leaders) > 1 else "has"
-        shown = ""
+        details = ""
         if len(leaders) < len(names):
-            shown = f", shown against all others in {sum(verdict.is_shown for verdict in found) or 'none'}"
-        among = f"{len(found)} of {len(verdicts)} scenarios"
-        sentences.append(f"{listed(leaders)} {have} the smallest position error in {among}{shown}.")
+            details = f", shown against all others in {sum(verdict.is_shown for verdict in best) or 'none'}"
+        among = f"{len(best)} of {len(verdicts)} scenarios"
+        sentences.append(f"{listed(leaders)} {have} the smallest position error in {among}{details}.")
     if unknown:
         sentences.append(f"In {len(unknown)} there is no best one{_why(unknown)}")
     return sentences
@@ -134,10 +134,10 @@ def _matrix(
 ) -> Markup:
     """Scenarios down and filters across, or the other way round where there are more filters."""
     colours = filter_colours(names)
-    found = {(cell, s.filter_name): s for cell, outcome in results.items() for s in outcome.summaries}
+    by_filter = {(cell, s.filter_name): s for cell, outcome in results.items() for s in outcome.summaries}
 
     def entry(cell: str, name: str) -> TableCell:
-        summary = found.get((cell, name))
+        summary = by_filter.get((cell, name))
         return number(None) if summary is None else _entry(summary, verdicts[cell])
 
     if len(names) > len(results):
@@ -185,13 +185,13 @@ def _factors(study: Study, results: Mapping[str, CellResult], folder: Path) -> l
         if len(groups) < 2:
             continue
         numbers = all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in levels.values())
-        shown = list(levels.values()) if numbers else list(levels)
+        levels_shown = list(levels.values()) if numbers else list(levels)
         responses = _responses(list(groups.values()))
         if not responses:
             continue
         averaged = ", over seeds and the other factors" if len(factors) > 1 else ", over seeds"
         caption = f"Geometric means{averaged}, with 95 % intervals over seeds where there are at least {MIN_PAIRS}."
-        figure = plot_factor("" if factor == "cell" else factor, shown, responses)
+        figure = plot_factor("" if factor == "cell" else factor, levels_shown, responses)
         block = figure_block(figure, f"factor_{i}", caption, folder)
         heading = "Side by side" if factor == "cell" else f"Effect of {factor}"
         sections.append(part("section", heading, "", [block]))
@@ -223,9 +223,9 @@ def _responses(groups: Sequence[Sequence[CellResult]]) -> list[FactorResponse]:
             name: np.array([_mean_and_interval([_by_seed(o, name, measure) for o in group]) for group in groups]).T
             for name in names
         }
-        points = {name: found for name, found in points.items() if np.isfinite(found[0]).any()}
+        points = {name: curve for name, curve in points.items() if np.isfinite(curve[0]).any()}
         if points:
-            means, lows, highs = ({name: found[i] for name, found in points.items()} for i in range(3))
+            means, lows, highs = ({name: curve[i] for name, curve in points.items()} for i in range(3))
             responses.append(FactorResponse(title, means, lows, highs, band if measure is POSE_NEES else None, log))
     return responses
 
@@ -328,9 +328,9 @@ def _settings_of(result: CellResult) -> dict[str, Any]:
 def recordings_of(result: CellResult) -> dict[str, dict[str, Path]]:
     """Files of the recordings of a cell, by seed; where policies drive, one of each competitor."""
     directory, choices = result.directory, result.cell.scenario.competitors
-    own = [choice for choice in choices if choice.policy is not None]
+    policies = [choice for choice in choices if choice.policy is not None]
     return {
-        seed_name(seed): {f"recording of {choice.label}": directory.recording_path(seed, choice) for choice in own}
+        seed_name(seed): {f"recording of {choice.label}": directory.recording_path(seed, choice) for choice in policies}
         or {"recording": directory.recording_path(seed)}
         for seed in directory.seeds
     }
@@ -340,8 +340,8 @@ def looks_of(result: CellResult) -> Looks:
     """The baseline of the policies, and the gaze of all in the first seed; missing recordings are left out."""
     competitors, seed = result.cell.scenario.competitors, result.directory.seeds[0]
     paths = {choice.label: result.directory.recording_path(seed, choice) for choice in competitors}
-    seen = {label: load_recording(path) for label, path in paths.items() if path.exists()}
-    return Looks(baseline_of(competitors), seen)
+    recordings = {label: load_recording(path) for label, path in paths.items() if path.exists()}
+    return Looks(baseline_of(competitors), recordings)
 
 
 def attribution_of(factorial: Mapping[str, Sequence[Any]], result: CellResult) -> Attribution | None:

@@ -29,11 +29,11 @@ def write_comparison_report(out: Path, comparison: RunComparison) -> Path:
         part("items", comparison.warnings, "failures fair"),
     ]
     if comparison.shown:
-        shown = _table(comparison.shown, comparison.how, out / TABLES / "changes.tex")
-        body.append(part("section", "Shown", _guide(comparison), [shown]))
+        table = _table(comparison.shown, comparison.how, out / TABLES / "changes.tex")
+        body.append(part("section", "Shown", _guide(comparison), [table]))
     if comparison.rest:
-        said = f"All {len(comparison.changes)} comparisons"
-        all_ = part("folded", said, _table(comparison.changes, comparison.how))
+        words = f"All {len(comparison.changes)} comparisons"
+        all_ = part("folded", words, _table(comparison.changes, comparison.how))
         lines = part("items", comparison.rest, "quiet")
         body.append(part("section", "Not shown", "" if comparison.shown else _guide(comparison), [lines, all_]))
     if drawn := _drawn(comparison.changes):
@@ -53,9 +53,9 @@ _MOST_DRAWN = 60
 
 def _drawn(changes: Sequence[Change]) -> list[Change]:
     """Changes with an interval; of very many those that are shown."""
-    known = [change for change in changes if change.interval_percent is not None]
-    shown = [change for change in known if change.finding is not Finding.NOT_SHOWN]
-    return known if len(known) <= _MOST_DRAWN else shown[:_MOST_DRAWN]
+    drawable = [change for change in changes if change.interval_percent is not None]
+    significant = [change for change in drawable if change.finding is not Finding.NOT_SHOWN]
+    return drawable if len(drawable) <= _MOST_DRAWN else significant[:_MOST_DRAWN]
 
 
 def _guide(comparison: RunComparison) -> str:
@@ -133,10 +133,10 @@ def attribution_section(attribution: Attribution, folder: Path) -> Markup:
         part("titled", "Share of the differences explained", _shares(attribution.responses)),
     ]
     if any(response.interactions for response in attribution.responses):
-        shown = sum(effect.difference.shown for response in attribution.responses for effect in response.interactions)
+        count = sum(effect.difference.shown for response in attribution.responses for effect in response.interactions)
         total = sum(len(response.interactions) for response in attribution.responses)
-        said = f"Interactions of two options: {shown} of {total} shown"
-        parts.append(part("folded", said, _interactions(attribution.responses)))
+        words = f"Interactions of two options: {count} of {total} shown"
+        parts.append(part("folded", words, _interactions(attribution.responses)))
     if any(attribution.diverged_percent.values()):
         rows: list[list[TableCell | str]] = [
             [factor, str(level), number(percent, ".0f", tone="bad" if percent else "")]
@@ -187,15 +187,15 @@ def _interactions(responses: Sequence[ResponseAttribution]) -> Markup:
     rows: list[list[TableCell | str]] = []
     for response in responses:
         for effect in sorted(response.interactions, key=lambda e: (not e.difference.shown, -abs(e.difference.percent))):
-            shown = effect.difference.shown
-            tone: Tone = "" if shown else "none"
+            is_shown = effect.difference.shown
+            tone: Tone = "" if is_shown else "none"
             rows.append(
                 [
                     response.response,
                     " × ".join(effect.factors),
                     ", ".join(map(str, effect.levels)),
                     percent_cell(effect.difference, tone),
-                    TableCell("yes" if shown else "no", tone=tone),
+                    TableCell("yes" if is_shown else "no", tone=tone),
                 ]
             )
     return on_page(Table(columns, rows))

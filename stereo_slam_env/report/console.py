@@ -128,9 +128,9 @@ def show_noise(console: Console, name: str, found: MeasurementErrors) -> None:
     show_table(console, Table([Column("depth", "m", kind="words"), *map(Column, headings)], cells, block=3))
     console.print("correlation of two errors of a landmark (u, v, d)", highlight=False)
     for lag in LAGS:
-        known = ["–" if math.isnan(value) else f"{value:+.2f}" for value in error_correlation(found, lag)]
+        correlations = ["–" if math.isnan(value) else f"{value:+.2f}" for value in error_correlation(found, lag)]
         frames = "1 frame" if lag == 1 else f"{lag} frames"
-        console.print(f"  {frames} apart: {', '.join(known)}", highlight=False)
+        console.print(f"  {frames} apart: {', '.join(correlations)}", highlight=False)
 
 
 @contextmanager
@@ -194,17 +194,17 @@ def _print_columns(console: Console, names: Sequence[str], columns: Mapping[str,
     columns_left = list(range(1, len(least)))
     headings, values = list(columns), list(columns.values())
     while columns_left:
-        shown = [0]
-        while columns_left and (len(shown) == 1 or _width([*shown, columns_left[0]], least) <= console.width):
-            shown.append(columns_left.pop(0))
-        spare = console.width - _width(shown, least)
+        placed = [0]
+        while columns_left and (len(placed) == 1 or _width([*placed, columns_left[0]], least) <= console.width):
+            placed.append(columns_left.pop(0))
+        spare = console.width - _width(placed, least)
         table = ScreenTable(box=None, pad_edge=False, header_style="bold")
-        for k in shown:
+        for k in placed:
             width = least[k] + min(max(spare, 0), most[k] - least[k])
             spare -= width - least[k]
             table.add_column(escape(headings[k - 1]) if k else "", justify="right" if k else "left", width=width)
         for row, name in enumerate(names):
-            table.add_row(escape(name), *(values[k - 1][row] for k in shown[1:]))
+            table.add_row(escape(name), *(values[k - 1][row] for k in placed[1:]))
         console.print(table, highlight=False)
         if columns_left:
             console.print()
@@ -231,7 +231,7 @@ def _headline(result: CellResult) -> str:
     if not scenario.policies:
         return judge(result.summaries, result.figures).headline
     verdict = judge_policies(result.summaries, result.figures, baseline=baseline_of(scenario.competitors))
-    return "\n".join([verdict.headline, *(f"- {found.words}" for found in verdict.comparisons.values())])
+    return "\n".join([verdict.headline, *(f"- {comparison.words}" for comparison in verdict.comparisons.values())])
 
 
 def show_comparison(console: Console, comparison: RunComparison) -> None:
@@ -264,7 +264,7 @@ def _cells(summaries: Sequence[FilterSummary], *, claims: bool, brief: bool) -> 
         rows[f"{figure.title}{of_all}"] = [_cell(figure, summary) for summary in summaries]
         if figure is EFFICIENCY and not brief:
             limits = [limit_reached(summary) for summary in summaries]
-            rows["95 % interval of that"] = [UNKNOWN if found is None else found.sureness for found in limits]
+            rows["95 % interval of that"] = [UNKNOWN if limit is None else limit.sureness for limit in limits]
     return {title: cells for title, cells in rows.items() if set(cells) != {UNKNOWN}}
 
 
@@ -279,8 +279,8 @@ def _cell(figure: Figure, summary: FilterSummary) -> str:
     value = summary.figures[figure.name]
     if figure.per_runs:
         return f"{value} of {summary.runs}"
-    found = limit_reached(summary) if figure is EFFICIENCY else None
-    return figure.text(value) if found is None else found.value.removesuffix(" %")
+    limit = limit_reached(summary) if figure is EFFICIENCY else None
+    return figure.text(value) if limit is None else limit.value.removesuffix(" %")
 
 
 def _ranges(seeds: Sequence[int]) -> str:

@@ -57,8 +57,8 @@ def answer(
     value: str, word: str = "", tone: Tone = "none", mark: Markup | None = None, key: float | None = None
 ) -> TableCell:
     """A value with a mark beside it, and a word on it below."""
-    known = key is not None and np.isfinite(key)
-    return TableCell(value, float(key or 0.0) if known else None, note=word, note_tone=tone, mark=mark)
+    has_key = key is not None and np.isfinite(key)
+    return TableCell(value, float(key or 0.0) if has_key else None, note=word, note_tone=tone, mark=mark)
 
 
 def colour_key(names: Sequence[str]) -> Markup:
@@ -75,13 +75,13 @@ def colour_key(names: Sequence[str]) -> Markup:
 def answers_table(who: str, questions: Sequence[Question], summaries: Sequence[FilterSummary]) -> Markup:
     """Table with a row for each summary, `who`; questions that nobody has an answer to are left out."""
     colours = filter_colours(s.filter_name for s in summaries)
-    found = [(column, [answered(summary) for summary in summaries]) for column, answered in questions]
-    shown = [(column, cells) for column, cells in found if any(cell is not None for cell in cells)]
+    answered_columns = [(column, [answered(summary) for summary in summaries]) for column, answered in questions]
+    columns_kept = [(column, cells) for column, cells in answered_columns if any(cell is not None for cell in cells)]
     rows = [
-        [filter_cell(s.filter_name, colours), *(cells[i] or number(None) for _, cells in shown)]
+        [filter_cell(s.filter_name, colours), *(cells[i] or number(None) for _, cells in columns_kept)]
         for i, s in enumerate(summaries)
     ]
-    return on_page(Table([Column(who), *(column for column, _ in shown)], rows, "answers"))
+    return on_page(Table([Column(who), *(column for column, _ in columns_kept)], rows, "answers"))
 
 
 def consistency_question(summaries: Sequence[FilterSummary], *, with_share: bool = True) -> Question:
@@ -211,22 +211,22 @@ def _difference(summary: FilterSummary, verdict: Verdict) -> TableCell | None:
     if comparison is None or not comparison.difference.count:
         return None
     word, tone = _finding(comparison)
-    found = comparison.difference
-    if found.interval is not None and not comparison.tied:
-        word = f"{word}, {found.interval_words}"
-    return answer(f"{signed(found.percent)} %", word, tone, _interval_mark(comparison, verdict), found.percent)
+    change = comparison.difference
+    if change.interval is not None and not comparison.tied:
+        word = f"{word}, {change.interval_words}"
+    return answer(f"{signed(change.percent)} %", word, tone, _interval_mark(comparison, verdict), change.percent)
 
 
 def _finding(comparison: FilterComparison) -> tuple[str, Tone]:
-    found = comparison.difference
+    difference = comparison.difference
     if comparison.tied:
-        return f"tie, {found.tie_words}", "none"
-    if found.finding is Finding.WORSE:
+        return f"tie, {difference.tie_words}", "none"
+    if difference.finding is Finding.WORSE:
         return "worse", "bad"
-    if found.finding is Finding.BETTER:
+    if difference.finding is Finding.BETTER:
         return "better run by run", "fair"
-    if found.too_few:
-        return f"{found.count} run{' is' if found.count == 1 else 's are'} too few to show it", "none"
+    if difference.too_few:
+        return f"{difference.count} run{' is' if difference.count == 1 else 's are'} too few to show it", "none"
     return Finding.NOT_SHOWN.value, "none"
 
 
@@ -247,12 +247,12 @@ def _interval_mark(comparison: FilterComparison | None, verdict: Verdict) -> Mar
     line = ("line", {"x1": zero, "x2": zero, "y1": 0, "y2": MARK_HEIGHT, "stroke": "var(--muted)"})
     if comparison is None:
         return drawn(line)
-    found = comparison.difference
-    colour = "var(--bad)" if found.finding is Finding.WORSE else "var(--muted)"
-    dot = ("circle", {"cx": place(found.percent), "cy": middle, "r": 3.5, "fill": colour})
-    if found.interval_percent is None:
+    difference = comparison.difference
+    colour = "var(--bad)" if difference.finding is Finding.WORSE else "var(--muted)"
+    dot = ("circle", {"cx": place(difference.percent), "cy": middle, "r": 3.5, "fill": colour})
+    if difference.interval_percent is None:
         return drawn(line, dot)
-    start, end = (place(percent) for percent in found.interval_percent)
+    start, end = (place(percent) for percent in difference.interval_percent)
     size = {"x": start, "y": middle - 2, "width": max(end - start, 1), "height": 4, "rx": 2}
     return drawn(line, ("rect", {**size, "fill": colour, "opacity": 0.4}), dot)
 
@@ -262,23 +262,23 @@ def _interval_mark(comparison: FilterComparison | None, verdict: Verdict) -> Mar
 
 def _limit_of(summaries: Sequence[FilterSummary]) -> str:
     bounds = {short(s.bound_position_m, " m") for s in summaries if s.bound_position_m is not None}
-    sure = any(found is not None and found.interval is not None for found in map(limit_reached, summaries))
+    sure = any(reached is not None and reached.interval is not None for reached in map(limit_reached, summaries))
     bound = f"bound {next(iter(bounds))} / RMSE" if len(bounds) == 1 else "bound / RMSE"
     return f"{bound}, 95 % interval" if sure else bound
 
 
 def _efficiency(summary: FilterSummary) -> TableCell | None:
-    found = limit_reached(summary)
-    if found is None:
+    limit = limit_reached(summary)
+    if limit is None:
         return None
-    width, share = 90, float(np.clip(found.percent / 100, 0.0, 1.0))
+    width, share = 90, float(np.clip(limit.percent / 100, 0.0, 1.0))
     bar = {"x": 0, "y": 3, "height": 6, "rx": 3}
     mark = drawn(
         ("rect", {**bar, "width": width, "fill": "var(--band)"}),
         ("rect", {**bar, "width": max(share * width, 2), "fill": "var(--series-0)"}),
         width=width,
     )
-    return answer(found.value, found.sureness, "none", mark, found.percent)
+    return answer(limit.value, limit.sureness, "none", mark, limit.percent)
 
 
 def _cost(summary: FilterSummary, summaries: Sequence[FilterSummary]) -> TableCell | None:
@@ -320,7 +320,7 @@ def policy_overview(summaries: Sequence[FilterSummary], verdict: PolicyVerdict) 
         [
             part("paragraph", verdict.headline, "headline"),
             answers_table("Policy", questions, summaries),
-            part("items", [found.words for found in verdict.comparisons.values()], "quiet claims"),
+            part("items", [comparison.words for comparison in verdict.comparisons.values()], "quiet claims"),
         ]
     )
 
@@ -334,12 +334,12 @@ def _claimed(summary: FilterSummary, verdict: PolicyVerdict) -> TableCell | None
 def _by(measure: Figure, summary: FilterSummary, verdict: PolicyVerdict) -> TableCell:
     """The value of a measure, and its difference to that of the baseline."""
     value = measure.of(summary)
-    shown = short(value, f" {measure.unit}")
+    text = short(value, f" {measure.unit}")
     if summary.filter_name == verdict.baseline:
-        return answer(shown, "baseline", "none", key=value)
+        return answer(text, "baseline", "none", key=value)
     difference = verdict.compared.cell(measure, summary.filter_name, verdict.baseline)
     if difference is None:
-        return answer(shown, "", "none", key=value)
+        return answer(text, "", "none", key=value)
     words = [f"{signed(difference.percent)} %"]
     if difference.too_few:
         words.append(f"{difference.count} run{' is' if difference.count == 1 else 's are'} too few")
@@ -347,14 +347,14 @@ def _by(measure: Figure, summary: FilterSummary, verdict: PolicyVerdict) -> Tabl
         words.append(difference.interval_words)
         if difference.finding is Finding.NOT_SHOWN:
             words.append(difference.finding.value)
-    return answer(shown, ", ".join(words), FINDING_TONES[difference.finding], key=value)
+    return answer(text, ", ".join(words), FINDING_TONES[difference.finding], key=value)
 
 
 def _agreement(summary: FilterSummary, verdict: PolicyVerdict) -> TableCell | None:
-    found = verdict.comparisons.get(summary.filter_name)
-    if found is None:
+    agreement = verdict.comparisons.get(summary.filter_name)
+    if agreement is None:
         return None
-    word, tone = _SAID[found.agreement]
-    if found.agreement is Agreement.AGREE and found.consistency is Consistency.OVERCONFIDENT:
+    word, tone = _SAID[agreement.agreement]
+    if agreement.agreement is Agreement.AGREE and agreement.consistency is Consistency.OVERCONFIDENT:
         return answer("in part", "too much is claimed", "fair")
     return answer(word, "", tone)

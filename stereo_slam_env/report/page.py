@@ -52,9 +52,9 @@ def save_all(pictures: Sequence[Picture]) -> list[str]:
     shares = [range(first, len(pictures), count) for first in range(count)]
     drawings: dict[int, str] = {}
     with ExitStack() as stack:
-        others = [stack.enter_context(_elsewhere([pictures[i] for i in share])) for share in shares[1:]]
+        others_drawn = [stack.enter_context(_elsewhere([pictures[i] for i in share])) for share in shares[1:]]
         drawings |= {i: _saved(pictures[i]) for i in shares[0]}
-        for share, drawn in zip(shares[1:], others, strict=True):
+        for share, drawn in zip(shares[1:], others_drawn, strict=True):
             found = drawn() or [_saved(pictures[i]) for i in share]
             drawings |= dict(zip(share, found, strict=True))
     return [drawings[i] for i in range(len(pictures))]
@@ -74,11 +74,11 @@ def _elsewhere(share: Sequence[Picture]) -> Iterator[Callable[[], list[str] | No
     """A function that waits for the drawings of a process, None where it fails; it ends with the block."""
     specs = [[chart.spec, [str(path.resolve()) for path in paths]] for chart, paths in share]
     code = f"import sys; sys.path[:] = {sys.path!r}; from {__name__} import draw_share; draw_share()"
-    with tempfile.TemporaryFile() as told, tempfile.TemporaryFile() as drawn:
-        told.write(json.dumps(specs).encode())
-        told.seek(0)
+    with tempfile.TemporaryFile() as request, tempfile.TemporaryFile() as drawn:
+        request.write(json.dumps(specs).encode())
+        request.seek(0)
         process = subprocess.Popen(
-            [sys.executable, "-c", code], stdin=told, stdout=drawn, stderr=subprocess.DEVNULL, start_new_session=True
+            [sys.executable, "-c", code], stdin=request, stdout=drawn, stderr=subprocess.DEVNULL, start_new_session=True
         )
 
         def wait() -> list[str] | None:
@@ -100,8 +100,8 @@ def _elsewhere(share: Sequence[Picture]) -> Iterator[Callable[[], list[str] | No
 
 def draw_share() -> None:
     """Draw what the standard input says, and write the drawings as JSON."""
-    given = json.loads(sys.stdin.read())
-    json.dump([Chart(spec).save(*map(Path, paths)) for spec, paths in given], sys.stdout)
+    pictures = json.loads(sys.stdin.read())
+    json.dump([Chart(spec).save(*map(Path, paths)) for spec, paths in pictures], sys.stdout)
 
 
 FIGURES, TABLES = "figures", "tables"
@@ -308,12 +308,12 @@ Recordings = Mapping[str, Mapping[str, Path]]
 def data_section(out: Path, recordings: Recordings | None = None) -> Markup:
     """Section of links to the files of a run directory, as far as they are there; empty where there are none."""
     names = sorted(file.name for file in out.glob("[!.]*") if file.suffix in _DATA_FILES)
-    found = _found(out, recordings or {})
-    if not names and not found:
+    files_by_seed = _found(out, recordings or {})
+    if not names and not files_by_seed:
         return Markup()
     contents = [part("links", "Beside this page:", [(name, quote(name)) for name in names])] if names else []
-    if found:
-        columns = list(dict.fromkeys(name for row in found.values() for name in row))
+    if files_by_seed:
+        columns = list(dict.fromkeys(name for row in files_by_seed.values() for name in row))
         rows = [
             [
                 TableCell(seed),
@@ -322,7 +322,7 @@ def data_section(out: Path, recordings: Recordings | None = None) -> Markup:
                     for name in columns
                 ),
             ]
-            for seed, row in found.items()
+            for seed, row in files_by_seed.items()
         ]
         headings = [Column("Files", kind="text"), *(Column(name, kind="text") for name in columns)]
         guide = (
@@ -336,15 +336,15 @@ def data_section(out: Path, recordings: Recordings | None = None) -> Markup:
 
 def _found(out: Path, recordings: Recordings) -> dict[str, dict[str, Path]]:
     """Files by seed, then by column: recordings, then trajectories, the truth first."""
-    found: dict[str, dict[str, Path]] = {}
+    files_by_seed: dict[str, dict[str, Path]] = {}
     for seed, paths in recordings.items():
         if existing := {name: path for name, path in paths.items() if path.is_file()}:
-            found[seed] = existing
+            files_by_seed[seed] = existing
     for path in sorted(
         out.glob("trajectories/*/*.tum"), key=lambda path: (path.parent, path.stem != "truth", path.stem)
     ):
-        found.setdefault(path.parent.name, {})[path.stem] = path
-    return found
+        files_by_seed.setdefault(path.parent.name, {})[path.stem] = path
+    return files_by_seed
 
 
 def _address(path: Path, out: Path) -> str:

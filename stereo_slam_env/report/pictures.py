@@ -121,11 +121,11 @@ def _landmarks(belief: LandmarkBelief | None, axes: tuple[int, int]) -> tuple[Fl
         return np.zeros((0, 2)), np.zeros((0, len(_CIRCLE), 2))
     place = list(axes)
     points, P = belief.positions[:, place], belief.covariances[:, place][:, :, place]
-    known = np.isfinite(points).all(axis=1) & np.isfinite(P).all(axis=(1, 2))
-    values, vectors = np.linalg.eigh(P[known])
+    finite = np.isfinite(points).all(axis=1) & np.isfinite(P).all(axis=(1, 2))
+    values, vectors = np.linalg.eigh(P[finite])
     root = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
     circle = np.stack([np.cos(_CIRCLE), np.sin(_CIRCLE)])
-    return points[known], points[known, None] + _SIGMAS * (root @ circle).transpose(0, 2, 1)
+    return points[finite], points[finite, None] + _SIGMAS * (root @ circle).transpose(0, 2, 1)
 
 
 def _runs(run: Evaluation | Comparison | FilterRun | Sequence[FilterRun]) -> list[FilterRun]:

@@ -196,21 +196,21 @@ def _sections(
     with_truth = any(series.scored(run).any() for run in runs)
     with_nees = any(np.isfinite(run.pose_nees).any() for run in runs)
     first = series.first_recording(runs)
-    shown = f"{first[0].recording_name}" + (f", seed {first[0].seed}" if first[0].seed is not None else "")
+    where = f"{first[0].recording_name}" + (f", seed {first[0].seed}" if first[0].seed is not None else "")
 
     def latex(name: str) -> Path:
         return folder / f"{name}.tex"
 
     if looks is not None:
-        yield part("section", "Where policies look, and what that is worth", "", [*_gaze(runs, looks, shown, draw)])
+        yield part("section", "Where policies look, and what that is worth", "", [*_gaze(runs, looks, where, draw)])
     if with_truth:
         table = tables.figures_table(summaries, ["accuracy"], who, latex("accuracy"))
-        yield part("section", "Accuracy", "", [table, *_accuracy(runs, summaries, shown, draw)])
+        yield part("section", "Accuracy", "", [table, *_accuracy(runs, summaries, where, draw)])
     else:
-        drawn = draw("trajectory", f"Path on {shown}.", accuracy.plot_trajectory, runs)
-        known = any(np.isfinite(run.true_positions).all(axis=1).any() for run in runs)
+        drawn = draw("trajectory", f"Path on {where}.", accuracy.plot_trajectory, runs)
+        truth = any(np.isfinite(run.true_positions).all(axis=1).any() for run in runs)
         none = (
-            "No filter came to a frame with ground truth." if known else "There is no ground truth to hold it against."
+            "No filter came to a frame with ground truth." if truth else "There is no ground truth to hold it against."
         )
         yield part("section", "Trajectory", none, [drawn])
     if limits := [*_limits(runs, summaries, bounds, draw)]:
@@ -225,21 +225,21 @@ def _sections(
     )
     table = tables.consistency_table(summaries, who, latex("consistency"))
     yield part("section", "Consistency", guide, [table, *_consistency(runs, summaries, with_nees, draw)])
-    if found := [*_audits(audits, draw)]:
-        yield part("section", "Is the reference right?", _AUDIT_NOTE, found)
+    if drawings := [*_audits(audits, draw)]:
+        yield part("section", "Is the reference right?", _AUDIT_NOTE, drawings)
     if with_nees:
         limit = nees.error_limits(first)
         guide = "Position in the world, rotation in the camera frame; equal scales for all filters."
         if len(first) > MOST_SHOWN:
             guide += f" The first {MOST_SHOWN} of {len(first)} filters."
         bounded = [
-            draw(f"error_{i}", f"{run.filter_name} on {shown}.", nees.plot_error_bounds, run, limit)
+            draw(f"error_{i}", f"{run.filter_name} on {where}.", nees.plot_error_bounds, run, limit)
             for i, run in enumerate(first[:MOST_SHOWN])
         ]
         yield part("section", "Errors and their 3σ bounds", guide, bounded)
-    if found := [*_map(runs, summaries, draw, same_landmarks=looks is None)]:
-        yield part("section", "Map and depth", "", found)
-    caption = f"Velocity in the world and heading on {shown}."
+    if drawings := [*_map(runs, summaries, draw, same_landmarks=looks is None)]:
+        yield part("section", "Map and depth", "", drawings)
+    caption = f"Velocity in the world and heading on {where}."
     yield part("section", "Velocity and heading", "", [draw("velocity", caption, accuracy.plot_velocity, runs)])
     guide = "Compare filters within a report, not across machines."
     table = tables.figures_table(summaries, ["cost", "events"], who, latex("cost"))
@@ -350,13 +350,13 @@ def _repeated(figures: Figures, out: Path) -> Markup:
     if compared is None:
         return Markup()
     many = {name: labels for name, labels in systems(list(figures)).items() if len(labels) > 1}
-    told = [
+    repeats = [
         f"{name}: {len(labels)} runs of each recording, whose position errors scatter by "
         f"{100 * run_spread(figures, labels):.2g} % (standard deviation)"
         for name, labels in many.items()
     ]
     guide = (
-        f"{'; '.join(told)}. Of each recording the mean over runs counts, and the recordings are the sample: their"
+        f"{'; '.join(repeats)}. Of each recording the mean over runs counts, and the recordings are the sample: their"
         " scatter holds that of the runs, too. A system that is run once counts as it is."
     )
     table = tables.pair_table(compared, "System", out / TABLES / "systems.tex")

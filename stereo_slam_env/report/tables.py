@@ -38,20 +38,20 @@ def consistency_table(summaries: Sequence[FilterSummary], who: str = "Filter", l
             columns.append(figure_column(figure))
             cells.append([figure_cell(figure, s) for s in summaries])
             continue
-        found = [s.consistency.get(figure.name.removesuffix("_anees")) for s in summaries]
+        figures_found = [s.consistency.get(figure.name.removesuffix("_anees")) for s in summaries]
         ideal = figure.ideal
-        bands = {_band_words(f.band[0] / ideal, f.band[1] / ideal) for f in found if f is not None}
+        bands = {_band_words(f.band[0] / ideal, f.band[1] / ideal) for f in figures_found if f is not None}
         columns.append(_column(figure, "ideal 1" + (f", {next(iter(bands))}" if len(bands) == 1 else "")))
         tones: list[Tone] = [
             "" if f is None else "bad" if f.mean > f.band[1] else "fair" if f.mean < f.band[0] else "good"
-            for f in found
+            for f in figures_found
         ]
         cells.append([figure_cell(figure, s, tone) for s, tone in zip(summaries, tones, strict=True)])
         if bands:
             columns.append(
                 Column("inside", "% frames", f"{figure.heading}: mean over runs inside the band of its frame")
             )
-            cells.append([number(f.inside_percent if f else None, ".0f") for f in found])
+            cells.append([number(f.inside_percent if f else None, ".0f") for f in figures_found])
     return _rows(summaries, who, columns, list(zip(*cells, strict=True)), latex)
 
 
@@ -74,8 +74,8 @@ def pair_table(compared: PairwiseTable, who: str = "Filter", latex: Path | None 
     for a, b in pairs:
         if (b, a) in pairs and order[a] > order[b]:
             continue
-        found = (pair_cell(measure, compared.cell(measure, a, b)) for measure in compared.measures)
-        rows.append([filter_cell(a, colours), filter_cell(b, colours), *found])
+        pair_cells = (pair_cell(measure, compared.cell(measure, a, b)) for measure in compared.measures)
+        rows.append([filter_cell(a, colours), filter_cell(b, colours), *pair_cells])
     return on_page(Table(columns, rows, "wide"), latex)
 
 
@@ -128,8 +128,8 @@ def figure_cell(figure: Figure, summary: FilterSummary, tone: Tone = "") -> Tabl
     """Value of a figure."""
     value = summary.figures[figure.name]
     if figure is EFFICIENCY:
-        found = limit_reached(summary)
-        return number(None) if found is None else TableCell(found.words, found.percent)
+        limit = limit_reached(summary)
+        return number(None) if limit is None else TableCell(limit.words, limit.percent)
     if figure.per_runs:
         return TableCell(f"{value}/{summary.runs}", value, "bad" if value and figure.group == "events" else "")
     return TableCell(figure.text(value).replace("-", "−"), known(figure.shown(value)), tone)

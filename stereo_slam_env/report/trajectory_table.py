@@ -75,14 +75,14 @@ def headline(score: TrajectoryScore) -> str:
     """The verdict on one estimate, in a sentence."""
     error = FIGURES["position_rmse_m"].text(score.position_rmse_m)
     claim = score.claim
-    said = f"its covariance is {score.verdict}"
+    claim_words = f"its covariance is {score.verdict}"
     if claim is None:
-        said = "it claims no covariance"
+        claim_words = "it claims no covariance"
     elif claim.obstacle:
-        said = f"its covariance is not judged ({claim.obstacle})"
+        claim_words = f"its covariance is not judged ({claim.obstacle})"
     elif claim.of_a_pair:
-        said = score.verdict
-    return f"{score.estimate}: position error {error} m RMS over {readable(score.path_m)} m; {said}."
+        claim_words = score.verdict
+    return f"{score.estimate}: position error {error} m RMS over {readable(score.path_m)} m; {claim_words}."
 
 
 def unusable_note(score: TrajectoryScore) -> str:
@@ -133,12 +133,12 @@ def _coverage(claim: ClaimScore) -> str:
 
 
 def _claim_rows(name: str, dof: int) -> list[_Row]:
-    of, asked = partial(_of, name, dof), " / ".join(f"{100.0 * p:.0f}" for p in COVERED)
+    of, shares = partial(_of, name, dof), " / ".join(f"{100.0 * p:.0f}" for p in COVERED)
     low, high = (end / dof for end in mean_band(dof, 1))
     return [
         (f"{name} NEES / {dof} [95 %] (one run: {low:.2f} to {high:.2f})", of(_nees)),
         (f"  scale gap k, median NEES / {chi_square_quantile(0.5, dof):.2f}", of(_scale_gap)),
-        (f"  inside the {asked} % ellipsoid, %", of(_coverage)),
+        (f"  inside the {shares} % ellipsoid, %", of(_coverage)),
         ("  log score = calibration + sharpness, nats", of(_log_score)),
         ("  CRPS, energy score, m", of(_distances)),
         ("  claim", of(lambda claim: "not judged" if claim.obstacle else claim.verdict)),

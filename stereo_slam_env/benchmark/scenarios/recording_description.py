@@ -63,11 +63,11 @@ def measurement_errors(recording: Recording) -> MeasurementErrors:
     for number, frame in enumerate(recording.frames):
         if frame.truth is None:
             continue
-        seen = frame.observation
-        ids, i, j = np.intersect1d(seen.ids, truth.ids, assume_unique=True, return_indices=True)
+        observation = frame.observation
+        ids, i, j = np.intersect1d(observation.ids, truth.ids, assume_unique=True, return_indices=True)
         p_c = frame.truth.to_camera(truth.positions[j])
-        errors = seen.uvd[i] - recording.camera.project(p_c)
-        R = seen.covariances(recording.noise)[i]
+        errors = observation.uvd[i] - recording.camera.project(p_c)
+        R = observation.covariances(recording.noise)[i]
         parts.append((ids, np.full(len(ids), number), p_c[:, 2], errors, R))
     return MeasurementErrors(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
@@ -158,23 +158,23 @@ def _lasting(noise: StereoNoise, referenced: bool) -> dict[str, str]:
     """How errors last, as `coloured-noise` is told."""
     if not isinstance(noise, ColouredNoise):
         return {}
-    said = []
+    sentences = []
     lasting = noise.lasting_covariance
     if lasting is not None:
         sigmas = " / ".join(f"{sigma:.2f}" for sigma in np.sqrt(np.diag(lasting)))
-        said.append(
+        sentences.append(
             f"each point errs by {sigmas} px of u / v / d, forgotten with a time constant of {noise.lasting_time:g} s"
         )
     elif noise.drift is not None:
         if any(noise.drift.pixels):
             steps = " / ".join(f"{step:.2f}" for step in noise.drift.pixels)
-            said.append(f"each point walks {steps} px of u / v / d a frame")
+            sentences.append(f"each point walks {steps} px of u / v / d a frame")
         if noise.drift.share:
-            said.append(f"each point walks {noise.drift.share:.2f} of its sigma a frame")
+            sentences.append(f"each point walks {noise.drift.share:.2f} of its sigma a frame")
     if noise.gauge_walk:
-        said.append(f"all together by {1e3 * noise.gauge_walk:.1f} mrad per root of a radian of image motion")
+        sentences.append(f"all together by {1e3 * noise.gauge_walk:.1f} mrad per root of a radian of image motion")
     if noise.misalignment and referenced:
-        said.append(f"camera and reference are aligned to {1e3 * noise.misalignment:.0f} mrad")
+        sentences.append(f"camera and reference are aligned to {1e3 * noise.misalignment:.0f} mrad")
     assumed = []
     if noise.disparity_offset:
         assumed.append(f"disparity offset {noise.disparity_offset:.2f} px")
@@ -182,7 +182,7 @@ def _lasting(noise: StereoNoise, referenced: bool) -> dict[str, str]:
         assumed.append(f"right camera {1e3 * noise.right_yaw:.1f} mrad in yaw, {1e3 * noise.right_roll:.1f} in roll")
     if noise.scale:
         assumed.append(f"scale {100 * noise.scale:.1f} %")
-    lines = {"that lasts": "; ".join(said) or "nothing"}
+    lines = {"that lasts": "; ".join(sentences) or "nothing"}
     return lines | ({"assumed of the rig": f"sigmas, not measured: {', '.join(assumed)}"} if assumed else {})
 
 
@@ -190,20 +190,20 @@ def _audit(recording: Recording) -> dict[str, str]:
     """Whether the images contradict the reference; nothing where there is none, or an exact one."""
     from stereo_slam_env.frontend.camera_motion import audit_of  # needs OpenCV, which a judge of filters may lack
 
-    found = audit_of(recording)
-    return {} if found is None else {"its steps": str(found)}
+    audit = audit_of(recording)
+    return {} if audit is None else {"its steps": str(audit)}
 
 
 def _rig_found(recording: Recording) -> dict[str, str]:
     """Errors that the filter puts down to the rig, with standard errors and how far beyond their prior they are."""
     units = {"disparity_offset": (1.0, "px"), "right_yaw": (1e3, "mrad"), "right_roll": (1e3, "mrad")}
-    found = {name: (units[name], *value) for name, value in rig_errors(recording).items()}
-    said = []
-    for name, ((scale, unit), value, sigma) in found.items():
+    errors = {name: (units[name], *value) for name, value in rig_errors(recording).items()}
+    facts = []
+    for name, ((scale, unit), value, sigma) in errors.items():
         words = f"{name.replace('_', ' ')} {scale * value:+.2f} ± {scale * sigma:.2f} {unit}"
         beyond = abs(value) > _FAR_FROM_PRIOR * getattr(recording.noise, name)
-        said.append(words + (f" (beyond {_FAR_FROM_PRIOR:g} sigma of what a rig may be wrong by)" if beyond else ""))
-    return {"put down to the rig": f"{', '.join(said)}; tracks that slide look the same"} if said else {}
+        facts.append(words + (f" (beyond {_FAR_FROM_PRIOR:g} sigma of what a rig may be wrong by)" if beyond else ""))
+    return {"put down to the rig": f"{', '.join(facts)}; tracks that slide look the same"} if facts else {}
 
 
 def _listed(entries: Mapping[str, object]) -> str:

@@ -305,9 +305,9 @@ class Scenario(CheckedStruct, frozen=True):
 
     def set_up_for(self, recording: Recording, given: Mapping[str, Any]) -> Scenario:
         """The scenario with filters set up as a recording states; what is `given` wins, where it is not None."""
-        chosen = {key: value for key, value in given.items() if value is not None or key == "gate"}
-        changes = {**recording.filter_setup.as_dict(), **chosen}
-        if "consensus" not in chosen:
+        changes_asked = {key: value for key, value in given.items() if value is not None or key == "gate"}
+        changes = {**recording.filter_setup.as_dict(), **changes_asked}
+        if "consensus" not in changes_asked:
             changes["consensus"] = changes["consensus"] and changes["gate"] is not None
         setup = dataclasses.replace(recording, stated_setup=FilterSetup(**changes)).filter_setup
         return self.replaced(**setup.as_dict())  # what is stored is what happens

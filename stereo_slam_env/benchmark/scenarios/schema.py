@@ -61,11 +61,11 @@ def scenario_schema() -> dict[str, Any]:
         "default": seeds.pop("default"),
         "anyOf": [{"type": "integer", "minimum": 1}, seeds],
     }
-    found = {kind: parts.pop(corruption.__name__) for kind, corruption in CORRUPTIONS.items()}
+    by_kind = {kind: parts.pop(corruption.__name__) for kind, corruption in CORRUPTIONS.items()}
     fields["corruptions"] = {
         "description": documented["corruptions"],
         "type": "array",
-        "items": {"oneOf": [_tagged(kind, about) for kind, about in found.items()]},
+        "items": {"oneOf": [_tagged(kind, about) for kind, about in by_kind.items()]},
     }
     kinds = {str(kind.__struct_config__.tag): parts.pop(kind.__name__) for kind in KINDS}
     fields["kind"] = {
@@ -134,10 +134,10 @@ def _tagged(kind: str, about: Mapping[str, Any]) -> dict[str, Any]:
 
 def _with_options(kind: str, about: Mapping[str, Any]) -> dict[str, Any]:
     """What the options of a kind are; cells and grids may add some, so none is required."""
-    own = {key: value for key, value in about["properties"].items() if key not in ("kind", "arguments")}
+    properties = {key: value for key, value in about["properties"].items() if key not in ("kind", "arguments")}
     options = {
         "description": about["description"].splitlines()[0],
-        "properties": own,
+        "properties": properties,
         "additionalProperties": "arguments" in about["properties"],
     }
     is_kind = {"properties": {"kind": {"const": kind}}, "required": ["kind"]}
@@ -147,8 +147,8 @@ def _with_options(kind: str, about: Mapping[str, Any]) -> dict[str, Any]:
 def _descriptions(documented: type) -> dict[str, str]:
     """What the docstring of a class says of its attributes."""
     attributes = (inspect.getdoc(documented) or "").partition("Attributes\n----------\n")[2].partition("\n\n")[0]
-    found = re.findall(r"^(\w+) : .*\n((?:    .*\n?)+)", attributes + "\n", re.MULTILINE)
-    return {name: " ".join(text.split()) for name, text in found}
+    matches = re.findall(r"^(\w+) : .*\n((?:    .*\n?)+)", attributes + "\n", re.MULTILINE)
+    return {name: " ".join(text.split()) for name, text in matches}
 
 
 if __name__ == "__main__":

@@ -42,8 +42,8 @@ def make_recordings(
     scenario: Scenario, seeds: Sequence[int | None], progress: Progress | None = None
 ) -> list[Recording]:
     """`make_recording` for some seeds, by a source that makes them at once."""
-    made = scenario.source.records(seeds, scenario.frames, progress)
-    return [_as_asked(recording, scenario, seed) for recording, seed in zip(made, seeds, strict=True)]
+    recordings = scenario.source.records(seeds, scenario.frames, progress)
+    return [_as_asked(recording, scenario, seed) for recording, seed in zip(recordings, seeds, strict=True)]
 
 
 def _as_asked(recording: Recording, scenario: Scenario, seed: int | None) -> Recording:
@@ -153,8 +153,8 @@ def stream_key(scenario: Scenario, choice: FilterChoice | None = None) -> str:
     about = [source.kind, source.options, scenario.frames, [dict(entry) for entry in scenario.corruptions]]
     if choice is None or choice.policy is None:
         return _short_digest(about)
-    told = [scenario.noise and dict(scenario.noise), scenario.common_options, scenario.use_odometry]
-    return f"{choice.label}-{_short_digest([*about, *told, msgspec.to_builtins(choice)])}"
+    setup = [scenario.noise and dict(scenario.noise), scenario.common_options, scenario.use_odometry]
+    return f"{choice.label}-{_short_digest([*about, *setup, msgspec.to_builtins(choice)])}"
 
 
 def _short_digest(about: list[Any]) -> str:
@@ -230,8 +230,8 @@ def stream_digest(recording: Recording) -> str:
         start.covariance,
     ]
     for frame in recording.frames:
-        seen, odometry = frame.observation, frame.odometry
-        parts += [np.float64(frame.timestamp), seen.ids, seen.uvd, seen.v_right, seen.R]
+        observation, odometry = frame.observation, frame.odometry
+        parts += [np.float64(frame.timestamp), observation.ids, observation.uvd, observation.v_right, observation.R]
         parts += [None] if odometry is None else [odometry.linear, odometry.angular, odometry.covariance]
         if frame.inertial is not None:
             samples, unit = frame.inertial, frame.inertial.unit

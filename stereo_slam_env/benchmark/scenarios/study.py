@@ -182,18 +182,18 @@ def preset_study(name: str, *, data: str | Path | None = None) -> Study:
 
 def preset_tables(name: str) -> dict[str, Any]:
     """The tables of a preset, as its scenario file has them; raises a `ValueError` for an unknown name."""
-    known = _presets()
-    if name not in known:
-        raise ValueError(f"preset must be one of {', '.join(known)}, got {name!r}{did_you_mean(name, known)}")
-    return {"name": name, **known[name]}
+    tables = _presets()
+    if name not in tables:
+        raise ValueError(f"preset must be one of {', '.join(tables)}, got {name!r}{did_you_mean(name, tables)}")
+    return {"name": name, **tables[name]}
 
 
 def preset_text(name: str) -> str:
     """A preset as a scenario file of its own, with its comments; raises a `ValueError` for an unknown name."""
     preset_tables(name)  # refuses an unknown name
     tables = re.split(r"^(?=\[\w+[\w-]*\]$)", _PRESETS.read_text(encoding="utf-8"), flags=re.MULTILINE)
-    (own,) = (text for text in tables if text.startswith(f"[{name}]\n"))
-    body = own.removeprefix(f"[{name}]\n").replace(f"[{name}.", "[").rstrip()
+    (table,) = (text for text in tables if text.startswith(f"[{name}]\n"))
+    body = table.removeprefix(f"[{name}]\n").replace(f"[{name}.", "[").rstrip()
     return f'name = "{name}"\n{body}\n'
 
 

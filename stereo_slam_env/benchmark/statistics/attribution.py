@@ -158,18 +158,18 @@ def _diverged_percent(
 
 def _missing(factors: Mapping[str, Sequence[Any]], ran: BoolArray, diverged: BoolArray, out: BoolArray) -> list[str]:
     """Notes on combinations without runs and on runs that diverged."""
-    absent, gone, partly = [], [], []
+    absent, added, partly = [], [], []
     for place, levels in zip(np.ndindex(out.shape), product(*factors.values()), strict=True):
         label = factorial_label(dict(zip(factors, levels, strict=True)))
         lost = f"{label} ({diverged[place].sum()} of {ran[place].sum()})"
         if not ran[place].any():
             absent.append(label)
         elif out[place]:
-            gone.append(lost)
+            added.append(lost)
         elif diverged[place].any():
             partly.append(lost)
     notes = [f"There are no runs of {_some(absent)}."] if absent else []
-    notes += [f"Left out, because more than half of the runs diverged: {_some(gone)}."] if gone else []
+    notes += [f"Left out, because more than half of the runs diverged: {_some(added)}."] if added else []
     return notes + ([f"Runs that diverged are left out, which flatters {_some(partly)}."] if partly else [])
 
 

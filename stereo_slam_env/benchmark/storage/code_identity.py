@@ -71,8 +71,8 @@ def versions() -> dict[str, str]:
 
 def source_files(folder: Path) -> list[Path]:
     """Every file below a folder but hidden ones and what Python and Numba keep there, in order."""
-    found = (path for path in folder.rglob("*") if path.is_file())
-    return sorted(path for path in found if not any(_is_kept(part) for part in path.relative_to(folder).parts))
+    files = (path for path in folder.rglob("*") if path.is_file())
+    return sorted(path for path in files if not any(_is_kept(part) for part in path.relative_to(folder).parts))
 
 
 def _is_kept(name: str) -> bool:
@@ -259,16 +259,16 @@ def _place(top: str) -> Path | None:
 
 def _project(top: str, beside: Path) -> dict[str, str]:
     """Code of a package or script of the user's, and of those in the same folder that it imports."""
-    found: dict[str, str] = {}
+    digests: dict[str, str] = {}
     waiting, seen = [top], {top}
     while waiting:
         name = waiting.pop()
-        found |= _digests(name, beside)
+        digests |= _digests(name, beside)
         for path in _code_of(name, beside):
             imported = _imported(path.read_bytes()) - seen - _NOT_THEIRS
             seen |= imported
             waiting += sorted(imported)
-    return found
+    return digests
 
 
 def _digests(top: str, beside: Path) -> dict[str, str]:
@@ -305,20 +305,20 @@ _OF_PYTHON |= {"__abstractmethods__", "_abc_impl"}
 
 def _without_file(module: str, layers: list[Any]) -> dict[str, str]:
     """Digest of what a module without a file, such as that of a notebook, says of these classes and functions."""
-    said: list[str] = []
-    seen: dict[int, object] = {}  # kept, so that no id is given twice
+    facts: list[str] = []
+    visited: dict[int, object] = {}  # kept, so that no id is given twice
 
     def say(value: Any) -> None:
         if isinstance(value, _PLAIN):
-            said.append(repr(value))
+            facts.append(repr(value))
             return
-        if id(value) in seen:
+        if id(value) in visited:
             return
-        seen[id(value)] = value
+        visited[id(value)] = value
         if isinstance(value, np.ndarray):
-            said.append(f"{value.dtype} {value.shape} {hashlib.sha256(value.tobytes()).hexdigest()}")
+            facts.append(f"{value.dtype} {value.shape} {hashlib.sha256(value.tobytes()).hexdigest()}")
         elif isinstance(value, types.CodeType):
-            said.append(f"{value.co_code!r} {value.co_names} {value.co_varnames}")
+            facts.append(f"{value.co_code!r} {value.co_names} {value.co_varnames}")
             say(value.co_consts)
         elif isinstance(value, property):
             say([value.fget, value.fset, value.fdel])
@@ -331,7 +331,7 @@ def _without_file(module: str, layers: list[Any]) -> dict[str, str]:
             say([part for key in sorted(value, key=repr) for part in (repr(key), value[key])])
         elif getattr(value, "__module__", None) != module:
             named = value if hasattr(value, "__qualname__") else type(value)
-            said.append(f"{named.__module__}.{named.__qualname__}")
+            facts.append(f"{named.__module__}.{named.__qualname__}")
         elif inspect.isclass(value):
             say([value.__qualname__, *value.__bases__])
             say({name: member for name, member in vars(value).items() if name not in _OF_PYTHON})
@@ -344,7 +344,7 @@ def _without_file(module: str, layers: list[Any]) -> dict[str, str]:
             say([type(value), getattr(value, "__dict__", {})])
 
     say([layer for layer in layers if layer.__module__ == module])
-    return {module: hashlib.sha256("\n".join(said).encode()).hexdigest()}
+    return {module: hashlib.sha256("\n".join(facts).encode()).hexdigest()}
 
 
 def _names(code: types.CodeType) -> list[str]:

@@ -58,15 +58,15 @@ def results_of(directory: RunDirectory) -> CellResult:
     given: Given = {}
     figures: dict[str, RunFigures] = {}
     summaries = []
-    kept: list[list[FilterRun]] = []
+    runs_kept: list[list[FilterRun]] = []
     for choice in directory.scenario.competitors:  # of many runs no more than those of one filter are in memory
-        found = list(directory.trials(choice, given))
-        runs = [each.run for each in found]
-        scores = {key_of(each.run): each.score for each in found if each.score is not None}
+        stored = list(directory.trials(choice, given))
+        runs = [each.run for each in stored]
+        scores = {key_of(each.run): each.score for each in stored if each.score is not None}
         figures[choice.label] = together(scores)
         summaries.append(summarise(runs, figures[choice.label]))
-        kept.append([run for run, seed in zip(runs, directory.seeds, strict=True) if directory.keeps(seed)])
-    drawn = tuple(run for of_seed in zip(*kept, strict=True) for run in of_seed)
+        runs_kept.append([run for run, seed in zip(runs, directory.seeds, strict=True) if directory.keeps(seed)])
+    drawn = tuple(run for of_seed in zip(*runs_kept, strict=True) for run in of_seed)
     described = tuple(descriptions(directory.out, given))
     return CellResult(directory, drawn, described, figures, tuple(summaries), directory.bounds())
 
@@ -83,12 +83,12 @@ def write_results(study: StudyDirectory) -> list[CellResult]:
 
 def _write_cell(directory: RunDirectory) -> CellResult:
     """Write `summary.json`, `summary.csv` and trajectories of the first recordings."""
-    found, scenario = results_of(directory), directory.scenario
-    about = {"version": VERSION, "scenario": scenario.name, "recordings": found.recordings}
-    write_json(directory.out / "summary.json", {**about, "filters": found.rows})
-    write_csv(directory.out / "summary.csv", found.summaries)
-    write_trajectories(directory.out, scenario, found.runs[: WRITTEN * len(scenario.competitors)])
-    return found
+    results, scenario = results_of(directory), directory.scenario
+    about = {"version": VERSION, "scenario": scenario.name, "recordings": results.recordings}
+    write_json(directory.out / "summary.json", {**about, "filters": results.rows})
+    write_csv(directory.out / "summary.csv", results.summaries)
+    write_trajectories(directory.out, scenario, results.runs[: WRITTEN * len(scenario.competitors)])
+    return results
 
 
 def write_csv(path: Path, summaries: Sequence[FilterSummary]) -> None:

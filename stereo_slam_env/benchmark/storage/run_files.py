@@ -60,8 +60,8 @@ def holds_run(out: Path) -> bool:
     Other programs have files of these names, too. A `ValueError` says that one is no JSON.
     """
     settings = _content(out / SETTINGS)
-    known = isinstance(settings.get("scenario"), dict) and ("kind" in settings["scenario"] or "versions" in settings)
-    return known or isinstance(_content(out / STUDY).get("cells"), list)
+    is_ours = isinstance(settings.get("scenario"), dict) and ("kind" in settings["scenario"] or "versions" in settings)
+    return is_ours or isinstance(_content(out / STUDY).get("cells"), list)
 
 
 def _content(path: Path) -> dict[str, Any]:
@@ -232,7 +232,7 @@ def load_run(path: Path, *, inside: Path | None = None) -> StoredRun:
     """Read a run; a `ValueError` names a file that is damaged, of another format, or outside."""
     with damage_named(path):
         about, arrays = unpacked(path, FORMAT, inside=inside)
-        whole, segments = about["series"] is None, about["segments"]
+        full, segments = about["series"] is None, about["segments"]
         numbers = _Numbers(arrays["numbers"])
         memory = float(numbers.next(())[()])
         landmarks = LandmarkStatistics(*map(numbers.next, _LANDMARK_SHAPES))
@@ -245,17 +245,17 @@ def load_run(path: Path, *, inside: Path | None = None) -> StoredRun:
                 score = RunScore(about["figures"], errors)
         run = FilterRun(
             **about["run"],
-            **({name: arrays[name] for name in _SERIES} if whole else numbers.series(about["series"], about["frames"])),
+            **({name: arrays[name] for name in _SERIES} if full else numbers.series(about["series"], about["frames"])),
             counts={name.removeprefix("count."): _count(arrays[name]) for name in arrays if name.startswith("count.")},
             traces=tuple(
                 LandmarkTrace(landmark_id, label, *(arrays[f"trace.{i}.{name}"] for name in _TRACE_SERIES))
-                for i, (landmark_id, label) in enumerate(about["traces"] if whole else ())
+                for i, (landmark_id, label) in enumerate(about["traces"] if full else ())
             ),
             memory_mb=memory,
             landmark_statistics=landmarks,
             truth_from=reference_of(about),
         )
-        return StoredRun(run, about["provenance"], score, whole)
+        return StoredRun(run, about["provenance"], score, full)
 
 
 def _count(values: IntArray) -> IntArray:

@@ -120,8 +120,8 @@ class RunDirectory:
         To know them, filters are imported: nobody who only reads a run asks for them.
         """
         if self._found_code is None:
-            own = {key: value for key, value in self.scenario.as_dict().items() if key not in _OF_COMPETITORS}
-            source = digest_of_source(self.scenario.source, own)
+            settings = {key: value for key, value in self.scenario.as_dict().items() if key not in _OF_COMPETITORS}
+            source = digest_of_source(self.scenario.source, settings)
             self._found_code = {None: source}
             for choice in self.scenario.competitors:
                 theirs = " ".join(filter(None, (source, digest_of_choice(choice))))
@@ -174,7 +174,7 @@ class RunDirectory:
     def load(self) -> tuple[list[FilterRun], list[dict[str, Any]]]:
         """All runs, by seed, then filter, and one description of each recording; raises as `trials`."""
         given: Given = {}
-        by_filter = [[found.run for found in self.trials(choice, given)] for choice in self.scenario.competitors]
+        by_filter = [[stored.run for stored in self.trials(choice, given)] for choice in self.scenario.competitors]
         return [run for of_seed in zip(*by_filter, strict=True) for run in of_seed], descriptions(self.out, given)
 
     def trials(self, choice: FilterChoice, given: Given) -> Iterator[StoredRun]:
@@ -187,12 +187,12 @@ class RunDirectory:
             path = self.trial_path(seed, choice)
             if not path.exists():
                 raise ValueError(f"{path} is missing: the run is not finished, run the same command again")
-            found = load_run(path, inside=self._root)
-            if found.run.filter_name != choice.label:  # it becomes the name of files
+            stored = load_run(path, inside=self._root)
+            if stored.run.filter_name != choice.label:  # it becomes the name of files
                 raise ValueError(
-                    f"{path} holds a run of {found.run.filter_name!r}: delete it and run the command again"
+                    f"{path} holds a run of {stored.run.filter_name!r}: delete it and run the command again"
                 )
-            about, of_seed = found.provenance["recording"], given.setdefault(seed, {})
+            about, of_seed = stored.provenance["recording"], given.setdefault(seed, {})
             if of_seed and pairing_digest(about) != pairing_digest(next(iter(of_seed.values()))):
                 raise ValueError(
                     f"{path}: the filters of {seed_name(seed)} were not given the same recording: "
@@ -200,7 +200,7 @@ class RunDirectory:
                 )
             # Of what is the same for all one description will do.
             of_seed[choice.label] = about if self.scenario.policies or not of_seed else next(iter(of_seed.values()))
-            yield replace(found, score=self._score(found, seed))
+            yield replace(stored, score=self._score(stored, seed))
 
     def _score(self, found: StoredRun, seed: int | None) -> RunScore:
         """Figures of a trial: those that are kept with it, or of a whole one that has none, computed."""
@@ -261,21 +261,21 @@ class RunDirectory:
 
     def audits(self) -> dict[str, ReferenceAudit]:
         """What the images say of the references of the recordings that are kept, by name of the recording."""
-        kept = [about for seed in self.seeds if (about := self._about_recording(seed)) is not None]
+        abouts = [about for seed in self.seeds if (about := self._about_recording(seed)) is not None]
         with damage_named(self.out):
-            return {about["name"]: ReferenceAudit.from_dict(about["audit"]) for about in kept if about.get("audit")}
+            return {about["name"]: ReferenceAudit.from_dict(about["audit"]) for about in abouts if about.get("audit")}
 
     def recording_words(self) -> dict[str, dict[str, str]]:
         """What is said of real recordings that are kept, by name of the recording."""
-        kept = [about for seed in self.seeds if (about := self._about_recording(seed)) is not None]
+        abouts = [about for seed in self.seeds if (about := self._about_recording(seed)) is not None]
         with damage_named(self.out):
-            return {about["name"]: {**about["words"]} for about in kept if about.get("words")}
+            return {about["name"]: {**about["words"]} for about in abouts if about.get("words")}
 
     def write_trajectories(self) -> None:
         """Write the trajectories of all recordings that are kept; raises as `trials`."""
         for choice in self.scenario.competitors:
-            whole = (found.run for found in self.trials(choice, {}) if found.is_whole)
-            write_trajectories(self.out, self.scenario, whole)
+            runs = (stored.run for stored in self.trials(choice, {}) if stored.is_whole)
+            write_trajectories(self.out, self.scenario, runs)
 
     def settings(self) -> dict[str, Any]:
         """Content of `settings.json`."""

@@ -42,29 +42,29 @@ TRUTH: dict[str, Any] = {"width": 7.0, "opacity": 0.18}
 
 def plot_trajectory(runs: Sequence[FilterRun]) -> Chart:
     """Top view of the first recording, and the position error of all runs over the distance."""
-    shown = series.first_recording(runs)
+    first = series.first_recording(runs)
     colours = filter_colours(run.filter_name for run in runs)
-    truth = shown[0].true_positions[np.isfinite(shown[0].true_positions).all(axis=1)]
-    estimates = np.concatenate([run.positions for run in shown])
+    truth = first[0].true_positions[np.isfinite(first[0].true_positions).all(axis=1)]
+    estimates = np.concatenate([run.positions for run in first])
     track = truth if len(truth) else estimates[np.isfinite(estimates).all(axis=1)]
     across, up = series.map_axes(track)
     with_errors = any(np.isfinite(series.position_error(run)).any() for run in runs)
     room = label_room(colours)
     long = not with_errors or bool(np.ptp(track[:, across]) > 3 * np.ptp(track[:, up])) if len(track) else True
     width, height = (WIDTH - 60 - room, 400.0) if long else (400.0, 340.0)
-    title = f"Seen from above, {series.reference_name(shown[0])} in grey" if len(truth) else "Seen from above"
+    title = f"Seen from above, {series.reference_name(first[0])} in grey" if len(truth) else "Seen from above"
     view = map_panel(track, (across, up), width, height, title)
-    widths = nested_widths(len(shown))
+    widths = nested_widths(len(first))
     if len(truth):
-        name = series.reference_name(shown[0])
+        name = series.reference_name(first[0])
         broad = {**TRUTH, "width": widths[0] + 6}
         view.lines([Curve("", truth[:, across], truth[:, up], INK, said=name, **broad)])
     view.lines(
         Curve(r.filter_name, r.positions[:, across], r.positions[:, up], colours[r.filter_name], width=w)
-        for r, w in zip(shown, widths, strict=True)
+        for r, w in zip(first, widths, strict=True)
     )
     if not with_errors:
-        view.colour_key({run.filter_name: colours[run.filter_name] for run in shown})
+        view.colour_key({run.filter_name: colours[run.filter_name] for run in first})
         return figure([view], colours)
     wide = WIDTH - 60 - room - (0 if long else view.width + 66)
     errors = _error_over_distance(runs, wide, 240.0 if long else view.height)
@@ -109,8 +109,8 @@ def _error_over_distance(runs: Sequence[FilterRun], width: float, height: float)
     # Nine runs out of ten fit: a single bad run is told in the table, not by flattening the rest.
     peaks = {name: np.array([series.peak(row) for row in table]) for name, table in errors.items()}
     most = {
-        name: float(np.nanquantile(found, 0.9, method="lower")) if np.isfinite(found).any() else np.nan
-        for name, found in peaks.items()
+        name: float(np.nanquantile(peak, 0.9, method="lower")) if np.isfinite(peak).any() else np.nan
+        for name, peak in peaks.items()
     }
     limit = shared_limit({c.key: float(np.fmax(most[c.key], series.peak(c.y))) for c in medians}, spread=30.0)
     farthest = max((series.peak(curve.x) for curve in medians), default=1.0)
@@ -159,10 +159,10 @@ def plot_error_by_run(runs: Sequence[FilterRun]) -> Chart:
 
 def plot_velocity(runs: Sequence[FilterRun]) -> Chart:
     """Velocity in W and heading on the first recording, as in the paper's Fig. 6."""
-    shown = series.first_recording(runs)
-    colours = filter_colours(run.filter_name for run in shown)
-    truth = series.reference_name(shown[0])
-    known = np.isfinite(shown[0].true_positions).any()
+    first = series.first_recording(runs)
+    colours = filter_colours(run.filter_name for run in first)
+    truth = series.reference_name(first[0])
+    has_truth = np.isfinite(first[0].true_positions).any()
     rows: tuple[tuple[str, str, series.Quantity, series.Quantity], ...] = (
         ("Velocity to the right, Vx (m/s)", "m/s", lambda r: r.linear_velocities[:, 0], _true_v(0)),
         ("Velocity forward, Vz (m/s)", "m/s", lambda r: r.linear_velocities[:, 2], _true_v(2)),
@@ -173,22 +173,22 @@ def plot_velocity(runs: Sequence[FilterRun]) -> Chart:
             lambda r: np.rad2deg(series.heading(r.true_orientations)),
         ),
     )
-    time = series.elapsed(shown[0])
+    time = series.elapsed(first[0])
     width = panel_width(1, label_room([*colours, truth]))
     panels = []
     for title, unit, estimate, true in rows:
-        values = {run.filter_name: estimate(run) for run in shown}
-        y, limit = _around(true(shown[0]), values)
+        values = {run.filter_name: estimate(run) for run in first}
+        y, limit = _around(true(first[0]), values)
         panel = Panel(Axis(0, float(time[-1]), "time (s)" if title == rows[-1][0] else ""), y, width, 120.0, title)
-        if np.isfinite(true(shown[0])).any():
-            panel.lines([Curve("", time, true(shown[0]), INK, said=truth, **TRUTH)])
+        if np.isfinite(true(first[0])).any():
+            panel.lines([Curve("", time, true(first[0]), INK, said=truth, **TRUTH)])
         panel.lines(
             Curve(r.filter_name, series.elapsed(r), values[r.filter_name], colours[r.filter_name], width=1.3)
-            for r in shown
+            for r in first
         )
         panel.note_beyond(limit, colours, f" {unit}")
         panels.append(panel)
-    panels[0].colour_key(({truth: MUTED} if known else {}) | colours)
+    panels[0].colour_key(({truth: MUTED} if has_truth else {}) | colours)
     return figure(panels, colours, columns=1, row=52)
 
 
@@ -213,9 +213,9 @@ def _true_v(axis: int) -> series.Quantity:
 
 def plot_segment_errors(summaries: Sequence[FilterSummary]) -> Chart:
     """Relative errors over segments of the path, by their length, as KITTI measures them."""
-    shown = [s for s in summaries if s.rpe]
+    with_segments = [s for s in summaries if s.rpe]
     colours = filter_colours(s.filter_name for s in summaries)
-    lengths = sorted({error.length_m for s in shown for error in s.rpe})
+    lengths = sorted({error.length_m for s in with_segments for error in s.rpe})
     beside = 0.04 * (lengths[-1] - lengths[0]) + 0.5
     ticks = lengths[:: -(-len(lengths) // 8)]  # of many, each second, third ...
     x = Axis(lengths[0] - beside, lengths[-1] + beside, "length of the segment (m)", ticks=ticks)
@@ -227,7 +227,7 @@ def plot_segment_errors(summaries: Sequence[FilterSummary]) -> Chart:
     for title, name in kinds.items():
         curves = [
             Curve(s.filter_name, [e.length_m for e in s.rpe], [getattr(e, name) for e in s.rpe], colours[s.filter_name])
-            for s in shown
+            for s in with_segments
         ]
         limit = limit_of(curves)
         panel = Panel(x, Axis(0, 1.12 * limit.upper), panel_width(2, label_room(colours)), 200.0, title)
@@ -244,11 +244,11 @@ def plot_segment_errors(summaries: Sequence[FilterSummary]) -> Chart:
 
 def plot_efficiency(summaries: Sequence[FilterSummary]) -> Chart:
     """Bound / RMSE of each run: 100 % leaves nothing to gain on average."""
-    shown = [s for s in summaries if s.efficiency_percent is not None]
-    names = [s.filter_name for s in shown]
+    rated = [s for s in summaries if s.efficiency_percent is not None]
+    names = [s.filter_name for s in rated]
     colours = filter_colours(s.filter_name for s in summaries)
-    by_run = {s.filter_name: s.efficiency_by_run[:MAX_DOTS] for s in shown}
-    everything = [100.0, *(value for s in shown for value in (*by_run[s.filter_name], s.efficiency_percent or np.nan))]
+    by_run = {s.filter_name: s.efficiency_by_run[:MAX_DOTS] for s in rated}
+    everything = [100.0, *(value for s in rated for value in (*by_run[s.filter_name], s.efficiency_percent or np.nan))]
     panel = _rows("bound / position RMSE of each run (%)", names, everything, spread=30.0, colours=colours)
     panel.rule(x=100.0, dash=DASHED)
     panel.dots(
@@ -260,13 +260,13 @@ def plot_efficiency(summaries: Sequence[FilterSummary]) -> Chart:
                 colours[s.filter_name],
                 opacity=0.55,
             )
-            for row, s in enumerate(shown)
+            for row, s in enumerate(rated)
         ),
         size=44,
     )
     panel.lines(
         Curve(s.filter_name, [share, share], [row - 0.3, row + 0.3], INK, width=2.2, said=f"{s.filter_name}, all runs")
-        for row, s in enumerate(shown)
+        for row, s in enumerate(rated)
         if (share := s.efficiency_percent) is not None
     )
     return figure([panel], {name: colours[name] for name in names})

@@ -58,8 +58,8 @@ def filter_colours(names: Iterable[str]) -> dict[str, str]:
     free = [i for i in range(len(_HUES)) if i not in _RESERVED.values()]
     free += [slot for name, slot in _RESERVED.items() if name not in distinct]  # last, so that few change nothing
     free += range(len(_HUES), len(PALETTE))
-    others = [name for name in distinct if name not in _RESERVED]
-    slots = _RESERVED | {name: free[i % len(free)] for i, name in enumerate(others)}
+    unreserved = [name for name in distinct if name not in _RESERVED]
+    slots = _RESERVED | {name: free[i % len(free)] for i, name in enumerate(unreserved)}
     return {name: PALETTE[slots[name]] for name in dict.fromkeys(names)}
 
 
@@ -109,12 +109,12 @@ def shared_limit(peaks: Mapping[str, float], spread: float = 10.0) -> Limit:
     `peaks` has the largest value of each filter, of which those that are not finite and positive are left out; filters
     whose peak is more than `spread` times the smallest one go beyond the axis.
     """
-    known = {name: peak for name, peak in peaks.items() if np.isfinite(peak) and peak > 0}
-    if not known:
+    finite = {name: peak for name, peak in peaks.items() if np.isfinite(peak) and peak > 0}
+    if not finite:
         return Limit(1.0, {})
-    allowed = spread * min(known.values())
-    upper = max(peak for peak in known.values() if peak <= allowed)
-    return Limit(upper, {name: peak for name, peak in known.items() if peak > allowed})
+    allowed = spread * min(finite.values())
+    upper = max(peak for peak in finite.values() if peak <= allowed)
+    return Limit(upper, {name: peak for name, peak in finite.items() if peak > allowed})
 
 
 def short_number(value: float) -> str:
@@ -166,16 +166,16 @@ class Axis:
         """The encoding of a field on this axis, with about so many ticks."""
         ticks = log_ticks(self.low, self.high) if self.ticks is None and self.log else self.ticks
         scale: dict[str, Any] = {"domain": [short(self.low), short(self.high)], "nice": False, "reverse": self.reverse}
-        shown: dict[str, Any] = {"grid": self.grid, "labelOverlap": True}
+        axis: dict[str, Any] = {"grid": self.grid, "labelOverlap": True}
         if self.ticks == ():
-            shown["titlePadding"] = 24  # below the names of `column_names`
-        shown |= {"tickCount": cells} if ticks is None else {"values": [short(tick) for tick in ticks]}
+            axis["titlePadding"] = 24  # below the names of `column_names`
+        axis |= {"tickCount": cells} if ticks is None else {"values": [short(tick) for tick in ticks]}
         return {
             "field": name,
             "type": "quantitative",
             "title": self.title or None,
             "scale": scale | ({"type": "log"} if self.log else {"type": "linear", "zero": False}),
-            "axis": shown | ({"format": "~g"} if self.log else {}),
+            "axis": axis | ({"format": "~g"} if self.log else {}),
         }
 
 
@@ -195,8 +195,8 @@ def log_ticks(low: float, high: float) -> list[float]:
 def log_axis(values: Iterable[FloatArray], title: str = "") -> Axis:
     """A logarithmic axis around everything positive."""
     everything = np.concatenate([np.ravel(value) for value in values] or [np.zeros(0)])
-    known = everything[np.isfinite(everything) & (everything > 0)]
-    low, high = (float(known.min()), float(known.max())) if known.size else (0.1, 1.0)
+    positive = everything[np.isfinite(everything) & (everything > 0)]
+    low, high = (float(positive.min()), float(positive.max())) if positive.size else (0.1, 1.0)
     margin = max((high / low) ** 0.07, 1.05)
     return Axis(low / margin, high * margin, title, log=True)
 
@@ -294,7 +294,7 @@ def with_shared_data(view: Spec, data: Spec) -> Spec:
     layers = []
     for layer in view["layer"]:
         rows = layer["data"]["values"]
-        name = next((known for known, found in data.items() if found == rows), f"rows_{len(data)}")
+        name = next((key for key, other in data.items() if other == rows), f"rows_{len(data)}")
         data[name] = rows
         layers.append(layer | {"data": {"name": name}})
     return view | {"layer": layers}

@@ -166,8 +166,8 @@ class Panel:
             | {end: short(getattr(b, end)) for end in ends}
             for b in boxes
         ]
-        said: Spec = {"tooltip": [SAID]} if any(row["said"] for row in rows) else {}
-        self._layer(rows, {"type": "rect"}, {"x": "x0", "x2": "x1", "y": "y0", "y2": "y1"}, **COLOURED, **said)
+        tooltip: Spec = {"tooltip": [SAID]} if any(row["said"] for row in rows) else {}
+        self._layer(rows, {"type": "rect"}, {"x": "x0", "x2": "x1", "y": "y0", "y2": "y1"}, **COLOURED, **tooltip)
 
     def rule(
         self,
@@ -271,8 +271,8 @@ class Panel:
         return drawn(rows, {**mark, "clip": True}, {**sides, **encoding}, where)
 
     def _row(self, number: int, curve: Curve, kept: IntArray, *ends: str) -> Spec:
-        said = None if curve.said is None else curve.said or curve.key
-        head = {"id": number, "key": curve.key, "said": said, "colour": curve.colour}
+        label = None if curve.said is None else curve.said or curve.key
+        head = {"id": number, "key": curve.key, "said": label, "colour": curve.colour}
         values = {name: _numbers(self.y.within(getattr(curve, name)), kept) for name in ("y", *ends)}
         return head | {"width": curve.width, "opacity": curve.opacity, "x": _numbers(curve.x, kept)} | values
 
@@ -298,8 +298,8 @@ class Chart:
     @property
     def series(self) -> list[dict[str, str]]:
         """Name and colour of what can be switched off."""
-        found: list[dict[str, str]] = self.spec.get("usermeta", {}).get("series", [])
-        return found
+        legend: list[dict[str, str]] = self.spec.get("usermeta", {}).get("series", [])
+        return legend
 
     def svg(self) -> str:
         """Draw it as an SVG document, with its texts as text, on no background."""
@@ -394,5 +394,5 @@ def _known(curve: Curve) -> IntArray:
 
 
 def _numbers(values: ArrayLike, kept: IntArray) -> list[float | None]:
-    chosen = np.asarray(values, dtype=np.float64)[kept]
-    return [short(value) if np.isfinite(value) else None for value in chosen.tolist()]
+    numbers = np.asarray(values, dtype=np.float64)[kept]
+    return [short(value) if np.isfinite(value) else None for value in numbers.tolist()]

@@ -112,12 +112,12 @@ def _response_curves(
         else:
             at = places + 0.008 * share * float(np.ptp(places))
         mean = response.means[name]
-        known = np.isfinite(mean) & ((mean > 0) | (not response.log))
+        finite = np.isfinite(mean) & ((mean > 0) | (not response.log))
         low, high = (
-            np.where(np.isfinite(ends), ends, mean)[known] for ends in (response.lows[name], response.highs[name])
+            np.where(np.isfinite(ends), ends, mean)[finite] for ends in (response.lows[name], response.highs[name])
         )
-        if known.any():
-            curves.append(Curve(name, at[known], mean[known], colours[name], low, high))
+        if finite.any():
+            curves.append(Curve(name, at[finite], mean[finite], colours[name], low, high))
     return curves
 
 
@@ -134,8 +134,8 @@ def plot_effects(attribution: Attribution) -> Chart:
 
 def _effects_panel(rows: Sequence[tuple[str, Any]], response: ResponseAttribution, width: float) -> Panel:
     effects = {(effect.factors[0], effect.levels[0]): effect for effect in response.effects}
-    found = [(row, effects[choice]) for row, choice in enumerate(rows) if choice in effects]
-    curves = [_effect_curve(row, effect, names=rows) for row, effect in found]
+    drawn = [(row, effects[choice]) for row, choice in enumerate(rows) if choice in effects]
+    curves = [_effect_curve(row, effect, names=rows) for row, effect in drawn]
     ends = [*ends_of(curves), np.array([0.98, 1.02])]
     title = response.response[:1].upper() + response.response[1:]
     y = Axis.of_rows(len(rows))
@@ -147,7 +147,7 @@ def _effects_panel(rows: Sequence[tuple[str, Any]], response: ResponseAttributio
         panel.rule(y=start - 0.5, colour=BAND)
     panel.boxes(
         BoxMark(1.0, float(np.asarray(c.x)[0]), row - 0.28, row + 0.28, c.colour, c.key, 0.35)
-        for c, (row, _) in zip(curves, found, strict=True)
+        for c, (row, _) in zip(curves, drawn, strict=True)
     )
     panel.rule(x=1.0, colour=INK)
     panel.intervals(curves, across=True)
@@ -166,15 +166,15 @@ def _effect_curve(row: int, effect: Effect, names: Sequence[tuple[str, Any]]) ->
 
 def plot_changes(changes: Sequence[Change]) -> Chart:
     """Draw how much every measure of every filter changed, with its interval."""
-    shown = [change for change in changes if change.interval_percent is not None]
-    names = list(dict.fromkeys(change.filter_name for change in shown))
-    measures = list(dict.fromkeys(change.measure for change in shown))
+    drawable = [change for change in changes if change.interval_percent is not None]
+    names = list(dict.fromkeys(change.filter_name for change in drawable))
+    measures = list(dict.fromkeys(change.measure for change in drawable))
     colours = filter_colours(names)
     curves = []
     for i, name in enumerate(names):
-        own = [change for change in shown if change.filter_name == name]
-        rows = [measures.index(change.measure) - 0.3 + 0.6 * (i + 0.5) / len(names) for change in own]
-        ends = 1 + np.array([change.interval_percent for change in own], dtype=np.float64) / 100
+        of_filter = [change for change in drawable if change.filter_name == name]
+        rows = [measures.index(change.measure) - 0.3 + 0.6 * (i + 0.5) / len(names) for change in of_filter]
+        ends = 1 + np.array([change.interval_percent for change in of_filter], dtype=np.float64) / 100
         curves.append(Curve(name, np.sqrt(ends[:, 0] * ends[:, 1]), rows, colours[name], ends[:, 0], ends[:, 1]))
     title = "after / before, geometric mean; of consistency: distance from the ideal"
     x = log_axis([*ends_of(curves), np.array([0.98, 1.02])], title)
@@ -238,8 +238,8 @@ def _times(s: FilterSummary, row: int, colours: Mapping[str, str]) -> list[BoxMa
 def _bar(
     s: FilterSummary, row: int, x0: float, x1: float, colours: Mapping[str, str], what: str = "", opacity: float = 1.0
 ) -> BoxMark:
-    said = f"{s.filter_name}, {what}: {readable(x1 - x0)} ms" if what else f"{s.filter_name}: {readable(x1, '.4g')}"
-    return BoxMark(x0, x1, row - 0.26, row + 0.26, colours[s.filter_name], s.filter_name, opacity, said)
+    tooltip = f"{s.filter_name}, {what}: {readable(x1 - x0)} ms" if what else f"{s.filter_name}: {readable(x1, '.4g')}"
+    return BoxMark(x0, x1, row - 0.26, row + 0.26, colours[s.filter_name], s.filter_name, opacity, tooltip)
 
 
 def plot_time_per_frame(runs: Sequence[FilterRun]) -> Chart:
@@ -256,11 +256,11 @@ def plot_time_per_frame(runs: Sequence[FilterRun]) -> Chart:
     limit = shared_limit(top)
     y = Axis(0, 1.2 * limit.upper)
     seconds = {name: series.elapsed(max(group, key=len)) for name, group in groups.items()}
-    last = max(float(found[-1]) for found in seconds.values())
+    last = max(float(seconds_of[-1]) for seconds_of in seconds.values())
     along = Panel(Axis(0, last, "time (s)"), y, width, 210.0, "Time per frame (ms)")
     along.lines(Curve(name, seconds[name], times[name], colours[name], width=1.2) for name in groups)
     along.note_beyond(limit, colours, " ms")
-    sizes = np.concatenate([found for found, _ in by_size.values()])
+    sizes = np.concatenate([seconds_of for seconds_of, _ in by_size.values()])
     low, high = (float(sizes.min()), float(sizes.max())) if sizes.size else (0.0, 1.0)
     beside = 0.04 * (high - low) + 0.5
     x = Axis(low - beside, high + beside, "landmarks in the map")
@@ -276,13 +276,13 @@ def _by_map_size(runs: Sequence[FilterRun], bins: int = 8) -> tuple[FloatArray, 
     """Median milliseconds in bins of the map size with equally many frames; both (B,)."""
     sizes = np.concatenate([run.counts["map_size"] for run in runs]).astype(np.float64)
     times = np.concatenate([run.milliseconds for run in runs])
-    known = np.isfinite(times) & (sizes > 0)
-    if not known.any():
+    usable = np.isfinite(times) & (sizes > 0)
+    if not usable.any():
         return np.zeros(0), np.zeros(0)
-    edges = np.unique(np.quantile(sizes[known], np.linspace(0, 1, bins + 1)))
-    which = np.clip(np.searchsorted(edges, sizes[known], side="right"), 1, max(len(edges) - 1, 1))
+    edges = np.unique(np.quantile(sizes[usable], np.linspace(0, 1, bins + 1)))
+    which = np.clip(np.searchsorted(edges, sizes[usable], side="right"), 1, max(len(edges) - 1, 1))
     filled = np.unique(which)
     return (
-        np.array([np.median(sizes[known][which == b]) for b in filled]),
-        np.array([np.median(times[known][which == b]) for b in filled]),
+        np.array([np.median(sizes[usable][which == b]) for b in filled]),
+        np.array([np.median(times[usable][which == b]) for b in filled]),
     )

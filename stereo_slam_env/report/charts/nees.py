@@ -81,7 +81,7 @@ def pose_error_chart(name: str, time: FloatArray, error: FloatArray, sigma: Floa
         panel = Panel(x, Axis(-half, half), panel_width(3, 10.0, 52.0), 140.0, f"{title} ({unit})")
         panel.bands([Curve("", time, e, colour, -bound, bound, opacity=0.13)])
         side = {"width": 0.9, "opacity": 0.45}
-        panel.lines(Curve("", time, end, colour, said=said, **side) for end, said in ((bound, "3σ"), (-bound, "3σ")))
+        panel.lines(Curve("", time, end, colour, said=label, **side) for end, label in ((bound, "3σ"), (-bound, "3σ")))
         panel.lines([Curve("", time, e, colour, width=1.4, said="error")])
         inside = np.isfinite(e) & np.isfinite(bound) & (bound > 0)
         share = f"{100 * np.mean(np.abs(e[inside]) <= bound[inside]):.0f} % inside ±3σ" if inside.any() else ""
@@ -118,7 +118,7 @@ def plot_nis(runs: Sequence[FilterRun], points: int = 80) -> Chart:
     first = min(1, len(time) - 1)  # the first frame has no innovations
     together = max(1, -(-(len(time) - first) // points))
     starts = np.arange(first, len(time) - together + 1, together)
-    whole = slice(first, first + len(starts) * together)
+    span = slice(first, first + len(starts) * together)
     curves: dict[str, FloatArray] = {}
     dofs: list[FloatArray] = []
     for name, group in series.by_filter(runs).items():
@@ -126,7 +126,7 @@ def plot_nis(runs: Sequence[FilterRun], points: int = 80) -> Chart:
         dof = series.stack(group, lambda run: run.nis_dof.astype(np.float64), frames=len(time))
         dof[~np.isfinite(nis)] = 0.0
         sums, pooled = (
-            np.nansum(values, axis=0)[whole].reshape(len(starts), together).sum(axis=1) for values in (nis, dof)
+            np.nansum(values, axis=0)[span].reshape(len(starts), together).sum(axis=1) for values in (nis, dof)
         )
         curves[name] = np.divide(sums, pooled, out=np.full(len(starts), np.nan), where=pooled > 0)
         dofs.append(pooled)
@@ -141,15 +141,15 @@ def band_chart(
     """Curves, of which 1 is ideal, on a log axis (twice too large and too small look alike) over the band."""
     low, high = band
     colours = filter_colours(curves)
-    known = np.isfinite(low)
+    finite = np.isfinite(low)
     lines = [
         Curve(name, time, np.where(curve > 0, curve, np.nan), colours[name], width=1.4)
         for name, curve in curves.items()
     ]
     limit = limit_of(lines, spread=100.0)
     floor = min((float(np.percentile(c[c > 0], 1)) for c in curves.values() if (c > 0).any()), default=0.1)
-    bottom = max(min(floor, float(low[known].min(initial=np.inf))), 0.02)
-    top = max(limit.upper, float(high[known].max(initial=0.0)), 1.01 * bottom)
+    bottom = max(min(floor, float(low[finite].min(initial=np.inf))), 0.02)
+    top = max(limit.upper, float(high[finite].max(initial=0.0)), 1.01 * bottom)
     margin = (top / bottom) ** 0.06
     y = Axis(bottom / margin, top * margin, log=True)
     width = panel_width(1, label_room([*curves, "95 % band"]))
@@ -159,7 +159,7 @@ def band_chart(
     panel.rule(y=1.0, dash=DASHED)
     panel.lines(lines)
     panel.note_beyond(limit, colours)
-    centre = float(np.sqrt(low[known][-1] * high[known][-1])) if known.any() else np.nan
+    centre = float(np.sqrt(low[finite][-1] * high[finite][-1])) if finite.any() else np.nan
     panel.name_ends([*lines, Curve("95 % band", time[-1:], [centre], MUTED)], limit)
     return figure([panel], colours)
 
@@ -183,8 +183,8 @@ def plot_consistency(summaries: Sequence[FilterSummary]) -> Chart:
         inside.append(Curve(s.filter_name, shares, places, colours[s.filter_name]))
     boxes = _row_bands(summaries, keys, step)
     limit = shared_limit(peaks, spread=30.0)
-    shown = [v for c in means for v in np.atleast_1d(np.asarray(c.x)) if np.isfinite(v) and v > 0]
-    low = 0.85 * min([*shown, *(box.x0 for box in boxes if box.x0 > 0), 1.0])
+    extent = [v for c in means for v in np.atleast_1d(np.asarray(c.x)) if np.isfinite(v) and v > 0]
+    low = 0.85 * min([*extent, *(box.x0 for box in boxes if box.x0 > 0), 1.0])
     high = 1.3 * max(limit.upper, *(box.x1 for box in boxes), 1.2) if boxes else 1.3 * max(limit.upper, 1.2)
     left, right = label_room(_QUANTITIES.values()), label_room(colours)
     share = (WIDTH - left - right - 70) / 3.2
@@ -228,9 +228,9 @@ def plot_depth(runs: Sequence[FilterRun]) -> Chart:
 
     Raises ValueError where no run has a trace.
     """
-    shown = series.first_recording([run for run in runs if run.traces] or list(runs))
+    first = series.first_recording([run for run in runs if run.traces] or list(runs))
     colours = filter_colours(run.filter_name for run in runs)
-    landmarks = list(dict.fromkeys((t.label, t.landmark_id) for run in shown for t in run.traces))[:2]
+    landmarks = list(dict.fromkeys((t.label, t.landmark_id) for run in first for t in run.traces))[:2]
     if not landmarks:
         raise ValueError("runs must have at least one landmark trace to plot depth convergence")
     room = label_room([*colours, "truth"])
@@ -239,7 +239,7 @@ def plot_depth(runs: Sequence[FilterRun]) -> Chart:
     for label, landmark_id in landmarks:
         traces = {
             run.filter_name: trace
-            for run in shown
+            for run in first
             for trace in run.traces
             if trace.landmark_id == landmark_id and len(trace.frames)
         }
@@ -299,9 +299,9 @@ def _sigma_panel(traces: dict[str, LandmarkTrace], colours: Mapping[str, str], w
 
 def plot_landmark_errors(summaries: Sequence[FilterSummary]) -> Chart:
     """Error, depth bias and NEES of landmarks by their true distance."""
-    shown = [s for s in summaries if s.landmark_by_range]
+    with_ranges = [s for s in summaries if s.landmark_by_range]
     colours = filter_colours(s.filter_name for s in summaries)
-    ranges = list(dict.fromkeys((e.low_m, e.high_m) for s in shown for e in s.landmark_by_range))
+    ranges = list(dict.fromkeys((e.low_m, e.high_m) for s in with_ranges for e in s.landmark_by_range))
     kinds: tuple[tuple[str, Callable[[RangeError], float], Callable[[RangeError], float], float | None], ...] = (
         ("Landmark RMSE (m)", lambda e: e.rmse_m, lambda e: 0.0, None),
         ("Depth bias ± standard error (m)", lambda e: e.depth_bias_m, lambda e: e.depth_bias_sigma_m, 0.0),
@@ -309,7 +309,7 @@ def plot_landmark_errors(summaries: Sequence[FilterSummary]) -> Chart:
     )
     panels = []
     for title, value, spread, ideal in kinds:
-        curves = _by_range(shown, ranges, colours, value, spread)
+        curves = _by_range(with_ranges, ranges, colours, value, spread)
         y = _axis_around(ends_of(curves), ideal)
         x = Axis(-0.5, len(ranges) - 0.5, "true distance from the camera (m)", ticks=(), grid=False)
         panel = Panel(x, y, panel_width(3, label_room(colours), 56.0), 200.0, title, zoom=False)
@@ -319,7 +319,7 @@ def plot_landmark_errors(summaries: Sequence[FilterSummary]) -> Chart:
         panel.dots(curves, 34)
         panel.column_names(range(len(ranges)), [_range_name(*ends) for ends in ranges])
         panels.append(panel)
-    panels[-1].colour_key({s.filter_name: colours[s.filter_name] for s in shown})
+    panels[-1].colour_key({s.filter_name: colours[s.filter_name] for s in with_ranges})
     return figure(panels, colours, column=56)
 
 
@@ -345,11 +345,11 @@ def _by_range(
 def _axis_around(values: Sequence[FloatArray], ideal: float | None) -> Axis:
     """Around signed values and 0; of positive ones logarithmic, unless they are near their ideal."""
     everything = np.concatenate([*values, [] if ideal is None else [ideal]])
-    known = everything[np.isfinite(everything)]
+    finite = everything[np.isfinite(everything)]
     if ideal == 0.0:
-        margin = 0.08 * float(np.ptp(known)) + 1e-6
-        return Axis(float(known.min()) - margin, float(known.max()) + margin)
-    positive = known[known > 0]
+        margin = 0.08 * float(np.ptp(finite)) + 1e-6
+        return Axis(float(finite.min()) - margin, float(finite.max()) + margin)
+    positive = finite[finite > 0]
     if ideal is None or (positive.size and positive.max() > 30 * positive.min()):
         return log_axis([positive])
     return Axis(0.0, 1.15 * float(positive.max(initial=1.0)))
@@ -357,18 +357,18 @@ def _axis_around(values: Sequence[FloatArray], ideal: float | None) -> Axis:
 
 def plot_depth_convergence(summaries: Sequence[FilterSummary]) -> Chart:
     """Depth by the frames since a landmark entered the map: the claimed sigma, and the true error."""
-    shown = [s for s in summaries if s.depth_convergence]
+    with_depths = [s for s in summaries if s.depth_convergence]
     colours = filter_colours(s.filter_name for s in summaries)
-    kinds = list(dict.fromkeys((c.label, c.low_m, c.high_m) for s in shown for c in s.depth_convergence))
+    kinds = list(dict.fromkeys((c.label, c.low_m, c.high_m) for s in with_depths for c in s.depth_convergence))
     room = label_room(colours)
     gap = 62.0 + room if len(kinds) > 1 else 62.0
     panels = []
     for label, low, high in kinds:
-        found = {s.filter_name: c for s in shown for c in s.depth_convergence if c.label == label}
+        convergence = {s.filter_name: c for s in with_depths for c in s.depth_convergence if c.label == label}
         panels.append(
             _convergence_panel(
                 f"{label.capitalize()}, {low:g} to {high:g} m: σ solid, error dashed (m)",
-                found,
+                convergence,
                 colours,
                 panel_width(len(kinds), room, gap),
             )

@@ -68,13 +68,13 @@ def plot_gaze_map(recordings: Mapping[str, Recording]) -> Chart:
     width = panel_width(columns, 10.0)
     panels = []
     for name, recording in recordings.items():
-        seen = _seen_points(recording)
-        panel = map_panel(everything, axes, width, 460.0, f"{name}: {len(seen)} landmarks seen")
+        points = _seen_points(recording)
+        panel = map_panel(everything, axes, width, 460.0, f"{name}: {len(points)} landmarks seen")
         panel.title_colour = colours[name]
         if recording.landmarks is not None:
             panel.dots([_plan("", recording.landmarks.positions, axes, GRID, said="not seen")], 4)
         panel.lines([_plan(name, _lines_of_sight(recording), axes, MUTED, width=1.1, said=None)])
-        panel.dots([_plan(name, seen, axes, colours[name], opacity=0.7, said=f"{name}, landmark seen")], 7)
+        panel.dots([_plan(name, points, axes, colours[name], opacity=0.7, said=f"{name}, landmark seen")], 7)
         panel.lines([_plan(name, tracks[name], axes, INK, width=2.0, said=f"{name}, path")])
         panels.append(panel)
     return figure(panels, colours, columns=columns)
@@ -86,7 +86,7 @@ def plot_claim_and_truth(runs: Sequence[FilterRun]) -> Chart:
     colours = filter_colours(groups)
     kinds = {"Claimed: σ of the position (m)": _claimed_sigma, "True: position error (m)": series.position_error}
     times = {name: series.elapsed(max(group, key=len)) for name, group in groups.items()}
-    found = {
+    arrays = {
         title: [
             Curve(name, times[name], np.sqrt(series.column_mean(np.square(table))), colours[name], width=2.0)
             for name, group in groups.items()
@@ -94,11 +94,11 @@ def plot_claim_and_truth(runs: Sequence[FilterRun]) -> Chart:
         ]
         for title, quantity in kinds.items()
     }
-    limits = {title: limit_of(curves, spread=30.0) for title, curves in found.items()}
+    limits = {title: limit_of(curves, spread=30.0) for title, curves in arrays.items()}
     x = Axis(0, max(float(time[-1]) for time in times.values()), "time (s)")
     y = Axis(0, 1.15 * max(limit.upper for limit in limits.values()))
     panels = []
-    for title, curves in found.items():
+    for title, curves in arrays.items():
         panel = Panel(x, y, panel_width(2, label_room(colours)), 240.0, title)
         panel.lines(curves)
         panel.note_beyond(limits[title], colours, " m")
@@ -117,13 +117,13 @@ def plot_learning(
     """
     rows = [row for run in runs for row in run]
     judged = set(_LEARNT) <= rows[0].keys()
-    kept = max(rows, key=merit)
+    best = max(rows, key=merit)
     x = Axis(0, max(row["decisions"] for row in rows) / 1000.0 or 1.0, "decisions, thousands")
     panels = []
     for name, title in _LEARNT.items() if judged else [("validation_return", "Return of the validation episodes")]:
-        seen = [idle[name], *(row[name] for row in rows)]
-        room = 0.15 * (max(seen) - min(0.0, *seen))
-        y = Axis(min(0.0, min(seen) - room * (min(seen) < 0.0)), max(0.0, max(seen)) + room)
+        progress = [idle[name], *(row[name] for row in rows)]
+        room = 0.15 * (max(progress) - min(0.0, *progress))
+        y = Axis(min(0.0, min(progress) - room * (min(progress) < 0.0)), max(0.0, max(progress)) + room)
         panel = Panel(x, y, 0.5 * WIDTH - 70, 240.0, title)
         panel.rule(y=idle[name], dash=DASHED)
         label = "straight ahead" if judged else "action 0"
@@ -131,7 +131,7 @@ def plot_learning(
         for run in runs:
             thousands = np.array([row["decisions"] / 1000.0 for row in run])
             panel.lines([Curve("learnt", thousands, np.array([row[name] for row in run]), PALETTE[0])])
-        at, value = np.array([kept["decisions"] / 1000.0]), np.array([kept[name]])
+        at, value = np.array([best["decisions"] / 1000.0]), np.array([best[name]])
         panel.dots([Curve("learnt", at, value, PALETTE[0], said="kept")], 60)
         right, down = panel.place(at[0], value[0])
         panel.text("kept", right - 6, down + 13, PALETTE[0], align="right")

@@ -48,10 +48,10 @@ def reference_name(run: FilterRun) -> str:
 def distance(run: FilterRun) -> FloatArray:
     """Measure the true distance travelled, m; (K,), NaN in frames without truth."""
     travelled = np.full(len(run), np.nan)
-    known = np.isfinite(run.true_positions).all(axis=1)
-    steps = np.linalg.norm(np.diff(run.true_positions[known], axis=0), axis=1)
-    if known.any():
-        travelled[known] = np.concatenate([[0.0], np.cumsum(steps)])
+    has_truth = np.isfinite(run.true_positions).all(axis=1)
+    steps = np.linalg.norm(np.diff(run.true_positions[has_truth], axis=0), axis=1)
+    if has_truth.any():
+        travelled[has_truth] = np.concatenate([[0.0], np.cumsum(steps)])
     return travelled
 
 
@@ -74,11 +74,11 @@ def belief_error(run: FilterRun) -> tuple[FloatArray, FloatArray]:
     [p_true - p_est in W, m ; Log(R_est^T R_true) in the camera frame, rad].
     """
     error = np.full((len(run), 6), np.nan)
-    known = scored(run)
+    is_scored = scored(run)
     error[:, :3] = run.true_positions - run.positions
-    if known.any():
-        r_cw_est = Rotation.from_quat(run.orientations[known]).inv()
-        error[known, 3:] = (r_cw_est * Rotation.from_quat(run.true_orientations[known])).as_rotvec()
+    if is_scored.any():
+        r_cw_est = Rotation.from_quat(run.orientations[is_scored]).inv()
+        error[is_scored, 3:] = (r_cw_est * Rotation.from_quat(run.true_orientations[is_scored])).as_rotvec()
     variance = np.diagonal(run.pose_covariances, axis1=1, axis2=2)
     with np.errstate(invalid="ignore"):
         return error, np.sqrt(variance)
@@ -87,10 +87,10 @@ def belief_error(run: FilterRun) -> tuple[FloatArray, FloatArray]:
 def heading(orientations: FloatArray) -> FloatArray:
     """Return the yaw of the viewing direction about y, rad, without jumps; (K, 4) -> (K,), NaN if unknown."""
     yaw = np.full(len(orientations), np.nan)
-    known = np.isfinite(orientations).all(axis=1)
-    if known.any():
-        forward = Rotation.from_quat(orientations[known]).apply([0.0, 0.0, 1.0])
-        yaw[known] = np.unwrap(np.arctan2(forward[:, 0], forward[:, 2]))
+    finite = np.isfinite(orientations).all(axis=1)
+    if finite.any():
+        forward = Rotation.from_quat(orientations[finite]).apply([0.0, 0.0, 1.0])
+        yaw[finite] = np.unwrap(np.arctan2(forward[:, 0], forward[:, 2]))
     return yaw
 
 
@@ -114,8 +114,8 @@ def column_median(table: FloatArray) -> FloatArray:
 
 def _over_runs(average: Callable[..., FloatArray], table: FloatArray) -> FloatArray:
     result = np.full(table.shape[1], np.nan)
-    known = np.isfinite(table).any(axis=0)
-    result[known] = average(np.where(np.isfinite(table), table, np.nan)[:, known], axis=0)
+    has_value = np.isfinite(table).any(axis=0)
+    result[has_value] = average(np.where(np.isfinite(table), table, np.nan)[:, has_value], axis=0)
     return result
 
 
@@ -146,5 +146,5 @@ def thinned(values: ArrayLike, most: int) -> IntArray:
 
 
 def _finite(values: ArrayLike) -> FloatArray:
-    known = np.asarray(values, dtype=np.float64)
-    return known[np.isfinite(known)]
+    numbers = np.asarray(values, dtype=np.float64)
+    return numbers[np.isfinite(numbers)]

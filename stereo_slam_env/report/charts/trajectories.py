@@ -72,9 +72,9 @@ def plot_paths(scores: Sequence[TrajectoryScore]) -> tuple[Chart, float]:
         drawn = truth - factor * score.position_errors[:, plane]
         paths.append(Curve(label, drawn[:, 0], drawn[:, 1], colours[label], width=width))
         if np.isfinite(half).any():
-            known = np.isfinite(half)
-            side = factor * half[known, None] * normal[known]
-            outline = np.concatenate([drawn[known] + side, (drawn[known] - side)[::-1]])
+            finite = np.isfinite(half)
+            side = factor * half[finite, None] * normal[finite]
+            outline = np.concatenate([drawn[finite] + side, (drawn[finite] - side)[::-1]])
             tubes.append(Curve(label, outline[:, 0], outline[:, 1], colours[label], opacity=0.16, said=None))
     view.outlines(tubes)
     truths = {id(score): score.reference_poses.positions for score in scores}
@@ -118,10 +118,10 @@ def plot_calibration(scores: Sequence[TrajectoryScore]) -> Chart:
     curves, steps = [], []
     for label, score in claimed.items():
         values = _nees(score)[np.isfinite(_nees(score))]
-        own = np.sort(chdtr(score.claim.dof if score.claim else 0, values))
-        share = np.searchsorted(own, ideal, side="right") / len(own)
+        shares = np.sort(chdtr(score.claim.dof if score.claim else 0, values))
+        share = np.searchsorted(shares, ideal, side="right") / len(shares)
         curves.append(Curve(label, 100 * ideal, 100 * share, colours[label]))
-        density, edges = np.histogram(own, bins=20, range=(0.0, 1.0), density=True)
+        density, edges = np.histogram(shares, bins=20, range=(0.0, 1.0), density=True)
         steps.append(Curve(label, 100 * np.repeat(edges, 2)[1:-1], np.repeat(density, 2), colours[label]))
     inside.lines(curves)
     spread.y = Axis(0, max(2.0, 1.05 * max(float(np.asarray(step.y).max()) for step in steps)))
@@ -132,9 +132,9 @@ def plot_calibration(scores: Sequence[TrajectoryScore]) -> Chart:
 
 def plot_windows(scores: Sequence[TrajectoryScore]) -> Chart:
     """Error of the motion over windows by their length."""
-    shown = {label: score for label, score in zip(labels_of(scores), scores, strict=True) if score.windows}
-    colours = filter_colours(shown)
-    width = panel_width(2, label_room(shown))
+    with_windows = {label: score for label, score in zip(labels_of(scores), scores, strict=True) if score.windows}
+    colours = filter_colours(with_windows)
+    width = panel_width(2, label_room(with_windows))
     panels = []
     for title, name in (("Displacement, RMSE (m)", "translation_rmse_m"), ("Turn, RMSE (°)", "rotation_rmse_deg")):
         curves = [
@@ -144,7 +144,7 @@ def plot_windows(scores: Sequence[TrajectoryScore]) -> Chart:
                 [getattr(window, name) or np.nan for window in score.windows],
                 colours[label],
             )
-            for label, score in shown.items()
+            for label, score in with_windows.items()
         ]
         x, y = (log_axis([np.asarray(getattr(curve, of), dtype=np.float64) for curve in curves]) for of in "xy")
         panel = Panel(Axis(x.low, x.high, "length of the window (s)", log=True), y, width, 230.0, title)
@@ -170,9 +170,9 @@ def plot_runs(score: RunsScore) -> Chart:
 
 def _at(times: FloatArray, score: TrajectoryScore) -> FloatArray:
     """NEES of the pose at `times`; between its own, that of the frame before, so that lines have no gaps."""
-    own = np.searchsorted(score.times, times, side="right") - 1
-    inside = (own >= 0) & (times <= score.times[-1])
-    return np.where(inside, _nees(score)[np.maximum(own, 0)], np.nan)
+    rows = np.searchsorted(score.times, times, side="right") - 1
+    inside = (rows >= 0) & (times <= score.times[-1])
+    return np.where(inside, _nees(score)[np.maximum(rows, 0)], np.nan)
 
 
 def _nees(score: TrajectoryScore) -> FloatArray:
