@@ -150,7 +150,7 @@ class RunOptions:
         typer.echo(f"film: {self.record.resolve()}")
 
     def run(self, directory: StudyDirectory) -> None:
-        """Run, show the table, and say where everything is; when interrupted, say how to go on."""
+        """Run, show the table, and say where everything is; exit code 1 where every trial failed."""
         from stereo_slam_env.benchmark.campaign import run_checked
         from stereo_slam_env.benchmark.recordings.source import checked
         from stereo_slam_env.benchmark.running.backends import Backend, BackendName
@@ -174,6 +174,8 @@ class RunOptions:
             ) from error
         show_cells(console(), result.cells)
         show_place(result.report or result.out)
+        if all(run.failure is not None for cell in result.cells for run in cell.runs):
+            raise typer.Exit(1)
 
 
 def _preset_names(incomplete: str) -> list[str]:

@@ -562,6 +562,8 @@ def test_third_party_filters_are_listed_and_benchmarked(command, tmp_path):
     code, out, _ = command(*BENCH, "--out", tmp_path / "run", "--filters", "odometry-only,raises")
     assert code == 0
     assert "raises failed: seed 0, frame 2: RuntimeError: the third frame is too much" in out
+    code, out, _ = command(*BENCH, "--out", tmp_path / "nothing", "--filters", "raises")
+    assert (code, "raises failed" in out) == (1, True)  # nothing came of it
 
 
 @pytest.mark.usefixtures("third_party")
