@@ -52,7 +52,7 @@ def test_a_notebook_is_small_is_stored_with_its_results_and_names_no_place(path)
     [
         ("First", "overconfident (mean pose NEES / dof 33, expected 1)"),
         ("Second", "moves it by velocity times dt"),
-        ("Third", "With nearly exact measurements the pose follows the truth"),
+        ("Third", "The pose follows the truth where measurements are nearly exact"),
         ("Fourth", "forecast S less the noise R is not positive definite"),
         ("Fifth", "its errors are not many times those of inverse-depth"),
     ],

@@ -391,7 +391,7 @@ def check_pose_error(make: Make) -> None:
 
 
 def check_accuracy(make: Make) -> None:
-    """Check that the pose follows the truth with nearly exact measurements."""
+    """The pose follows the truth where measurements are nearly exact."""
     stereo_filter, drive = _started(make), make.drive()
     _drive_on(stereo_filter, drive, range(10), scale=0.01)
     error = _error_of(stereo_filter, drive.position(9), drive.orientation)
@@ -457,7 +457,7 @@ def check_confidence(make: Make) -> None:
 
 
 def check_other_rig(make: Make) -> None:
-    """Check the same with another camera and noise, another start and unequal steps."""
+    """Covariances match errors with another camera and noise, another start and unequal steps, too."""
     if make.rig is None:
         return  # it brings its own
     elsewhere = Start(

@@ -138,7 +138,7 @@ def check_motion_jacobians(motion: MotionModel) -> None:
 
 
 def check_motion_invariance(motion: MotionModel) -> None:
-    """Check that in a turned and shifted world, with its variables that are vectors in W, the motion is the same."""
+    """The motion is the same in a turned and shifted world, with its variables that are vectors in W."""
     state, odometry = _before(motion)
     expected = moved_world(motion.predict(state, DT, odometry).state, variables=motion.variables)
     in_another = motion.predict(moved_world(state, variables=motion.variables), DT, odometry).state
@@ -183,7 +183,7 @@ def check_error_of_nothing(error: ErrorDefinition) -> None:
 
 
 def check_error_invariance(error: ErrorDefinition) -> None:
-    """Check that in a turned world the same measurements lead to the turned estimate."""
+    """The same measurements lead to the turned estimate in a turned world."""
     slam, turned = _filter(error), _filter(error, TURN)
     for one in (slam, turned):
         one.update(StereoObservation(np.arange(4), _UVD + [[3.0, -2.0, 0.5]] * 4))
@@ -313,7 +313,7 @@ def check_landmark_retraction(model: LandmarkModel) -> None:
 
 
 def check_landmark_invariance(model: LandmarkModel) -> None:
-    """Check that in a turned world a landmark starts where the turned one is."""
+    """A landmark starts where the turned one is, in a turned world."""
     homogeneous = _seen(model)
     turned = np.hstack([homogeneous[:, :3] @ TURN.T, homogeneous[:, 3:]])
     able = columns_of(lambda h: (model.can_start_from(h),), turned)[:, 0].astype(bool)

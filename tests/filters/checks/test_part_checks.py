@@ -245,7 +245,7 @@ BROKEN = {
     AtInfinity(): "Derivatives of a start",
     WrongSlope(): "Derivatives of a landmark in the map",
     HalfBack(): "A correction is undone",
-    StaysBehind(): "In a world that is turned, a landmark",
+    StaysBehind(): "A landmark starts where the turned one is",
     TurnsTooFar(): "Derivatives of a landmark in the map",
     RotatesItself(): "A part gives its plain functions",
     DoubleDisparity(): "A point is backprojected to where it is",
@@ -255,7 +255,7 @@ BROKEN = {
     DepthEverywhere(): "Numbers have the documented shapes",
     UsesNothing(): "Stages use the numbers of the sensor",
     HalfTheStep(): "F, G and the H of odometry",
-    DriftsEast(): "In a world that is turned and shifted",
+    DriftsEast(): "The motion is the same in a turned",
     Jumps(): "A prediction has the documented shapes",
     CrypticWithoutOdometry(): "A prediction has the documented shapes",
     AlongTheWorld(): "The pose has no error against itself",
@@ -263,7 +263,7 @@ BROKEN = {
     AcceptsAnything(): "A setting that is no number",
     RefusesAtLength(): "A setting that is no number",
 }
-ENGINE = {"A measurement that is what the filter expects", "In a world that is turned, the same measurements"}
+ENGINE = {"A measurement that is what the filter expects", "The same measurements lead to the turned estimate"}
 """Checks of what the engine does with an error definition: a part says which, and cannot break it."""
 
 
