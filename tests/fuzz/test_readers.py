@@ -46,7 +46,7 @@ NOT_ON_IT = {
 WRITERS = {
     *("BenchmarkResult", "write_mcap", "write_kitti_sequence", "DriftModel.write", "claimed_folder", "is_occupied"),
     *("own_files", "write_atomically", "write_text", "write_json", "save_recording", "save_trajectory", "Chart.save"),
-    *("figure_block", "table", "write_trajectory_report", "save_film", "save_still", "RerunView"),
+    *("figure_block", "on_page", "write_trajectory_report", "save_film", "save_still", "RerunView"),
     *("search_film", "Recorder"),
 }
 """Public names whose paths are only written."""
