@@ -162,10 +162,9 @@ def run_checked(
     """Run a study that `check_study` has passed, in a directory of `prepared_study`; as `run_benchmark`."""
     with claimed_folder(directory.root), _interruptible():
         directory = prepared_study(directory.out, directory.study)  # somebody may have written there meanwhile
-        cells = directory.cells
-        missing = [Missing(number, seed, choice) for number, run in enumerate(cells) for seed, choice in run.missing()]
+        missing = [Missing(number, *trial) for number, run in enumerate(directory.cells) for trial in run.missing()]
         directory.write_settings()
-        _run_missing(cells, missing, backend, progress or (lambda done, total: None))
+        _run_missing(directory.cells, missing, backend, progress or (lambda done, total: None))
         results = write_results(directory)
         page = None if write_report is None else write_report(directory, results)
     return BenchmarkResult(directory.out, tuple(results), page)
@@ -241,9 +240,7 @@ def check_filters(scenario: Scenario) -> None:
             continue
         try:
             make_with_common_options(choice.name, camera, noise, choice.options, scenario.common_options)
-        except ValueError:
-            raise
-        except KeyboardInterrupt:
+        except (ValueError, KeyboardInterrupt):
             raise
         except BaseException as error:  # a third-party constructor may raise anything; the run will record it
             _log.info("filter %s cannot be made: %s", choice.label, first_line(error))
@@ -255,9 +252,7 @@ _FEW = 2
 """Recordings for which nothing is loaded beforehand."""
 
 
-def _run_missing(
-    cells: Sequence[RunDirectory], missing: Sequence[Missing], backend: Backend, progress: Progress
-) -> None:
+def _run_missing(cells: Sequence[RunDirectory], missing: list[Missing], backend: Backend, progress: Progress) -> None:
     """Make what is missing and keep each result as soon as it is there."""
     total = sum(len(run.seeds) * (len(run.scenario.competitors) + run.scenario.has_bound) for run in cells)
     work = _Work(cells, backend, progress, total - len(missing), total)

@@ -132,10 +132,8 @@ def evaluate(
         show_runs_score(console(), runs)
     else:
         show_trajectory_scores(console(), scores)
-        if verdict is not None:
-            typer.echo(verdict.words)
-        if by_itself:
-            typer.echo(by_itself)
+        for words in filter(None, (verdict and verdict.words, by_itself)):
+            typer.echo(words)
     if out is not None:
         own_files(out, ["score.json", "report.html"])
         write_json(out / "score.json", figures)

@@ -143,10 +143,8 @@ def left_coordinates(trajectory: Trajectory, centre: FloatArray) -> FloatArray:
 
     These are the rotation about the axes of W, and the displacement that is left at `centre`.
     """
-    own_jacobian = tangent_jacobian(trajectory.tangent, trajectory.positions, trajectory.orientations)
-    return tangent_jacobian("left", trajectory.positions - centre, trajectory.orientations) @ np.linalg.inv(
-        own_jacobian
-    )
+    J = tangent_jacobian(trajectory.tangent, trajectory.positions, trajectory.orientations)
+    return tangent_jacobian("left", trajectory.positions - centre, trajectory.orientations) @ np.linalg.inv(J)
 
 
 def own_gauge(trajectory: Trajectory) -> AlignmentKind:

@@ -18,6 +18,7 @@ that says which edits matter is where a stale result would pass for a new one.
 
 from __future__ import annotations
 
+import ast
 import glob
 import hashlib
 import importlib.machinery
@@ -29,7 +30,7 @@ import sys
 import sysconfig
 import types
 from collections.abc import Callable, Collection, Iterator, Mapping
-from functools import cache, partial
+from functools import cache, lru_cache, partial
 from importlib.metadata import Distribution, EntryPoint, entry_points, packages_distributions
 from pathlib import Path
 from typing import Any
@@ -284,15 +285,16 @@ def _code_of(top: str, beside: Path) -> list[Path]:
     return [*(path for path in files if path.name.endswith(_CODE)), *(path for path in alone if path.is_file())]
 
 
-_IMPORT = re.compile(r"^[ \t]*(?:from[ \t]+(?P<package>\w+)|import[ \t]+(?P<modules>[^#;\n]+))", re.MULTILINE)
-
-
-def _imported(content: bytes) -> set[str]:
-    """Top-level names of what a file of Python imports by statements, wherever in it."""
-    names: set[str] = set()
-    for match in _IMPORT.finditer(content.decode(errors="replace")):
-        names |= {match["package"] or ""} if match["modules"] is None else set(map(_top, match["modules"].split(",")))
-    return {name.split()[0] for name in names if name.strip()}
+@lru_cache(maxsize=4096)
+def _imported(content: bytes) -> frozenset[str]:
+    """Top-level names of what a file of Python imports by statements, wherever in it; none of other files."""
+    try:
+        nodes = list(ast.walk(ast.parse(content)))
+    except (SyntaxError, ValueError, RecursionError):
+        return frozenset()
+    names = [alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names]
+    names += [node.module or "" for node in nodes if isinstance(node, ast.ImportFrom) and not node.level]
+    return frozenset(_top(name) for name in names if name)
 
 
 # ---- code without files ----------------------------------------------------------------------------------------------

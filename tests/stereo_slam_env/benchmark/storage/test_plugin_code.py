@@ -168,6 +168,14 @@ def test_what_it_does_not_import_makes_no_difference(project):
     assert digest_of_choice(LAB) == before
 
 
+def test_an_import_within_a_line_counts(project):
+    with (project / "lab_filter" / "slam.py").open("a") as stream:
+        stream.write("\nif True: x = 1; import bystander\n")
+    before = digest_of_choice(LAB)
+    edit(project / "bystander.py", "x = 1", "x = 2")
+    assert digest_of_choice(LAB) != before
+
+
 def test_a_filter_that_cannot_be_loaded_is_another_one_as_soon_as_it_can(project):
     """Also where the reason is not in its own code."""
     working = digest_of_choice(LAB)
