@@ -17,8 +17,9 @@ from stereo_slam_env.benchmark.scenarios.scenario import Scenario
 from stereo_slam_env.benchmark.scenarios.streams import make_recording
 from stereo_slam_env.benchmark.scenarios.study import preset
 from stereo_slam_env.benchmark.statistics.differences import Difference, ShareDifference, share_difference, signed
-from stereo_slam_env.benchmark.statistics.measures import DIVERGED, MEASURES, POSITION, change_words, difference_between
-from stereo_slam_env.benchmark.statistics.verdict import Consistency, consistency, pose_nees
+from stereo_slam_env.benchmark.statistics.measures import DIVERGED, MEASURES, POSITION, difference_between, pose_nees
+from stereo_slam_env.benchmark.statistics.sentences import sentence
+from stereo_slam_env.benchmark.statistics.verdict import Consistency, consistency
 from stereo_slam_env.evaluation.figures import Figure
 from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
@@ -146,7 +147,7 @@ class HeadToHead:
             values = [measure.of(side) for side in sides]
             if not all(value != value for value in values):
                 difference = self.difference(measure)
-                words = f"{difference.finding.value}: " * difference.shown + change_words(measure, difference)
+                words = f"{difference.finding.value}: " * difference.shown + sentence("change", measure, difference)
                 rows.append((measure.title, *map(measure.text_of, values), words))
         diverged = (f"{side.diverged} of {side.runs}" for side in sides)
         rows.append((DIVERGED.label, *diverged, self.divergences().finding.value))

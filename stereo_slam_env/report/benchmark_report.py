@@ -12,9 +12,10 @@ from markupsafe import Markup
 
 from stereo_slam_env.benchmark.scenarios.study import Study
 from stereo_slam_env.benchmark.statistics.attribution import Attribution, attribute_runs
-from stereo_slam_env.benchmark.statistics.differences import CONFIDENCE, MIN_PAIRS, Finding, listed
+from stereo_slam_env.benchmark.statistics.differences import CONFIDENCE, MIN_PAIRS, Finding
 from stereo_slam_env.benchmark.statistics.measures import EFFICIENCY, POSE_NEES, POSITION
 from stereo_slam_env.benchmark.statistics.policy_verdict import Looks, baseline_of
+from stereo_slam_env.benchmark.statistics.sentences import sentence
 from stereo_slam_env.benchmark.statistics.verdict import Verdict, consistency, judge
 from stereo_slam_env.benchmark.storage.result_tables import CellResult
 from stereo_slam_env.benchmark.storage.run_files import seed_name
@@ -87,42 +88,22 @@ _MATRIX_NOTE = (
 
 
 def _sentences(verdicts: Mapping[str, Verdict], names: Sequence[str]) -> list[str]:
+    """Headline: which filters are the best in how many scenarios, and why some have none."""
     if len(verdicts) == 1:
         return [next(iter(verdicts.values())).headline]
-    if len(names) == 1:
-        return _of_one_filter(verdicts, names[0])
-    sentences = []
     by_leaders: dict[tuple[str, ...], list[Verdict]] = {}
     for verdict in verdicts.values():
         by_leaders.setdefault(tuple(name for name in names if name in verdict.leaders), []).append(verdict)
     unknown = by_leaders.pop((), [])
-    for leaders, best in sorted(by_leaders.items(), key=lambda item: -len(item[1])):
-        have = "tie for" if len(leaders) > 1 else "has"
-        details = ""
-        if len(leaders) < len(names):
-            details = f", shown against all others in {sum(verdict.is_shown for verdict in best) or 'none'}"
-        among = f"{len(best)} of {len(verdicts)} scenarios"
-        sentences.append(f"{listed(leaders)} {have} the smallest position error in {among}{details}.")
-    if unknown:
-        sentences.append(f"In {len(unknown)} there is no best one{_why(unknown)}")
-    return sentences
-
-
-def _of_one_filter(verdicts: Mapping[str, Verdict], name: str) -> list[str]:
-    """Nothing to compare: how many scenarios it came through."""
-    unknown = [verdict for verdict in verdicts.values() if verdict.best is None]
-    through = (
-        f"{name} has a position error from every run in {len(verdicts) - len(unknown)} of {len(verdicts)} scenarios"
-    )
-    return [f"{through}; nothing to compare it with."] + (
-        [f"In {len(unknown)} it has not{_why(unknown)}"] if unknown else []
-    )
-
-
-def _why(unknown: Sequence[Verdict]) -> str:
-    """Reasons why scenarios have no best filter, each once."""
+    if len(names) == 1:
+        sentences = [sentence("one_filter", names[0], len(verdicts) - len(unknown), len(verdicts))]
+    else:
+        sentences = []
+        for leaders, best in sorted(by_leaders.items(), key=lambda item: -len(item[1])):
+            others, shown = len(leaders) < len(names), sum(verdict.is_shown for verdict in best)
+            sentences.append(sentence("leaders", leaders, len(best), len(verdicts), others, shown))
     reasons = list(dict.fromkeys(verdict.headline for verdict in unknown))
-    return f": {reasons[0]}" if len(reasons) == 1 else ", for reasons that their reports say."
+    return sentences + ([sentence("no_leader", len(unknown), reasons, len(names) == 1)] if unknown else [])
 
 
 def _matrix(

@@ -9,9 +9,10 @@ from typing import Any
 from markupsafe import Markup
 
 from stereo_slam_env.benchmark.statistics.attribution import Attribution
-from stereo_slam_env.benchmark.statistics.changes import Change, RunComparison, few
+from stereo_slam_env.benchmark.statistics.changes import Change, RunComparison
 from stereo_slam_env.benchmark.statistics.differences import Finding
 from stereo_slam_env.benchmark.statistics.effects import Contrast, ResponseAttribution
+from stereo_slam_env.benchmark.statistics.sentences import few, sentence
 from stereo_slam_env.evaluation.figures import UNKNOWN
 from stereo_slam_env.report.charts.axes import filter_colours
 from stereo_slam_env.report.charts.factors import plot_changes, plot_effects
@@ -85,7 +86,7 @@ def _table(changes: Sequence[Change], how: str, latex: Path | None = None) -> Ma
         tone = FINDING_TONES[change.finding]
         interval, (before, after) = change.interval_percent, change.values
         sorted_by = None if interval is None else 0.5 * sum(interval)
-        short = f"{change.count} {'run is' if change.count == 1 else 'runs are'} too few, {change.needed} are needed"
+        short = sentence("runs_too_few", change.count, change.needed)
         finding = "the same" if change.tied else short if change.too_few else change.finding.value
         rows.append(
             [

@@ -25,7 +25,7 @@ from stereo_slam_env.benchmark.scenarios.recording_description import (
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, PolicyChoice, Scenario
 from stereo_slam_env.benchmark.scenarios.study import Study
 from stereo_slam_env.benchmark.statistics.changes import RunComparison
-from stereo_slam_env.benchmark.statistics.measures import EFFICIENCY, POSE_NEES
+from stereo_slam_env.benchmark.statistics.measures import EFFICIENCY, POSE_NEES, pose_nees
 from stereo_slam_env.benchmark.statistics.policy_verdict import baseline_of, judge_policies
 from stereo_slam_env.benchmark.statistics.remarks import (
     innovation_remarks,
@@ -33,7 +33,7 @@ from stereo_slam_env.benchmark.statistics.remarks import (
     motion_remarks,
     reference_remarks,
 )
-from stereo_slam_env.benchmark.statistics.verdict import judge, pose_nees
+from stereo_slam_env.benchmark.statistics.verdict import judge
 from stereo_slam_env.benchmark.storage.result_tables import CellResult
 from stereo_slam_env.evaluation.figures import FIGURES, UNKNOWN, Figure
 from stereo_slam_env.evaluation.results import FilterSummary

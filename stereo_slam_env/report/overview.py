@@ -17,14 +17,13 @@ from stereo_slam_env.benchmark.statistics.measures import (
     POSITION,
 )
 from stereo_slam_env.benchmark.statistics.policy_verdict import Agreement, PolicyVerdict
-from stereo_slam_env.benchmark.statistics.remarks import innovation_factor, limit_reached, times_the_claim
+from stereo_slam_env.benchmark.statistics.remarks import innovation_factor, limit_reached
+from stereo_slam_env.benchmark.statistics.sentences import sentence
 from stereo_slam_env.benchmark.statistics.verdict import (
     Consistency,
     FilterComparison,
     Verdict,
     consistency,
-    loss,
-    timed_words,
 )
 from stereo_slam_env.evaluation.bands import DOF
 from stereo_slam_env.evaluation.figures import UNKNOWN, Figure, readable
@@ -135,7 +134,9 @@ def _innovations(summary: FilterSummary) -> TableCell | None:
     if factor is None:
         return answer(short(summary.nis), key=summary.nis)
     state = Consistency.CAUTIOUS if factor < 1.0 else Consistency.OVERCONFIDENT
-    return answer(short(summary.nis), f"innovations {times_the_claim(factor)}", TONES[state], key=summary.nis)
+    return answer(
+        short(summary.nis), f"innovations {sentence('times_the_claim', factor)}", TONES[state], key=summary.nis
+    )
 
 
 def drawn(*shapes: tuple[str, Mapping[str, object]], width: int = MARK_WIDTH) -> Markup:
@@ -149,7 +150,7 @@ def drawn(*shapes: tuple[str, Mapping[str, object]], width: int = MARK_WIDTH) ->
 
 def lost(summary: FilterSummary) -> str:
     """In how many runs a filter diverged or failed, in short: "diverged 3/10"."""
-    return f"{loss(summary)} {summary.diverged}/{summary.runs}"
+    return f"{sentence('loss', summary)} {summary.diverged}/{summary.runs}"
 
 
 def short(value: float | None, unit: str = "") -> str:
@@ -289,7 +290,7 @@ def _cost(summary: FilterSummary, summaries: Sequence[FilterSummary]) -> TableCe
     words = [f"{signed(excess)} %" if excess else "quickest"] if len(summaries) > 1 else []
     if summary.memory_mb is not None and summary.memory_mb >= 0.5:
         words.append(f"{summary.memory_mb:.0f} MB")
-    words += filter(None, [timed_words(summary)])
+    words += filter(None, [sentence("timed", summary)])
     return answer(f"{summary.ms_per_frame:.2f} ms", ", ".join(words), "none", key=summary.ms_per_frame)
 
 

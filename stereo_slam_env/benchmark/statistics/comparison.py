@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,16 +20,10 @@ import numpy as np
 from filters.geometry.arrays import FloatArray
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice
 from stereo_slam_env.benchmark.scenarios.streams import pairing_digest
-from stereo_slam_env.benchmark.statistics.changes import (
-    MOST_WORDED,
-    Change,
-    RunComparison,
-    change_of,
-    divergences_changed,
-    few,
-    headline,
-)
+from stereo_slam_env.benchmark.statistics.changes import Change, RunComparison
+from stereo_slam_env.benchmark.statistics.differences import Difference, ShareDifference, share_difference
 from stereo_slam_env.benchmark.statistics.measures import DIVERGED, MEASURES, TIME, difference_by
+from stereo_slam_env.benchmark.statistics.sentences import MOST_NAMED, few, sentence
 from stereo_slam_env.benchmark.storage.result_tables import results_of
 from stereo_slam_env.benchmark.storage.run_files import SETTINGS
 from stereo_slam_env.benchmark.storage.store import RunDirectory, read_study
@@ -82,7 +76,6 @@ def compare(before: str | Path | BenchmarkResult, after: str | Path | BenchmarkR
         recordings_before=tuple(_recording(key) for key in was.keys if key not in keys),
         recordings_after=tuple(_recording(key) for key in now.keys if key not in keys),
         warnings=tuple(warnings),
-        headline=headline(changes, paired=paired),
     )
 
 
@@ -185,26 +178,20 @@ def _same_streams(was: _Side, now: _Side) -> tuple[bool, list[str]]:
     """Whether all common trials had the same measurements, and warnings about it."""
     common = [trial for trial in was.trials if trial in now.trials]
     if not common:
-        return False, ["The two runs have no recording in common: they are compared as two samples, not pair by pair."]
+        return False, [sentence("no_recording_in_common")]
     if all(trial in side.streams for side in (was, now) for trial in common):
         other = list(dict.fromkeys(trial[1] for trial in common if was.streams[trial] != now.streams[trial]))
         if not other:
             return True, []
-        which = _recording(other[0]) + (f" and {len(other) - 1} more" if len(other) > 1 else "")
-        return False, [
-            f"The measurements of {which} are not the same in both runs: they are compared as two samples, not pair by "
-            f"pair, and a difference may come from the recordings."
-        ]
+        return False, [sentence("other_measurements", [_recording(key) for key in other])]
     drives = [{(name, key_of(run)): run for name in side.figures for run in side.runs(name)} for side in (was, now)]
     if all(
         np.array_equal(getattr(drives[0][trial], name), getattr(drives[1][trial], name), equal_nan=True)
         for trial in common
         for name in ("timestamps", "true_positions")
     ):
-        return True, [
-            "Whether the measurements are bit-identical is not known; time stamps and truth are, so runs are paired."
-        ]
-    return False, ["The drives of the two runs are not the same: they are compared as two samples, not pair by pair."]
+        return True, [sentence("measurements_not_known")]
+    return False, [sentence("other_drives")]
 
 
 def _changes(was: _Side, now: _Side, filters: Sequence[str], paired: bool) -> tuple[Change, ...]:
@@ -221,12 +208,14 @@ def _changes(was: _Side, now: _Side, filters: Sequence[str], paired: bool) -> tu
     changes = []
     for (name, measure), (after, before) in known.items():
         comparisons = of_time if measure is TIME else of_others
+        values, runs = [measure.of(summary) for summary in over[name]], (len(before), len(after))
+        difference: Difference | ShareDifference
         if measure is DIVERGED:
-            change = divergences_changed(after > 0, before > 0, paired=paired, comparisons=comparisons)
+            values = [float(before.sum()), float(after.sum())]
+            difference = share_difference(after > 0, before > 0, paired=paired, comparisons=comparisons)
         else:
             difference = difference_by(measure, after, before, paired=paired, comparisons=comparisons)
-            change = change_of(measure, difference, *(measure.of(summary) for summary in over[name]))
-        changes.append(replace(change, filter_name=name, cell=now.cells.get(name, "")))
+        changes.append(Change(name, measure, values[0], values[1], runs, difference, now.cells.get(name, "")))
     return tuple(changes)
 
 
@@ -251,11 +240,10 @@ def _over_runs(was: _Side, now: _Side, name: str, paired: bool) -> tuple[FilterS
 def _failures(side: _Side) -> list[str]:
     """Number of failed runs of the filters, with the first error of each."""
     failed = [(label, row["failure"]) for (label, _), row in side.trials.items() if row["failure"] is not None]
-    first = dict(reversed(failed))
-    counts = Counter(label for label, _ in failed)
-    lines = [f"{label} failed in {n} runs of {side.name}, first at {first[label]}." for label, n in counts.items()]
-    more = len(lines) - MOST_WORDED
-    return [*lines[:MOST_WORDED], f"{more} more filters failed in runs of {side.name}."] if more > 0 else lines
+    first, counts = dict(reversed(failed)), Counter(label for label, _ in failed)
+    lines = [sentence("failed_runs", label, n, side.name, first[label]) for label, n in counts.items()]
+    more = len(lines) - MOST_NAMED
+    return [*lines[:MOST_NAMED], sentence("more_failed", more, side.name)] if more > 0 else lines
 
 
 def _other_settings(was: _Side, now: _Side) -> list[str]:
@@ -270,7 +258,7 @@ def _other_settings(was: _Side, now: _Side) -> list[str]:
         ]
         changed = [label for label, how in changes[0].items() if changes[1].get(label, how) != how]
         other |= dict.fromkeys(f"the options of {label}" for label in changed)
-    return [f"The settings of the two runs differ in {', '.join(other)}."] if other else []
+    return [sentence("other_settings", list(other))] if other else []
 
 
 def _other_code(was: _Side, now: _Side) -> list[str]:
@@ -278,20 +266,16 @@ def _other_code(was: _Side, now: _Side) -> list[str]:
     common = [label for label in was.plugin_code if label in now.plugin_code]
     other = [label for label in common if was.plugin_code[label] != now.plugin_code[label]]
     ours = [next((about["versions"].get("code") for about in side.settings.values()), None) for side in (was, now)]
-    sentences = [f"The code of {', '.join(other)} differs between the two runs."] if other else []
+    codes = [other] if other else []
     if None not in ours and ours[0] != ours[1]:
-        sentences.append(f"The code of stereo-slam-env differs between the two runs ({ours[0]} and {ours[1]}).")
-    return sentences
+        codes.append([f"stereo-slam-env ({ours[0]} and {ours[1]})"])
+    return [sentence("other_code", names) for names in codes]
 
 
 def _other_machine(was: _Side, now: _Side) -> list[str]:
     a, b = (next((dict(about["versions"]) for about in side.settings.values()), {}) for side in (was, now))
-    if not a or not b:
-        return ["Times are of one machine only if both runs were made on it."]
     other = [f"{key} ({a.get(key)} and {b.get(key)})" for key in _MACHINE if a.get(key) != b.get(key)]
-    if other:
-        return [f"Times are not comparable: the two runs differ in {', '.join(other)}."]
-    return ["Times were measured in two sessions: the load of the machine may differ."]
+    return [sentence("other_machine", other if a and b else None)]
 
 
 def _recording(key: RunKey) -> str:

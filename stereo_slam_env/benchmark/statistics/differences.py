@@ -289,6 +289,22 @@ class ShareDifference:
     count: int
     p_value: float  # two-sided, exact, corrected for the number of comparisons
     finding: Finding  # about a; less often is better
+    needed: int  # recordings without which no outcome could be significant
+    identical: bool  # whether it happened in the same recordings
+
+    @property
+    def tied(self) -> bool:
+        """Whether there is no difference."""
+        return self.identical
+
+    @property
+    def too_few(self) -> bool:
+        """Whether no outcome whatever could have shown a difference."""
+        return self.count < self.needed
+
+    @property
+    def interval_percent(self) -> None:
+        """Interval of the difference: shares have none."""
 
 
 def share_difference(a: BoolArray, b: BoolArray, *, paired: bool = True, comparisons: int = 1) -> ShareDifference:
@@ -312,7 +328,8 @@ def share_difference(a: BoolArray, b: BoolArray, *, paired: bool = True, compari
     finding = Finding.NOT_SHOWN
     if p_value <= 1.0 - CONFIDENCE and more:
         finding = Finding.WORSE if more > 0 else Finding.BETTER
-    return ShareDifference(in_a, in_b, count, min(1.0, p_value), finding)
+    needed = (pairs_needed if paired else group_needed)(comparisons)
+    return ShareDifference(in_a, in_b, count, min(1.0, p_value), finding, needed, bool(np.array_equal(a, b)))
 
 
 # ---- in words --------------------------------------------------------------------------------------------------------

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from filters.geometry.arrays import FloatArray, IntArray
-from stereo_slam_env.benchmark.statistics.differences import Difference, Finding, differences_of, percent_words
+from stereo_slam_env.benchmark.statistics.differences import Difference, Finding, differences_of
+from stereo_slam_env.benchmark.statistics.sentences import sentence
 
 Term = tuple[int, ...]
 """Numbers of the factors: one of a main effect, two of an interaction."""
@@ -47,7 +48,6 @@ class Contrast:
     instead_of: Any
     difference: Difference  # of the logarithm, corrected for the number of contrasts
     finding: Finding  # whether the response is shown to be better (smaller, or nearer to its ideal), worse, or neither
-    words: str
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,23 @@ class ResponseAttribution:
     # Share of the variance between combinations, on the same seed, that a factor or two together explain, %: by their
     # names, largest first; of none of them, (), last.
     shares: Mapping[tuple[str, ...], float]
-    conclusion: str
+
+    @property
+    def conclusion(self) -> str:
+        """A sentence on the factors, by the variance they explain, and on strong interactions."""
+        return sentence("effects", self)
+
+    @property
+    def contrasts_by_factor(self) -> dict[str, list[Contrast]]:
+        """Contrasts of each factor, that with the largest share of the variance first."""
+        mains = [names[0] for names in self.shares if len(names) == 1]
+        return {factor: [c for c in self.contrasts if c.factor == factor] for factor in mains}
+
+    @property
+    def together(self) -> list[tuple[str, ...]]:
+        """Pairs of factors with an interaction that is shown, and worth words."""
+        shown = {effect.factors for effect in self.interactions if effect.difference.shown}
+        return sorted(names for names in shown if self.shares[names] >= _WORTH_WORDS)
 
 
 def explain(
@@ -78,12 +94,9 @@ def explain(
     effects, interactions = (
         _effects({term: blocks for term, blocks in fit.blocks.items() if len(term) == size}, factors) for size in (1, 2)
     )
-    contrasts = _contrasts(name, response, factors, fit)
+    contrasts = _contrasts(response, factors, fit)
     by_share = sorted(fit.shares.items(), key=lambda item: -item[1])
     shares = {tuple(names[i] for i in term): 100.0 * share for term, share in by_share}
-    shown_factors = {effect.factors for effect in interactions if effect.difference.shown}
-    together = [term for term in shown_factors if shares[term] >= _WORTH_WORDS]
-    mains = [term[0] for term in shares if len(term) == 1]
     attribution = ResponseAttribution(
         response=name,
         unit=response.unit,
@@ -92,7 +105,6 @@ def explain(
         interactions=interactions,
         contrasts=contrasts,
         shares={**shares, (): 100.0 * fit.rest},
-        conclusion=_conclusion(name, mains, contrasts, together),
     )
     return attribution, fit.left_out
 
@@ -112,9 +124,7 @@ def _effects(blocks: Mapping[Term, FloatArray], factors: Mapping[str, Sequence[A
     )
 
 
-def _contrasts(
-    name: str, response: Response, factors: Mapping[str, Sequence[Any]], fit: FactorialFit
-) -> tuple[Contrast, ...]:
+def _contrasts(response: Response, factors: Mapping[str, Sequence[Any]], fit: FactorialFit) -> tuple[Contrast, ...]:
     comparisons = sum(len(levels) - 1 for levels in factors.values())
     contrasts = []
     for i, (factor, levels) in enumerate(factors.items()):
@@ -126,34 +136,8 @@ def _contrasts(
             if d.shown and response.ideal is not None:
                 ideal = np.log(response.ideal)
                 finding = Finding.BETTER if abs(at[k] - ideal) < abs(at[0] - ideal) else Finding.WORSE
-            words = _contrast_words(name, levels[k], levels[0], d)
-            contrasts.append(Contrast(factor, levels[k], levels[0], d, finding, words))
+            contrasts.append(Contrast(factor, levels[k], levels[0], d, finding))
     return tuple(contrasts)
-
-
-def _contrast_words(name: str, level: Any, instead_of: Any, difference: Difference) -> str:
-    pair = f"{level!r} instead of {instead_of!r}"
-    if difference.tied:
-        return f"{pair} leaves the {name} {difference.tie_words}"
-    if difference.too_few:
-        return f"{pair}: {difference.count} seeds are too few, {difference.needed} are needed"
-    if not difference.shown:
-        return f"{pair}: {Finding.NOT_SHOWN.value} ({difference.interval_words})"
-    return f"{pair} makes the {name} {percent_words(difference.percent)} ({difference.interval_words})"
-
-
-def _conclusion(
-    name: str, by_share: Sequence[str], contrasts: Sequence[Contrast], together: Sequence[tuple[str, ...]]
-) -> str:
-    """Sentence on the factors, by the variance they explain, and on strong interactions."""
-    parts = []
-    for factor in by_share:
-        of_factor = [c for c in contrasts if c.factor == factor]
-        conclusions = [c.words.replace(f"the {name}", "it") for c in of_factor if c.finding is not Finding.NOT_SHOWN]
-        few = [c.words for c in of_factor if c.difference.too_few and not c.difference.tied]
-        parts.append(f"{factor}: {', '.join(conclusions or few[:1]) or Finding.NOT_SHOWN.value}")
-    parts += [f"{a} and {b} do not act independently" for a, b in sorted(together)]
-    return f"{name[0].upper()}{name[1:]} – {'; '.join(parts)}."
 
 
 # ---- least squares ---------------------------------------------------------------------------------------------------

@@ -22,13 +22,12 @@ import numpy as np
 from filters.geometry.arrays import FloatArray
 from stereo_slam_env.benchmark.statistics.differences import (
     Difference,
-    Finding,
     difference_of,
     paired_difference,
-    percent_words,
     unpaired_difference,
 )
-from stereo_slam_env.evaluation.figures import FIGURES, Figure, readable
+from stereo_slam_env.evaluation.bands import DOF
+from stereo_slam_env.evaluation.figures import FIGURES, UNKNOWN, Figure
 from stereo_slam_env.evaluation.results import FilterSummary
 from stereo_slam_env.evaluation.run_figures import Figures, RunFigures, RunKey, common_keys
 
@@ -135,20 +134,12 @@ def compare_all(
     return PairwiseTable(names, tuple(m for m in measures if m.name in known_names), cells)
 
 
-def change_words(measure: Figure, difference: Difference) -> str:
-    """A difference of a measure, run by run, in words with its evidence: "12 % smaller (−15 to −9 % at ...)"."""
-    if difference.tied:
-        return difference.tie_words
-    if not difference.shown:
-        return f"{Finding.NOT_SHOWN.value} ({difference.evidence})"
-    if measure.ideal is not None:
-        nearer = "nearer to" if difference.estimate < 0.0 else "farther from"
-        return f"{nearer} its ideal ({difference.evidence})"
-    if not measure.is_ratio:
-        more = "less" if difference.estimate < 0.0 else "more"
-        return f"{readable(abs(difference.estimate))} {more} ({difference.evidence})"
-    change = difference.reversed if measure.larger_is_better else difference
-    return f"{percent_words(change.percent)} ({change.evidence})"
+def pose_nees(summary: FilterSummary) -> tuple[str, str]:
+    """Mean pose NEES and its band, both by the degrees of freedom, so that 1 is ideal: "0.85", "0.37 to 1.94"."""
+    if summary.pose_anees is None or summary.pose_anees_band is None:
+        return UNKNOWN, UNKNOWN
+    low, high = (end / DOF["pose"] for end in summary.pose_anees_band)
+    return POSE_NEES.text(summary.pose_anees), f"{low:.2f} to {high:.2f}"
 
 
 _RUN = re.compile(r"(.+)\+\d+")

@@ -10,11 +10,11 @@ from functools import lru_cache
 import numpy as np
 
 from filters.catalogue.registry import USUAL
-from stereo_slam_env.benchmark.statistics.differences import CONFIDENCE, MIN_PAIRS, listed
+from stereo_slam_env.benchmark.statistics.differences import CONFIDENCE, MIN_PAIRS
+from stereo_slam_env.benchmark.statistics.sentences import sentence
 from stereo_slam_env.evaluation.bands import rms_ratio_interval
-from stereo_slam_env.evaluation.figures import readable
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
-from stereo_slam_env.recording.recording import Reference, ReferenceKind
+from stereo_slam_env.recording.recording import Reference
 
 FAR = 2.0
 """An NIS by its degrees of freedom beyond this factor of 1, and outside its band, is remarked on.
@@ -22,18 +22,6 @@ FAR = 2.0
 The band alone is no measure: with the thousands of degrees of freedom of a drive it ends a few percent from 1, and the
 noise of a real camera is not known so well. A factor of 2 is a sigma that is wrong by 40 %.
 """
-
-_MOST_NAMED = 3
-_CONSEQUENCES: dict[ReferenceKind, str] = {
-    "simulation": "",
-    "surveyed": "",
-    "ins": " Odometry of the same unit shares its errors.",
-    "odometry": " Errors are only disagreement with it: they show gross faults, not which filter is better by a "
-    "little, and there is no NEES.",
-    "unknown": " If these poses were estimated from the same images, errors are only disagreement and NEES "
-    "says nothing. State what they are: replay --set options.reference.kind=surveyed (or ins, odometry).",
-    "none": " There are neither errors nor NEES.",
-}
 
 
 def reference_remarks(runs: Sequence[FilterRun]) -> dict[Reference, str]:
@@ -43,8 +31,7 @@ def reference_remarks(runs: Sequence[FilterRun]) -> dict[Reference, str]:
         recordings.setdefault(run.reference, {})[run.recording_name] = None
     remarks = {}
     for reference, names in recordings.items():
-        which = f" of {_named(list(names))}" if len(recordings) > 1 else ""
-        remarks[reference] = f"Reference{which}: {reference}{_CONSEQUENCES[reference.kind]}"
+        remarks[reference] = sentence("reference", reference, list(names) if len(recordings) > 1 else [])
     return remarks
 
 
@@ -61,16 +48,12 @@ def innovation_factor(summary: FilterSummary) -> float | None:
 def innovation_remarks(summaries: Sequence[FilterSummary]) -> list[str]:
     """A sentence on filters whose innovations are far smaller than claimed, and one on those with far larger ones."""
     factors = {s.filter_name: factor for s in summaries if (factor := innovation_factor(s)) is not None}
-    smaller = {name: factor for name, factor in factors.items() if factor < 1.0}
-    larger = {name: factor for name, factor in factors.items() if factor > 1.0}
-    remarks = []
-    if smaller:
-        causes = "normal where errors that last from frame to frame are allowed for, as on real recordings; elsewhere"
-        causes += " too much noise is assumed, of pixels or of the motion"
-        remarks.append(f"{_far(smaller)}: {causes}.")
-    if larger:
-        remarks.append(f"{_far(larger)}: perhaps too little noise is assumed, or outliers come in.")
-    return remarks
+    groups = ({name: f for name, f in factors.items() if (f < 1.0) is smaller} for smaller in (True, False))
+    return [
+        sentence("far_innovations", list(of), max(of.values(), key=lambda factor: abs(np.log(factor))), FAR)
+        for of in groups
+        if of
+    ]
 
 
 def motion_remarks(runs: Sequence[FilterRun], summaries: Sequence[FilterSummary]) -> list[str]:
@@ -92,13 +75,7 @@ def motion_remarks(runs: Sequence[FilterRun], summaries: Sequence[FilterSummary]
         )
         low = all(s.consistency["nis"].mean < s.consistency["nis"].band[0] for s in group)
         if low and true is not None and true[0] < linear and true[1] < angular:
-            are = "filters assume" if len(group) > 1 else "filter assumes"
-            remarks.append(
-                f"NIS is below its band where the {are} accelerations of {readable(linear)} m/s² and "
-                f"{readable(angular)} rad/s²: the true motion has {readable(true[0])} m/s² and "
-                f"{readable(true[1])} rad/s² (root mean square per axis), so that innovations are smaller than a true "
-                "covariance claims. NEES shows whether that of the pose is true."
-            )
+            remarks.append(sentence("gentle_motion", len(group), (linear, angular), true))
     return remarks
 
 
@@ -113,27 +90,6 @@ def _accelerations(runs: Sequence[FilterRun]) -> tuple[float, float] | None:
         return None
     linear, angular = (float(np.sqrt(np.mean(np.square(values)))) for values in accelerations)
     return linear, angular
-
-
-def times_the_claim(factor: float) -> str:
-    """An `innovation_factor` in words, such as "4.9 times smaller than claimed"."""
-    size = max(factor, 1.0 / factor)
-    return f"{size:.{1 if size < 10.0 else 0}f} times {'smaller' if factor < 1.0 else 'larger'} than claimed"
-
-
-def _far(factors: Mapping[str, float]) -> str:
-    """Sentence on filters whose NIS is far from 1, with the farthest factor."""
-    farthest = max(factors.values(), key=lambda factor: abs(np.log(factor)))
-    upto = "up to " if len(factors) > 1 else ""
-    return (
-        f"NIS is far from 1 (beyond a factor of {FAR:g}): "
-        f"the innovations of {_named(list(factors))} are {upto}{times_the_claim(farthest)}"
-    )
-
-
-def _named(names: Sequence[str]) -> str:
-    more = [f"{len(names) - _MOST_NAMED} more"] if len(names) > _MOST_NAMED else []
-    return listed([*names[:_MOST_NAMED], *more])
 
 
 # ---- distance from the limit -----------------------------------------------------------------------------------------

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from stereo_slam_env.benchmark.statistics.differences import Difference, signed
-from stereo_slam_env.benchmark.statistics.policy_verdict import Agreement, _agreement, judge_policies
+from stereo_slam_env.benchmark.statistics.policy_verdict import Agreement, agreement_of, judge_policies
 from stereo_slam_env.benchmark.statistics.verdict import Consistency
 from stereo_slam_env.report.overview import policy_overview
 
@@ -29,7 +29,7 @@ def test_a_policy_that_claims_less_and_is_better_is_believed():
     verdict, _ = judged(BETTER)
     found = verdict.comparisons["greedy"]
     assert (found.agreement, found.is_sound) == (Agreement.AGREE, True)
-    assert found.words.startswith("run by run greedy claims 60 % less uncertainty of the final position than fixed (")
+    assert found.words.startswith("greedy claims 60 % less uncertainty of the final position than fixed (")
     assert "% smaller along the drive" in found.words
     assert found.words.endswith("claim and truth agree.")
     assert verdict.best == "greedy"
@@ -81,7 +81,7 @@ def test_what_the_truth_says_to_a_claim(claim, truth, expected):
         sure = low > 0 or high < 0
         return Difference(20, 0.5 * (low + high), (low, high), 0.01 if sure else 0.5)
 
-    assert _agreement(difference(claim - 0.05, claim + 0.05), [difference(*truth)] * 2) is expected
+    assert agreement_of(difference(claim - 0.05, claim + 0.05), [difference(*truth)] * 2) is expected
 
 
 def test_where_nothing_is_shown_that_is_said():

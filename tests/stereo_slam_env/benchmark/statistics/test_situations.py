@@ -88,8 +88,8 @@ SAID = {
     ),
     "the first filter fails once in eight": (
         ((GOOD, FAIR), {"seeds": 8, "lost": {"good": 1}}),
-        ["good, the first of the 2 filters, failed in 1 of 8 runs.", "which may be chance"],
-        ["most accurate"],
+        ["good, the first of the 2 filters, failed in 1 of 8 runs, which may be chance."],
+        ["most accurate", "good failed"],
     ),
     "the only filter fails": (((GOOD,), {"lost": {"good": 1}}), ["no verdict: good failed in the only run."], []),
     "all fail": (

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from stereo_slam_env.benchmark.statistics.differences import Finding
-from stereo_slam_env.benchmark.statistics.measures import POSE_NEES, POSITION, TIME, change_words, compare_all
+from stereo_slam_env.benchmark.statistics.measures import POSE_NEES, POSITION, TIME, compare_all
+from stereo_slam_env.benchmark.statistics.sentences import sentence
 from stereo_slam_env.benchmark.statistics.verdict import Consistency, against_best, consistency, judge
 from stereo_slam_env.evaluation.run_figures import RunFigures
 
@@ -123,7 +124,7 @@ def test_a_filter_that_diverged_is_never_the_best():
     summaries = [changed(s, diverged=1) if s.filter_name == "lucky" else s for s in summaries]
     verdict = judge(summaries, figures)
     assert verdict.best != "lucky"
-    assert "lucky diverged in 1 of 5 runs" in verdict.headline
+    assert "lucky, the first of the 3 filters, diverged in 1 of 5 runs, which may be chance." in verdict.headline
 
 
 def test_the_headline_names_the_winner_its_consistency_and_its_cost():
@@ -182,7 +183,9 @@ def test_each_filter_is_held_against_each_other_one_by_every_question():
     assert (worse.finding, better.finding) == (Finding.WORSE, Finding.BETTER)
     assert better.estimate == -worse.estimate
     assert table.cell(TIME, "euclidean", "dual-bearing").finding is Finding.BETTER
-    assert "farther from its ideal" in change_words(POSE_NEES, table.cell(POSE_NEES, "euclidean", "inverse-depth"))
+    assert "farther from its ideal" in sentence(
+        "change", POSE_NEES, table.cell(POSE_NEES, "euclidean", "inverse-depth")
+    )
     assert table.cell(POSITION, "inverse-depth", "inverse-depth") is None
 
 
