@@ -22,7 +22,7 @@ from stereo_slam_env.cli.shared_options import (
 )
 
 if TYPE_CHECKING:
-    from stereo_slam_env.paper import Claim
+    pass
 
 
 def report(
@@ -225,7 +225,9 @@ def paper(
 ) -> None:
     """Run the paper's experiments again and judge its claims: figures, a table, one report (half an hour)."""
     from stereo_slam_env.paper import FULL, QUICK, run_paper
+    from stereo_slam_env.paper.report import claims_table
     from stereo_slam_env.report.console import progress_bar
+    from stereo_slam_env.report.table import show_table
 
     settings = QUICK if quick else FULL
     if seeds is not None:
@@ -246,31 +248,8 @@ def paper(
             )
     except KeyboardInterrupt:
         raise Interrupted(directory) from None
-    _show_claims(result.claims)
+    show_table(console(), claims_table(result.claims))
     for note in (settings.remark, *result.notes):
         if note:
             typer.echo(note)
     show_place(result.report)
-
-
-def _show_claims(claims: Sequence[Claim]) -> None:
-    """The table: claim, and the verdict in each place."""
-    from rich.box import SIMPLE_HEAD
-    from rich.table import Table
-
-    from stereo_slam_env.paper.paper_claims import PLACES, ClaimVerdict
-
-    colours = {
-        ClaimVerdict.HOLDS: "green",
-        ClaimVerdict.HOLDS_ONLY_IF: "yellow",
-        ClaimVerdict.DOES_NOT_HOLD: "red",
-        ClaimVerdict.NOT_SHOWN: "dim",
-    }
-    table = Table(box=SIMPLE_HEAD, pad_edge=False)
-    for heading, ratio in (("section", 1), ("claim", 4), *((name.lower(), 2) for name in PLACES.values())):
-        table.add_column(heading, ratio=ratio)
-    for claim in claims:
-        places = [claim.at(place) for place in PLACES]
-        verdicts = [f"[{colours[at.verdict]}]{at.verdict.value if at.findings else '–'}[/]" for at in places]
-        table.add_row(claim.sentence.section, claim.sentence.claim, *(v.replace(" if", " if ...") for v in verdicts))
-    console().print(table, highlight=False)

@@ -238,6 +238,18 @@ def _verdicts(claims: Sequence[Claim]) -> str:
     return on_page(Table(columns, rows, "wide"))
 
 
+def claims_table(claims: Sequence[Claim]) -> Table:
+    """The verdict on each sentence in each place."""
+    columns = [Column("section", kind="text"), Column("claim", kind="words")]
+    columns += [Column(name.lower(), kind="words") for name in PLACES.values()]
+    rows: list[list[TableCell | str]] = []
+    for one in claims:
+        verdicts = [one.at(place).verdict if one.at(place).findings else None for place in PLACES]
+        cells = [TableCell(v.value.replace(" if", " if …"), tone=TONES[v]) if v else "–" for v in verdicts]
+        rows.append([one.sentence.section, one.sentence.claim, *cells])
+    return Table(columns, rows)
+
+
 def _findings(claim: Claim) -> str:
     """A claim, condition by condition."""
     factors = list(dict.fromkeys(factor for finding in claim.findings for factor in finding.condition))

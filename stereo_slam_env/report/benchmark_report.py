@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from markupsafe import Markup
 
 from stereo_slam_env.benchmark.scenarios.study import Study
 from stereo_slam_env.benchmark.statistics.attribution import Attribution, attribute_runs
@@ -28,7 +27,7 @@ from stereo_slam_env.report.charts.axes import filter_colours
 from stereo_slam_env.report.charts.factors import FactorResponse, plot_factor
 from stereo_slam_env.report.comparison_report import attribution_section, conclusions
 from stereo_slam_env.report.overview import RUN_BY_RUN, TONES, colour_key, lost
-from stereo_slam_env.report.page import TABLES, clean_figures, data_section, figure_block, on_page, part, write_page
+from stereo_slam_env.report.page import Content, Drawing, Section, clean_figures, data_section, part, write_page
 from stereo_slam_env.report.run_report import reference_banner, write_report
 from stereo_slam_env.report.table import Column, Table, TableCell, Tone, filter_cell, number
 from stereo_slam_env.report.tables import (
@@ -54,27 +53,27 @@ def write_study_report(
     results = {cell.name: results[cell.name] for cell in study.cells if cell.name in results}
     if not results:
         raise ValueError("results must hold at least one cell of the study: there is nothing to report")
-    folder = clean_figures(out)
+    clean_figures(out)
     verdicts = {name: judge(outcome.summaries, outcome.figures) for name, outcome in results.items()}
     pages = {name: f"cells/{name}/report.html" for name in results}
     links = {name: page if len(study.cells) > 1 or (out / page).is_file() else "" for name, page in pages.items()}
     names = list(dict.fromkeys(s.filter_name for outcome in results.values() for s in outcome.summaries))
-    body: list[Markup] = [
+    contents: list[Content] = [
         reference_banner([run for outcome in results.values() for run in outcome.runs]),
         conclusions(attribution)
         if attribution is not None
         else part("paragraph", " ".join(_sentences(verdicts, names)), "headline"),
-        _matrix(results, verdicts, names, links, out),
+        _matrix(results, verdicts, names, links),
         part("paragraph", _MATRIX_NOTE),
         colour_key(names),
-        *([attribution_section(attribution, folder)] if attribution is not None else []),
-        *_factors(study, results, folder),
-        _everything(results, verdicts, links, out),
+        *([attribution_section(attribution)] if attribution is not None else []),
+        *_factors(study, results),
+        _everything(results, verdicts, links),
         data_section(out),
     ]
     cells, filters = len(results), len(names)
     subtitle = f"{cells} scenario{'s' * (cells > 1)} · {filters} filter{'s' * (filters > 1)} on identical measurements"
-    return write_page(out / "report.html", title=f"Study: {study.name}", subtitle=subtitle, parts=body)
+    return write_page(out / "report.html", title=f"Study: {study.name}", subtitle=subtitle, contents=contents)
 
 
 # ---- first screen ---------------------------------------------------------------------------------------------------
@@ -111,8 +110,7 @@ def _matrix(
     verdicts: Mapping[str, Verdict],
     names: Sequence[str],
     links: Mapping[str, str],
-    out: Path,
-) -> Markup:
+) -> Table:
     """Scenarios down and filters across, or the other way round where there are more filters."""
     colours = filter_colours(names)
     by_filter = {(cell, s.filter_name): s for cell, outcome in results.items() for s in outcome.summaries}
@@ -127,7 +125,7 @@ def _matrix(
     else:
         columns = [Column("Scenario", kind="text"), *(Column(name) for name in names)]
         rows = [[TableCell(cell, link=links[cell]), *(entry(cell, name) for name in names)] for cell in results]
-    return on_page(Table(columns, rows), out / TABLES / "scenarios.tex")
+    return Table(columns, rows, file="scenarios")
 
 
 def _entry(summary: FilterSummary, verdict: Verdict) -> TableCell:
@@ -152,7 +150,7 @@ def _standing(summary: FilterSummary, verdict: Verdict) -> Tone:
 # ---- factors --------------------------------------------------------------------------------------------------------
 
 
-def _factors(study: Study, results: Mapping[str, CellResult], folder: Path) -> list[Markup]:
+def _factors(study: Study, results: Mapping[str, CellResult]) -> list[Section]:
     factors = list(dict.fromkeys(name for cell in study.cells for name in cell.factors))
     sections = []
     for i, factor in enumerate(factors):
@@ -173,9 +171,8 @@ def _factors(study: Study, results: Mapping[str, CellResult], folder: Path) -> l
         averaged = ", over seeds and the other factors" if len(factors) > 1 else ", over seeds"
         caption = f"Geometric means{averaged}, with 95 % intervals over seeds where there are at least {MIN_PAIRS}."
         figure = plot_factor("" if factor == "cell" else factor, levels_shown, responses)
-        block = figure_block(figure, f"factor_{i}", caption, folder)
         heading = "Side by side" if factor == "cell" else f"Effect of {factor}"
-        sections.append(part("section", heading, "", [block]))
+        sections.append(Section(heading, [Drawing(f"factor_{i}", caption, figure)]))
     return sections
 
 
@@ -235,8 +232,8 @@ def _by_seed(outcome: CellResult, name: str, measure: Figure) -> dict[int | None
 
 
 def _everything(
-    results: Mapping[str, CellResult], verdicts: Mapping[str, Verdict], links: Mapping[str, str], out: Path
-) -> Markup:
+    results: Mapping[str, CellResult], verdicts: Mapping[str, Verdict], links: Mapping[str, str]
+) -> Section:
     summaries = [s for outcome in results.values() for s in outcome.summaries]
     figures = console_columns(summaries)
     columns = [
@@ -259,7 +256,7 @@ def _everything(
                 _against_best(s, verdicts[cell]),
             ]
             rows.append([*first, *(figure_cell(figure, s, tones.get(figure.name, "")) for figure in figures)])
-    return part("section", "All figures", "", [on_page(Table(columns, rows, "wide"), out / TABLES / "figures.tex")])
+    return Section("All figures", [Table(columns, rows, "wide", file="figures")])
 
 
 def _against_best(summary: FilterSummary, verdict: Verdict) -> TableCell:

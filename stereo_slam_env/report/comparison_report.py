@@ -17,36 +17,36 @@ from stereo_slam_env.evaluation.figures import UNKNOWN
 from stereo_slam_env.report.charts.axes import filter_colours
 from stereo_slam_env.report.charts.factors import plot_changes, plot_effects
 from stereo_slam_env.report.overview import RUN_BY_RUN
-from stereo_slam_env.report.page import FIGURES, TABLES, figure_block, on_page, part, write_page
+from stereo_slam_env.report.page import Block, Content, Drawing, Section, part, write_page
 from stereo_slam_env.report.table import Column, Table, TableCell, Tone, filter_cell, known, number
 from stereo_slam_env.report.tables import FINDING_TONES, capital, percent_cell
 
 
 def write_comparison_report(out: Path, comparison: RunComparison) -> Path:
     """Write `out/comparison.html`, and its figure as `out/figures/changes.png` and `.svg`; returns the page."""
-    folder = out / FIGURES
-    body = [
+    contents: list[Content] = [
         part("paragraph", comparison.headline, "headline"),
         part("items", comparison.warnings, "failures fair"),
     ]
     if comparison.shown:
-        table = _table(comparison.shown, comparison.how, out / TABLES / "changes.tex")
-        body.append(part("section", "Shown", _guide(comparison), [table]))
+        contents.append(
+            Section("Shown", [_table(comparison.shown, comparison.how, "changes")], guide=_guide(comparison))
+        )
     if comparison.rest:
-        words = f"All {len(comparison.changes)} comparisons"
-        all_ = part("folded", words, _table(comparison.changes, comparison.how))
+        every = Block(
+            f"All {len(comparison.changes)} comparisons", _table(comparison.changes, comparison.how), folded=True
+        )
         lines = part("items", comparison.rest, "quiet")
-        body.append(part("section", "Not shown", "" if comparison.shown else _guide(comparison), [lines, all_]))
+        contents.append(Section("Not shown", [lines, every], "" if comparison.shown else _guide(comparison)))
     if drawn := _drawn(comparison.changes):
         caption = (
             f"Change of every measure{'' if len(drawn) == len(comparison.changes) else ' with an interval'}, "
             f"{comparison.how}, with its 95 % interval; left of the line it became smaller."
         )
-        block = figure_block(plot_changes(drawn), "changes", caption, folder)
-        body.append(part("section", "Intervals", "", [block]))
-    body.append(_only(comparison))
+        contents.append(Section("Intervals", [Drawing("changes", caption, plot_changes(drawn))]))
+    contents.append(_only(comparison))
     subtitle = f"Before: {comparison.before} · After: {comparison.after}"
-    return write_page(out / "comparison.html", title="What changed", subtitle=subtitle, parts=body)
+    return write_page(out / "comparison.html", title="What changed", subtitle=subtitle, contents=contents)
 
 
 _MOST_DRAWN = 60
@@ -69,7 +69,7 @@ def _guide(comparison: RunComparison) -> str:
     )
 
 
-def _table(changes: Sequence[Change], how: str, latex: Path | None = None) -> Markup:
+def _table(changes: Sequence[Change], how: str, file: str = "") -> Table:
     columns = [
         Column("Filter", kind="text"),
         Column("Measure", kind="text"),
@@ -100,10 +100,10 @@ def _table(changes: Sequence[Change], how: str, latex: Path | None = None) -> Ma
                 TableCell(finding, tone=tone),
             ]
         )
-    return on_page(Table(columns, rows, "wide"), latex)
+    return Table(columns, rows, "wide", file=file)
 
 
-def _only(comparison: RunComparison) -> Markup:
+def _only(comparison: RunComparison) -> Section:
     """Filters and recordings that one of the runs has and the other one has not."""
     parts = (
         ("filters", "before", comparison.filters_before),
@@ -112,7 +112,7 @@ def _only(comparison: RunComparison) -> Markup:
         ("recordings", "after", comparison.recordings_after),
     )
     lines = [f"Only {when}: {kind} {few(names)}" for kind, when, names in parts if names]
-    return part("section", "Not compared", "", [part("items", lines)]) if lines else Markup()
+    return Section("Not compared", [part("items", lines)])
 
 
 def conclusions(attribution: Attribution) -> Markup:
@@ -120,37 +120,37 @@ def conclusions(attribution: Attribution) -> Markup:
     return part("items", [response.conclusion for response in attribution.responses], "headline")
 
 
-def attribution_section(attribution: Attribution, folder: Path) -> Markup:
-    """A figure of the main effects, and tables; `folder`: where figures go, see `figure_block`."""
+def attribution_section(attribution: Attribution) -> Section:
+    """A drawing of the main effects, and tables."""
     caption = (
         "Main effects: how many times the average over all combinations a response is with that choice, with intervals"
         " corrected for their number. Blue: an effect is shown."
     )
     seeds = "1 seed" if attribution.seeds == 1 else f"{attribution.seeds} seeds"
     crossed = f"{attribution.combinations} combinations of options, {seeds}, each on the same measurements."
-    parts = [
-        figure_block(plot_effects(attribution), "effects", caption, folder),
-        part("titled", "Instead of the first choice", _contrasts(attribution.responses)),
-        part("titled", "Share of the differences explained", _shares(attribution.responses)),
+    contents: list[Content] = [
+        Drawing("effects", caption, plot_effects(attribution)),
+        Block("Instead of the first choice", _contrasts(attribution.responses)),
+        Block("Share of the differences explained", _shares(attribution.responses)),
     ]
     if any(response.interactions for response in attribution.responses):
         count = sum(effect.difference.shown for response in attribution.responses for effect in response.interactions)
         total = sum(len(response.interactions) for response in attribution.responses)
         words = f"Interactions of two options: {count} of {total} shown"
-        parts.append(part("folded", words, _interactions(attribution.responses)))
+        contents.append(Block(words, _interactions(attribution.responses), folded=True))
     if any(attribution.diverged_percent.values()):
         rows: list[list[TableCell | str]] = [
             [factor, str(level), number(percent, ".0f", tone="bad" if percent else "")]
             for (factor, level), percent in attribution.diverged_percent.items()
         ]
         columns = [Column("Option", kind="text"), Column("Level", kind="text"), Column("Diverged", "% of runs")]
-        parts.append(part("titled", "Divergence", on_page(Table(columns, rows))))
+        contents.append(Block("Divergence", Table(columns, rows)))
     if attribution.notes:
-        parts.append(part("titled", "Left out", part("items", attribution.notes)))
-    return part("section", "Which choice makes the difference?", crossed, parts)
+        contents.append(Block("Left out", part("items", attribution.notes)))
+    return Section("Which choice makes the difference?", contents, crossed)
 
 
-def _contrasts(responses: Sequence[ResponseAttribution]) -> Markup:
+def _contrasts(responses: Sequence[ResponseAttribution]) -> Table:
     columns = [
         Column("Option", kind="text"),
         Column("Choice", kind="text"),
@@ -168,7 +168,7 @@ def _contrasts(responses: Sequence[ResponseAttribution]) -> Markup:
         for response in responses:
             row.append(_contrast_cell(contrasts.get(response.response)))
         rows.append(row)
-    return on_page(Table(columns, rows))
+    return Table(columns, rows)
 
 
 def _contrast_cell(contrast: Contrast | None) -> TableCell:
@@ -177,7 +177,7 @@ def _contrast_cell(contrast: Contrast | None) -> TableCell:
     return percent_cell(contrast.difference, FINDING_TONES[contrast.finding])
 
 
-def _interactions(responses: Sequence[ResponseAttribution]) -> Markup:
+def _interactions(responses: Sequence[ResponseAttribution]) -> Table:
     columns = [
         Column("Response", kind="text"),
         Column("Options", kind="text"),
@@ -199,10 +199,10 @@ def _interactions(responses: Sequence[ResponseAttribution]) -> Markup:
                     TableCell("yes" if is_shown else "no", tone=tone),
                 ]
             )
-    return on_page(Table(columns, rows))
+    return Table(columns, rows)
 
 
-def _shares(responses: Sequence[ResponseAttribution]) -> Markup:
+def _shares(responses: Sequence[ResponseAttribution]) -> Table:
     keys = list(dict.fromkeys(names for response in responses for names in response.shares))
     columns = [
         Column("Options", kind="text"),
@@ -211,4 +211,4 @@ def _shares(responses: Sequence[ResponseAttribution]) -> Markup:
     rows: list[list[TableCell | str]] = []
     for key in keys:
         rows.append([" × ".join(key) or "the rest", *(number(r.shares.get(key), ".1f") for r in responses)])
-    return on_page(Table(columns, rows))
+    return Table(columns, rows)

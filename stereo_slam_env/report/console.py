@@ -8,11 +8,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from rich.cells import cell_len
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-from rich.table import Table as ScreenTable
 
 from stereo_slam_env.benchmark.scenarios.recording_description import (
     LAGS,
@@ -25,30 +23,21 @@ from stereo_slam_env.benchmark.scenarios.recording_description import (
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, PolicyChoice, Scenario
 from stereo_slam_env.benchmark.scenarios.study import Study
 from stereo_slam_env.benchmark.statistics.changes import RunComparison
-from stereo_slam_env.benchmark.statistics.measures import EFFICIENCY, POSE_NEES, pose_nees
 from stereo_slam_env.benchmark.statistics.policy_verdict import baseline_of, judge_policies
 from stereo_slam_env.benchmark.statistics.remarks import (
     innovation_remarks,
-    limit_reached,
     motion_remarks,
     reference_remarks,
 )
 from stereo_slam_env.benchmark.statistics.verdict import judge
 from stereo_slam_env.benchmark.storage.result_tables import CellResult
-from stereo_slam_env.evaluation.figures import FIGURES, UNKNOWN, Figure
 from stereo_slam_env.evaluation.results import FilterSummary
 from stereo_slam_env.recording.recording import Recording
 from stereo_slam_env.report.table import Column, Table, show_table
+from stereo_slam_env.report.tables import MOST_COLUMNS, summary_table
 
 if TYPE_CHECKING:  # runs the front end
     from stereo_slam_env.benchmark.campaign import Progress as ProgressCallback
-
-MOST_COLUMNS = 5
-_NAMES_WRAP_AT = 24
-"""Names of rows are wrapped, in a narrow console, but to no less."""
-_CLAIMS_MATTER_MOST = (
-    *("final_position_sigma_m", "final_pose_logdet", "end_error_m", "position_rmse_m", "pose_anees", "diverged"),
-)
 
 
 def show_settings(console: Console, scenario: Scenario) -> None:
@@ -166,13 +155,7 @@ def show_results(console: Console, summaries: Sequence[FilterSummary], *, claims
     A column a filter; of many filters, a row each, with the figures that matter most. `claims`: with what is claimed of
     the final pose.
     """
-    brief = len(summaries) > MOST_COLUMNS
-    labels, figures = [summary.filter_name for summary in summaries], _cells(summaries, claims=claims, brief=brief)
-    if brief:
-        _print_columns(console, labels, figures)
-    else:
-        columns = [[cells[k] for cells in figures.values()] for k in range(len(labels))]
-        _print_columns(console, list(figures), dict(zip(labels, columns, strict=True)))
+    show_table(console, summary_table(summaries, claims=claims))
     for summary in summaries:
         for remark in summary.remarks:
             console.print(f"[yellow]note[/yellow]: {escape(remark)}", highlight=False, soft_wrap=True)
@@ -180,39 +163,6 @@ def show_results(console: Console, summaries: Sequence[FilterSummary], *, claims
             console.print(
                 f"[red]{escape(summary.filter_name)} failed[/red]: {escape(failure)}", highlight=False, soft_wrap=True
             )
-
-
-def _print_columns(console: Console, names: Sequence[str], columns: Mapping[str, Sequence[str]]) -> None:
-    """Print columns by their headings beside the names of the rows: as many in one table as the console is wide."""
-    longest_word = max(cell_len(word) for name in names for word in name.split())
-    most = [max(map(cell_len, names))]
-    least = [max(longest_word, min(_NAMES_WRAP_AT, most[0]))]
-    for heading, cells in columns.items():
-        of_cells = max(map(cell_len, cells))
-        least.append(max(of_cells, *map(cell_len, heading.split())))
-        most.append(max(of_cells, cell_len(heading)))
-    columns_left = list(range(1, len(least)))
-    headings, values = list(columns), list(columns.values())
-    while columns_left:
-        placed = [0]
-        while columns_left and (len(placed) == 1 or _width([*placed, columns_left[0]], least) <= console.width):
-            placed.append(columns_left.pop(0))
-        spare = console.width - _width(placed, least)
-        table = ScreenTable(box=None, pad_edge=False, header_style="bold")
-        for k in placed:
-            width = least[k] + min(max(spare, 0), most[k] - least[k])
-            spare -= width - least[k]
-            table.add_column(escape(headings[k - 1]) if k else "", justify="right" if k else "left", width=width)
-        for row, name in enumerate(names):
-            table.add_row(escape(name), *(values[k - 1][row] for k in placed[1:]))
-        console.print(table, highlight=False)
-        if columns_left:
-            console.print()
-
-
-def _width(columns: Sequence[int], widths: Sequence[int]) -> int:
-    """Of some columns and what is between them."""
-    return sum(widths[k] + 2 for k in columns) - 2
 
 
 def show_cells(console: Console, results: Sequence[CellResult]) -> None:
@@ -244,43 +194,6 @@ def show_comparison(console: Console, comparison: RunComparison) -> None:
         show_table(console, Table(columns, comparison.as_rows()))
     for line in comparison.rest:
         console.print(escape(line), highlight=False, soft_wrap=True)
-
-
-def _cells(summaries: Sequence[FilterSummary], *, claims: bool, brief: bool) -> dict[str, list[str]]:
-    """Cells of each figure by its title, one a filter; figures that no filter has, and counts of nothing, are left out.
-
-    So a table has neither zeros of events that did not happen nor the number of timed runs where it is all of them.
-    """
-    figures = [f for f in FIGURES.values() if "console" in f.places and (claims or f.group != "claim")]
-    figures.sort(key=lambda figure: figure.group != "claim")
-    if brief:
-        figures = [f for f in figures if (f.name in _CLAIMS_MATTER_MOST if claims else "brief" in f.places)]
-    rows = {}
-    bands = {pose_nees(s)[1] for s in summaries if s.pose_anees_band is not None}
-    for figure in figures:
-        if not brief and all(_is_usual(figure, summary) for summary in summaries):
-            continue
-        of_all = f" (95 %: {next(iter(bands))})" if figure is POSE_NEES and len(bands) == 1 else ""
-        rows[f"{figure.title}{of_all}"] = [_cell(figure, summary) for summary in summaries]
-        if figure is EFFICIENCY and not brief:
-            limits = [limit_reached(summary) for summary in summaries]
-            rows["95 % interval of that"] = [UNKNOWN if limit is None else limit.sureness for limit in limits]
-    return {title: cells for title, cells in rows.items() if set(cells) != {UNKNOWN}}
-
-
-def _is_usual(figure: Figure, summary: FilterSummary) -> bool:
-    """Whether a count says nothing: no event, or all runs timed."""
-    usual = summary.runs if figure.name == "timed" else 0
-    counts = figure.per_runs or figure.kind == "integer" or figure.group == "events"
-    return counts and summary.figures[figure.name] == usual
-
-
-def _cell(figure: Figure, summary: FilterSummary) -> str:
-    value = summary.figures[figure.name]
-    if figure.per_runs:
-        return f"{value} of {summary.runs}"
-    limit = limit_reached(summary) if figure is EFFICIENCY else None
-    return figure.text(value) if limit is None else limit.value.removesuffix(" %")
 
 
 def _ranges(seeds: Sequence[int]) -> str:

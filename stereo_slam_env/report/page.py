@@ -1,8 +1,6 @@
 """The page that reports are written on: self-contained, light and dark, printable, with live tables and charts.
 
-Many charts are drawn in processes: the drawing of Vega has one thread in each.
-
-The processes start from nothing; this one, which may have threads, is not forked.
+A report is a list of sections, tables and drawings; only here they become markup and files.
 """
 
 from __future__ import annotations
@@ -10,16 +8,14 @@ from __future__ import annotations
 import json
 import os
 import re
-import subprocess
-import sys
-import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import replace
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from functools import cache
 from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 from urllib.parse import quote
 
@@ -32,80 +28,48 @@ from stereo_slam_env.benchmark.storage.run_files import holds_run
 from stereo_slam_env.files.folders import own_files, remove_own_files, write_text
 from stereo_slam_env.report.charts.axes import in_page_colours
 from stereo_slam_env.report.charts.drawing import Chart
+from stereo_slam_env.report.charts.saving import save_all
 from stereo_slam_env.report.table import Column, Table, TableCell, latex_table
-
-Picture = tuple[Chart, tuple[Path, ...]]
-"""A chart, and the files that it is drawn into."""
-FEWEST = 4
-"""Charts for which another process is worth its start."""
-MOST_PROCESSES = 4
-SECONDS = 300.0
-"""After so long a process that draws is given up."""
-
-
-def save_all(pictures: Sequence[Picture]) -> list[str]:
-    """Draw every chart into its files; returns the drawings, as `Chart.save` does.
-
-    Those of a process that fails are drawn here, so that what is wrong with a chart is told as ever.
-    """
-    count = max(1, min(_cores(), MOST_PROCESSES, len(pictures) // FEWEST))
-    shares = [range(first, len(pictures), count) for first in range(count)]
-    drawings: dict[int, str] = {}
-    with ExitStack() as stack:
-        others_drawn = [stack.enter_context(_elsewhere([pictures[i] for i in share])) for share in shares[1:]]
-        drawings |= {i: _saved(pictures[i]) for i in shares[0]}
-        for share, drawn in zip(shares[1:], others_drawn, strict=True):
-            found = drawn() or [_saved(pictures[i]) for i in share]
-            drawings |= dict(zip(share, found, strict=True))
-    return [drawings[i] for i in range(len(pictures))]
-
-
-def _saved(picture: Picture) -> str:
-    chart, paths = picture
-    return chart.save(*paths)
-
-
-def _cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-@contextmanager
-def _elsewhere(share: Sequence[Picture]) -> Iterator[Callable[[], list[str] | None]]:
-    """A function that waits for the drawings of a process, None where it fails; it ends with the block."""
-    specs = [[chart.spec, [str(path.resolve()) for path in paths]] for chart, paths in share]
-    code = f"import sys; sys.path[:] = {sys.path!r}; from {__name__} import draw_share; draw_share()"
-    with tempfile.TemporaryFile() as request, tempfile.TemporaryFile() as drawn:
-        request.write(json.dumps(specs).encode())
-        request.seek(0)
-        process = subprocess.Popen(
-            [sys.executable, "-c", code], stdin=request, stdout=drawn, stderr=subprocess.DEVNULL, start_new_session=True
-        )
-
-        def wait() -> list[str] | None:
-            try:
-                if process.wait(SECONDS) != 0:
-                    return None
-            except subprocess.TimeoutExpired:
-                return None
-            drawn.seek(0)
-            drawings: list[str] = json.loads(drawn.read())
-            return drawings
-
-        try:
-            yield wait
-        finally:
-            process.kill()
-            process.wait()
-
-
-def draw_share() -> None:
-    """Draw what the standard input says, and write the drawings as JSON."""
-    pictures = json.loads(sys.stdin.read())
-    json.dump([Chart(spec).save(*map(Path, paths)) for spec, paths in pictures], sys.stdout)
-
 
 FIGURES, TABLES = "figures", "tables"
 """Folders of the figures, and of the tables as LaTeX, beside the page."""
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """A chart of a page, saved beside it as PNG and SVG."""
+
+    name: str
+    """Name of the files, and of the figure in the page: letters, digits, "_" and "-", unique in the page."""
+    caption: str
+    """One sentence of plain text: the caption, and what a screen reader says."""
+    chart: Chart
+    """Drawn with the colours of `axes`."""
+
+
+@dataclass(frozen=True)
+class Block:
+    """Content below a heading."""
+
+    heading: str
+    content: Content
+    folded: bool = False
+    """Whether it is shown only on a click at the heading."""
+
+
+@dataclass(frozen=True)
+class Section:
+    """Section of a page, which its contents list; one without contents is left out."""
+
+    heading: str
+    contents: Sequence[Content]
+    guide: str = ""
+    """How to read it, plain text."""
+    kind: str = ""
+    """CSS class: "screen" is not printed."""
+
+
+Content = Markup | Table | Drawing | Block | Section
 _KEPT_LIBRARY = Path(__file__).parent / "__pycache__" / f"vega-{version('vl-convert-python')}.js"
 
 
@@ -149,15 +113,44 @@ def _contents(body: str) -> Markup:
     return part("contents", sections) if len(sections) >= _FEWEST_LISTED else Markup()
 
 
-def write_page(path: Path, *, title: str, subtitle: str, parts: Sequence[Markup]) -> Path:
-    """Write a page, whole or not at all, with these parts one below the other, in a folder that is made.
+def write_page(path: Path, *, title: str, subtitle: str, contents: Sequence[Content]) -> Path:
+    """Write a page, whole or not at all, with its contents one below the other, in a folder that is made.
 
-    Returns its path; a `ValueError` says that another page is there.
+    Drawings go into `figures/`, tables that name a file into `tables/` beside it. Returns its path; a `ValueError` says
+    that another page is there.
     """
-    own_files(path.parent, [path.name])
-    page = html_page(title=title, subtitle=subtitle, body=Markup("\n").join(parts))
-    write_text(path, page)
+    out = path.parent
+    own_files(out, [path.name])
+    blocks = figure_blocks(list(_drawings(contents)), out / FIGURES)
+    body = Markup("\n").join(markup(content, out, blocks) for content in contents)
+    write_text(path, html_page(title=title, subtitle=subtitle, body=body))
     return path
+
+
+def markup(content: Content, out: Path | None = None, blocks: Mapping[str, Markup] = MappingProxyType({})) -> Markup:
+    """Markup of a content; `blocks` are those of its drawings, and LaTeX files of its tables go into `out`."""
+    match content:
+        case Table():
+            return on_page(content, out)
+        case Drawing():
+            return blocks[content.name]
+        case Block():
+            return part("folded" if content.folded else "titled", content.heading, markup(content.content, out, blocks))
+        case Section():
+            inside = [markup(one, out, blocks) for one in content.contents]
+            return part("section", content.heading, content.guide, inside, content.kind) if any(inside) else Markup()
+    return content
+
+
+def _drawings(contents: Sequence[Content]) -> Iterator[Drawing]:
+    for content in contents:
+        match content:
+            case Drawing():
+                yield content
+            case Block():
+                yield from _drawings([content.content])
+            case Section():
+                yield from _drawings(content.contents)
 
 
 def part(name: str, /, *arguments: Any, **named: Any) -> Markup:
@@ -167,19 +160,17 @@ def part(name: str, /, *arguments: Any, **named: Any) -> Markup:
 
 
 def figure_block(chart: Chart, name: str, description: str, folder: Path) -> Markup:
-    """Save a chart as PNG and SVG, and return it as markup for a page; arguments as of `figure_blocks`."""
-    return figure_blocks({name: (chart, description)}, folder)[name]
+    """Save a chart as PNG and SVG, and return it as markup for a page."""
+    return figure_blocks([Drawing(name, description, chart)], folder)[name]
 
 
-def figure_blocks(charts: Mapping[str, tuple[Chart, str]], folder: Path) -> dict[str, Markup]:
-    """Save charts as PNG and SVG, and return them as markup for a page.
+def figure_blocks(drawings: Sequence[Drawing], folder: Path) -> dict[str, Markup]:
+    """Save drawings as PNG and SVG, and return them as markup for a page.
 
     Parameters
     ----------
-    charts : mapping of str to (Chart, str)
-        By the name of the files, and of the figure in the page: letters, digits, "_" and "-", unique in the page. The
-        chart, drawn with the colours of `axes`, and one sentence of plain text: the caption, and what a screen reader
-        says.
+    drawings : sequence of Drawing
+        Each with a name of its own.
     folder : Path
         Where `<name>.png` and `<name>.svg` go, beside the page: links in the page are relative to its parent.
 
@@ -188,19 +179,21 @@ def figure_blocks(charts: Mapping[str, tuple[Chart, str]], folder: Path) -> dict
     dict of str to Markup
         By name, a `<figure>` with the drawing inline, and the chart that takes its place where there is JavaScript.
     """
+    if not drawings:
+        return {}
     folder.mkdir(parents=True, exist_ok=True)
-    own_files(folder.parent, [f"{folder.name}/{name}{ending}" for name in charts for ending in (".png", ".svg")])
-    pictures = [(chart, (folder / f"{name}.png", folder / f"{name}.svg")) for name, (chart, _) in charts.items()]
+    own_files(folder.parent, [f"{folder.name}/{one.name}{ending}" for one in drawings for ending in (".png", ".svg")])
+    pictures = [(one.chart, (folder / f"{one.name}.png", folder / f"{one.name}.svg")) for one in drawings]
     blocks = {}
-    for (name, (chart, description)), svg in zip(charts.items(), save_all(pictures), strict=True):
+    for one, svg in zip(drawings, save_all(pictures), strict=True):
         # Inside a script element "<" could end it.
-        data = json.dumps(chart.spec, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
-        blocks[name] = part(
+        data = json.dumps(one.chart.spec, ensure_ascii=False, separators=(",", ":"), allow_nan=False)
+        blocks[one.name] = part(
             "figure",
-            name=name,
-            place=f"{folder.name}/{name}",
-            description=description,
-            drawing=inline_svg(svg, name, description),
+            name=one.name,
+            place=f"{folder.name}/{one.name}",
+            description=one.caption,
+            drawing=inline_svg(svg, one.name, one.caption),
             data=Markup(in_page_colours(data.replace("<", "\\u003c"))),
         )
     return blocks
@@ -232,7 +225,7 @@ def inline_svg(svg: str, name: str, description: str) -> Markup:
 
 
 def clean_figures(out: Path) -> Path:
-    """The folder of the figures, without those of an earlier report, nor its tables.
+    """Remove the figures and tables of an earlier report; returns the folder of the figures.
 
     A `ValueError` says that the folder of the report holds another page.
     """
@@ -277,22 +270,14 @@ def _vega() -> str:
 # ---- tables, and links to files -------------------------------------------------------------------------------------
 
 
-def on_page(table: Table, latex: Path | None = None) -> Markup:
-    """Markup of a sortable table.
-
-    Parameters
-    ----------
-    table : Table
-        Headings and rows.
-    latex : Path, optional
-        File, in a folder beside the page, that the table is written to as LaTeX, too, and that is linked below it.
-    """
+def on_page(table: Table, out: Path | None = None) -> Markup:
+    """Markup of a sortable table; one that names a file is written to `out`/tables as LaTeX, too, and linked below."""
     rows = [[replace(cell, key=_sorting_key(cell)) for cell in row] for row in table.cells]
-    if latex is None:
+    if out is None or not table.file:
         return part("table", table.columns, rows, table.look)
-    file = f"{latex.parent.name}/{latex.name}"
-    own_files(latex.parent.parent, [file])
-    write_text(latex, latex_table(table))
+    file = f"{TABLES}/{table.file}.tex"
+    own_files(out, [file])
+    write_text(out / file, latex_table(table))
     return part("table", table.columns, rows, table.look, file)
 
 
@@ -305,13 +290,13 @@ Recordings = Mapping[str, Mapping[str, Path]]
 """Files of the recordings: by the name of the seed's files, then by what they are called ("recording")."""
 
 
-def data_section(out: Path, recordings: Recordings | None = None) -> Markup:
+def data_section(out: Path, recordings: Recordings | None = None) -> Section:
     """Section of links to the files of a run directory, as far as they are there; empty where there are none."""
     names = sorted(file.name for file in out.glob("[!.]*") if file.suffix in _DATA_FILES)
     files_by_seed = _found(out, recordings or {})
-    if not names and not files_by_seed:
-        return Markup()
-    contents = [part("links", "Beside this page:", [(name, quote(name)) for name in names])] if names else []
+    contents: list[Content] = []
+    if names:
+        contents.append(part("links", "Beside this page:", [(name, quote(name)) for name in names]))
     if files_by_seed:
         columns = list(dict.fromkeys(name for row in files_by_seed.values() for name in row))
         rows = [
@@ -330,8 +315,8 @@ def data_section(out: Path, recordings: Recordings | None = None) -> Markup:
             " .kitti and, with covariances, as .square."
         )
         block = Markup("\n").join([part("paragraph", guide), on_page(Table(headings, rows))])
-        contents.append(part("folded", "Recordings and trajectories", block))
-    return part("section", "Data", "", contents, "screen")
+        contents.append(Block("Recordings and trajectories", block, folded=True))
+    return Section("Data", contents, kind="screen")
 
 
 def _found(out: Path, recordings: Recordings) -> dict[str, dict[str, Path]]:

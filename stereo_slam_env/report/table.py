@@ -7,10 +7,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from rich.box import SIMPLE_HEAD
+from rich.cells import cell_len
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table as ScreenTable
+from rich.text import Text
 
 from stereo_slam_env.evaluation.figures import UNKNOWN, readable
 
@@ -81,6 +82,8 @@ class Table:
     """Layout on the page: "wide" takes its width; "answers" are in large type, a mark beside and a note below."""
     block: int = 0
     """Rows between two blank lines on the screen; 0: none."""
+    file: str = ""
+    """Name of the LaTeX file beside the page, without ending; empty: none."""
 
     def __post_init__(self) -> None:
         for row in self.rows:
@@ -112,27 +115,47 @@ def filter_cell(name: str, colours: Mapping[str, str], link: str = "") -> TableC
 
 
 def show_table(console: Console, table: Table) -> None:
-    """Print a table on the screen."""
-    printed, cells = ScreenTable(box=SIMPLE_HEAD, padding=(0, 1, 0, 0)), table.cells
+    """Print a table on the screen: as many columns at once as it is wide, each lot beside the names of the rows."""
+    rows = [[cell.words for cell in row] for row in table.cells]
     headings = [", ".join(filter(None, (column.heading, column.unit))) for column in table.columns]
-    longest = [
-        max(map(len, " ".join((heading, *(row[k].words for row in cells))).split()), default=0)
-        for k, heading in enumerate(headings)
-    ]
-    has_room = sum(longest) + 2 * len(longest) < console.width  # else words are broken
-    for column, heading, least in zip(table.columns, headings, longest, strict=True):
-        justify: Literal["left", "right"] = "right" if column.kind == "number" else "left"
-        printed.add_column(
-            escape(heading),
-            justify=justify,
-            no_wrap=column.kind == "text",
-            overflow="fold",
-            min_width=least if has_room else None,
-        )
-    for count, row in enumerate(cells, 1):
-        end = table.block > 0 and count % table.block == 0
-        printed.add_row(*(escape(cell.words) for cell in row), end_section=end)
-    console.print(printed, highlight=False)
+    least, most = [], []
+    for k, (column, heading) in enumerate(zip(table.columns, headings, strict=True)):
+        texts = [row[k] for row in rows]
+        word = max(cell_len(word) for text in (heading, *texts, " -") for word in text.split())
+        whole = max(map(cell_len, texts), default=0)
+        wraps = column.kind == "words" or k == 0
+        least.append(max(word, min(_NAMES_WRAP_AT, whole) if wraps else whole))
+        most.append(max(whole, cell_len(heading)))
+    columns_left = list(range(1, len(headings)))
+    while columns_left:
+        placed = [0]
+        while columns_left and (len(placed) == 1 or _width([*placed, columns_left[0]], least) <= console.width):
+            placed.append(columns_left.pop(0))
+        spare = console.width - _width(placed, least)
+        printed = ScreenTable(box=None, pad_edge=False, header_style="bold")
+        for k in placed:
+            width = least[k] + min(max(spare, 0), most[k] - least[k])
+            spare -= width - least[k]
+            is_number = k > 0 and table.columns[k].kind == "number"
+            printed.add_column(escape(headings[k]), justify="right" if is_number else "left", width=width)
+        for number_of_row, row in enumerate(rows):
+            if table.block and number_of_row and number_of_row % table.block == 0:
+                printed.add_row()
+            tones = [_SCREEN_TONES.get(cell.tone, "default") for cell in table.cells[number_of_row]]
+            printed.add_row(*(Text(row[k], tones[k]) for k in placed))
+        console.print(printed, highlight=False)
+        if columns_left:
+            console.print()
+
+
+_SCREEN_TONES = {"good": "green", "fair": "yellow", "bad": "red", "none": "dim"}
+_NAMES_WRAP_AT = 24
+"""Names of rows and other words are wrapped, in a narrow console, but to no less."""
+
+
+def _width(columns: Sequence[int], widths: Sequence[int]) -> int:
+    """Width of some columns and of the gaps between them."""
+    return sum(widths[k] + 2 for k in columns) - 2
 
 
 _COMMANDS = {

@@ -3,35 +3,83 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
-from markupsafe import Markup
 
 from stereo_slam_env.benchmark.statistics.differences import Difference, Finding, signed
-from stereo_slam_env.benchmark.statistics.measures import EFFICIENCY, PairwiseTable
+from stereo_slam_env.benchmark.statistics.measures import EFFICIENCY, POSE_NEES, PairwiseTable, pose_nees
 from stereo_slam_env.benchmark.statistics.remarks import limit_reached
 from stereo_slam_env.evaluation.figures import FIGURES, Figure, Group
 from stereo_slam_env.evaluation.results import FilterSummary
 from stereo_slam_env.report.charts.axes import filter_colours
-from stereo_slam_env.report.page import on_page
 from stereo_slam_env.report.table import Column, Table, TableCell, Tone, filter_cell, known, number
+
+MOST_COLUMNS = 5
+"""Of more filters than that, each has a row instead of a column on the screen."""
+_CLAIMS_MATTER_MOST = (
+    *("final_position_sigma_m", "final_pose_logdet", "end_error_m", "position_rmse_m", "pose_anees", "diverged"),
+)
+
+
+def summary_table(summaries: Sequence[FilterSummary], *, claims: bool = False) -> Table:
+    """Figures on the screen: a column a filter; of many filters, a row each, with the figures that matter most.
+
+    Figures that no filter has, and counts of nothing, are left out. `claims`: with what is claimed of the final pose.
+    """
+    brief = len(summaries) > MOST_COLUMNS
+    figures = [f for f in FIGURES.values() if "console" in f.places and (claims or f.group != "claim")]
+    figures.sort(key=lambda figure: figure.group != "claim")
+    if brief:
+        figures = [f for f in figures if (f.name in _CLAIMS_MATTER_MOST if claims else "brief" in f.places)]
+    figures = [f for f in figures if _is_known(f, summaries)]
+    figures = [f for f in figures if brief or not all(_counts_nothing(f, s) for s in summaries)]
+    rows = {_title(figure, summaries): [_screen_cell(figure, s) for s in summaries] for figure in figures}
+    if EFFICIENCY in figures and not brief:
+        limits = map(limit_reached, summaries)
+        rows["95 % interval of that"] = [number(None) if of is None else TableCell(of.sureness) for of in limits]
+        places = list(rows)
+        places.insert(places.index(EFFICIENCY.title) + 1, places.pop())
+        rows = {title: rows[title] for title in places}
+    by_figure: list[list[TableCell | str]] = [[title, *cells] for title, cells in rows.items()]
+    names = [summary.filter_name for summary in summaries]
+    if not brief:
+        return Table([Column(""), *map(Column, names)], by_figure)
+    by_filter: list[list[TableCell | str]] = [
+        [name, *cells] for name, *cells in zip(names, *rows.values(), strict=True)
+    ]
+    return Table([Column(""), *map(Column, rows)], by_filter)
+
+
+def _screen_cell(figure: Figure, summary: FilterSummary) -> TableCell:
+    limit = limit_reached(summary) if figure is EFFICIENCY else None
+    return figure_cell(figure, summary) if limit is None else TableCell(limit.value.removesuffix(" %"))
+
+
+def _title(figure: Figure, summaries: Sequence[FilterSummary]) -> str:
+    bands = {pose_nees(s)[1] for s in summaries if s.pose_anees_band is not None}
+    of_all = f" (95 %: {next(iter(bands))})" if figure is POSE_NEES and len(bands) == 1 else ""
+    return f"{figure.title}{of_all}"
+
+
+def _counts_nothing(figure: Figure, summary: FilterSummary) -> bool:
+    """Whether a count says nothing: no event, or all runs timed."""
+    usual = summary.runs if figure.name == "timed" else 0
+    counts = figure.per_runs or figure.kind == "integer" or figure.group == "events"
+    return counts and summary.figures[figure.name] == usual
 
 
 def figures_table(
-    summaries: Sequence[FilterSummary], groups: Sequence[Group], who: str = "Filter", latex: Path | None = None
-) -> Markup:
-    """Figures of these groups; a row is called `who`; `latex` as of `table`."""
+    summaries: Sequence[FilterSummary], groups: Sequence[Group], who: str = "Filter", file: str = ""
+) -> Table:
+    """Figures of these groups, a row a filter, which is called `who`."""
     figures = _shown(summaries, groups)
     cells = [[figure_cell(figure, s) for figure in figures] for s in summaries]
-    return _rows(summaries, who, [figure_column(figure) for figure in figures], cells, latex)
+    return _rows(summaries, who, [figure_column(figure) for figure in figures], cells, file)
 
 
-def consistency_table(summaries: Sequence[FilterSummary], who: str = "Filter", latex: Path | None = None) -> Markup:
-    """Mean NEES and NIS in their bands, and the share of the frames inside theirs; "" where nothing is known."""
+def consistency_table(summaries: Sequence[FilterSummary], who: str = "Filter", file: str = "") -> Table:
+    """Mean NEES and NIS in their bands, and the share of the frames inside theirs."""
     figures = _shown(summaries, ("consistency",))
-    if not figures:
-        return Markup()
     columns, cells = [], []
     for figure in figures:
         if figure.ideal is None:  # a count
@@ -52,7 +100,7 @@ def consistency_table(summaries: Sequence[FilterSummary], who: str = "Filter", l
                 Column("inside", "% frames", f"{figure.heading}: mean over runs inside the band of its frame")
             )
             cells.append([number(f.inside_percent if f else None, ".0f") for f in figures_found])
-    return _rows(summaries, who, columns, list(zip(*cells, strict=True)), latex)
+    return _rows(summaries, who, columns, list(zip(*cells, strict=True)) or [[]] * len(summaries), file)
 
 
 def _band_words(low: float, high: float) -> str:
@@ -61,7 +109,7 @@ def _band_words(low: float, high: float) -> str:
     return f"{low:.{digits}f}–{high:.{digits}f}"
 
 
-def pair_table(compared: PairwiseTable, who: str = "Filter", latex: Path | None = None) -> Markup:
+def pair_table(compared: PairwiseTable, who: str = "Filter", file: str = "") -> Table:
     """A row for each pair of filters, a column for each question."""
     columns = [Column(who, kind="text"), Column("against", kind="text")]
     for measure in compared.measures:
@@ -76,7 +124,7 @@ def pair_table(compared: PairwiseTable, who: str = "Filter", latex: Path | None 
             continue
         pair_cells = (pair_cell(measure, compared.cell(measure, a, b)) for measure in compared.measures)
         rows.append([filter_cell(a, colours), filter_cell(b, colours), *pair_cells])
-    return on_page(Table(columns, rows, "wide"), latex)
+    return Table(columns, rows, "wide", file=file)
 
 
 FINDING_TONES: dict[Finding, Tone] = {Finding.BETTER: "good", Finding.WORSE: "bad", Finding.NOT_SHOWN: "none"}
@@ -131,7 +179,7 @@ def figure_cell(figure: Figure, summary: FilterSummary, tone: Tone = "") -> Tabl
         limit = limit_reached(summary)
         return number(None) if limit is None else TableCell(limit.words, limit.percent)
     if figure.per_runs:
-        return TableCell(f"{value}/{summary.runs}", value, "bad" if value and figure.group == "events" else "")
+        return TableCell(f"{value} of {summary.runs}", value, "bad" if value and figure.group == "events" else "")
     return TableCell(figure.text(value).replace("-", "−"), known(figure.shown(value)), tone)
 
 
@@ -155,9 +203,9 @@ def _rows(
     who: str,
     columns: Sequence[Column],
     cells: Sequence[Sequence[TableCell]],
-    latex: Path | None,
-) -> Markup:
-    """Markup of a table with a row a filter."""
+    file: str,
+) -> Table:
+    """Table with a row a filter."""
     colours = filter_colours(s.filter_name for s in summaries)
     rows = [[filter_cell(s.filter_name, colours), *row] for s, row in zip(summaries, cells, strict=True)]
-    return on_page(Table([Column(who, kind="text"), *columns], rows, "wide"), latex)
+    return Table([Column(who, kind="text"), *columns], rows, "wide", file=file)

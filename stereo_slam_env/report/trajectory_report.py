@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from markupsafe import Markup
-
 from stereo_slam_env.evaluation.figures import readable
 from stereo_slam_env.evaluation.trajectory_runs import RunsScore
 from stereo_slam_env.evaluation.trajectory_score import PairedVerdict, TrajectoryScore
 from stereo_slam_env.report.charts import trajectories
-from stereo_slam_env.report.page import clean_figures, data_section, figure_block, on_page, part, write_page
+from stereo_slam_env.report.page import Content, Drawing, Section, clean_figures, data_section, part, write_page
 from stereo_slam_env.report.trajectory_table import (
     alignment_text,
     gauge_table,
@@ -58,34 +56,35 @@ def write_trajectory_report(
     if not scores:
         raise ValueError("scores must not be empty: there is nothing to report")
     out = Path(out)
-    folder = clean_figures(out)
+    clean_figures(out)
     names = f"{len(scores)} runs" if runs is not None else " and ".join(labels_of(scores))
     reference = scores[0].reference
-    body = [
+    contents: list[Content] = [
         *([part("paragraph", runs.words, "headline")] if runs is not None else []),
         part("items", [headline(score) for score in scores], "headline" if runs is None else ""),
         *([part("paragraph", verdict.words, "headline")] if verdict is not None else []),
         part("items", notes_of(scores), "failures fair"),
     ]
     if runs is not None:
-        body.append(_together(runs, folder))
+        contents.append(_together(runs))
         scores = scores[:DRAWN]
-    body += [_path(scores, folder), *_consistency(scores, folder), *_windows(scores, folder)]
-    body += [part("section", "Figures", "", [on_page(score_table(scores))]), data_section(out)]
+    contents += [_path(scores), *_consistency(scores), *_windows(scores)]
+    contents += [Section("Figures", [score_table(scores)]), data_section(out)]
     first = scores[0]
     subtitle = f"{first.frames} scored poses over {readable(first.path_m)} m · aligned: {alignment_text(first)}"
-    return write_page(out / "report.html", title=f"{names} against {reference}", subtitle=subtitle, parts=body)
+    return write_page(out / "report.html", title=f"{names} against {reference}", subtitle=subtitle, contents=contents)
 
 
-def _together(runs: RunsScore, folder: Path) -> Markup:
+def _together(runs: RunsScore) -> Section:
     """What runs of one estimator show together."""
     caption = f"Mean over {len(runs.runs)} runs, which are independent: the more, the narrower the band."
-    chart = figure_block(trajectories.plot_runs(runs), "runs", caption, folder)
     guide = "Many runs together show what none of them shows alone."
-    return part("section", "All runs together", guide, [chart, on_page(runs_table(runs))])
+    return Section(
+        "All runs together", [Drawing("runs", caption, trajectories.plot_runs(runs)), runs_table(runs)], guide
+    )
 
 
-def _path(scores: Sequence[TrajectoryScore], folder: Path) -> Markup:
+def _path(scores: Sequence[TrajectoryScore]) -> Section:
     chart, factor = trajectories.plot_paths(scores)
     caption = "Reference and estimates."
     if _claiming(scores):
@@ -94,42 +93,41 @@ def _path(scores: Sequence[TrajectoryScore], folder: Path) -> Markup:
         )
     if factor != 1.0:
         caption += f" Errors{' and tubes' if _claiming(scores) else ''} are drawn {factor:g} times as large."
-    return part("section", "Path", "", [figure_block(chart, "path", caption, folder)])
+    return Section("Path", [Drawing("path", caption, chart)])
 
 
-def _consistency(scores: Sequence[TrajectoryScore], folder: Path) -> list[Markup]:
+def _consistency(scores: Sequence[TrajectoryScore]) -> list[Section]:
     guide = "Position in the world, rotation in the body; equal scales for all estimates."
     charts = zip(labels_of(scores), trajectories.plot_errors(scores), strict=True)
-    drawn = [figure_block(chart, f"errors_{i}", f"{name}.", folder) for i, (name, chart) in enumerate(charts)]
-    sections = [part("section", "Errors and their 3σ bounds" if _claiming(scores) else "Errors", guide, drawn)]
+    drawn = [Drawing(f"errors_{i}", f"{name}.", chart) for i, (name, chart) in enumerate(charts)]
+    sections = [Section("Errors and their 3σ bounds" if _claiming(scores) else "Errors", drawn, guide)]
     if _claiming(scores):
         guide = "Above the band the claimed covariance is too small, below it too large."
         caption = "95 % of the frames of a true claim are inside the band."
-        drawn = [figure_block(trajectories.plot_nees_over_time(scores), "nees", caption, folder)]
+        over_time = Drawing("nees", caption, trajectories.plot_nees_over_time(scores))
         caption = "Left: below the dashed line the claim is too small. Right: a peak at the right end says the same."
-        drawn.append(figure_block(trajectories.plot_calibration(scores), "calibration", caption, folder))
-        sections.append(part("section", "Can the covariance be believed?", guide, drawn))
+        calibration = Drawing("calibration", caption, trajectories.plot_calibration(scores))
+        sections.append(Section("Can the covariance be believed?", [over_time, calibration], guide))
         sections.append(_alignments(scores))
     return sections
 
 
-def _alignments(scores: Sequence[TrajectoryScore]) -> Markup:
+def _alignments(scores: Sequence[TrajectoryScore]) -> Section:
     """The claim under each alignment."""
     guide = (
         "The same claim on the pose, by the alignment of the worlds; the covariance is carried through each. Errors of "
         f"two poses are taken as {' and '.join(dict.fromkeys(score.correlation for score in scores))}."
     )
-    return part("section", "Alignments", guide, [on_page(gauge_table(scores))])
+    return Section("Alignments", [gauge_table(scores)], guide)
 
 
-def _windows(scores: Sequence[TrajectoryScore], folder: Path) -> list[Markup]:
+def _windows(scores: Sequence[TrajectoryScore]) -> list[Section]:
     """How the error grows with the length of a window."""
     if not any(len(score.windows) > 1 for score in scores):
         return []
     guide = "Motion over windows does not hang on the alignment, nor on one early error of the heading."
     caption = "A straight line is a power law: a random walk grows with the root of the time, a wrong scale with it."
-    drawn = [figure_block(trajectories.plot_windows(scores), "windows", caption, folder)]
-    return [part("section", "Drift", guide, drawn)]
+    return [Section("Drift", [Drawing("windows", caption, trajectories.plot_windows(scores))], guide)]
 
 
 def _claiming(scores: Sequence[TrajectoryScore]) -> bool:

@@ -21,6 +21,7 @@ from stereo_slam_env.evaluation.figures import FIGURES, LARGEST, Figure, readabl
 from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.evaluation.trial import Trial
 from stereo_slam_env.report.console import show_results
+from stereo_slam_env.report.page import on_page
 from stereo_slam_env.report.tables import figures_table
 
 from ...synthetic_runs import scored
@@ -144,7 +145,7 @@ def test_a_figure_added_to_the_table_is_everywhere(tmp_path, monkeypatch):
     assert re.search(
         rf"^largest position error, m +{re.escape(GAP.text(largest))} *$", console.file.getvalue(), re.MULTILINE
     )
-    report = figures_table(result.summaries, ["accuracy"])
+    report = on_page(figures_table(result.summaries, ["accuracy"]))
     assert "Largest position error<small>m</small>" in report
     assert f">{GAP.text(largest)}</td>" in report
 

@@ -203,7 +203,7 @@ def test_a_report_replaces_its_own_files_and_no_others(tmp_path):
     for name in ("first", "second"):
         folder = clean_figures(tmp_path)
         figure_block(CHART, name, "A figure.", folder)
-        write_page(tmp_path / "report.html", title="a", subtitle="b", parts=[])
+        write_page(tmp_path / "report.html", title="a", subtitle="b", contents=[])
         (tmp_path / "figures" / f"own-{name}.png").write_text("mine")
     assert sorted(path.name for path in folder.iterdir()) == [
         "own-first.png",

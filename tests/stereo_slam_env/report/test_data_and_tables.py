@@ -107,8 +107,8 @@ def test_no_table_of_a_report_has_a_sign_that_latex_does_not_know(pages):
 
 
 def test_a_note_of_a_cell_stands_in_brackets(tmp_path):
-    on_page(Table([Column("a"), Column("b", "m")], [["x", TableCell("1", note="2")]]), tmp_path / "t.tex")
-    assert r"x & 1 (2) \\" in (tmp_path / "t.tex").read_text()
+    on_page(Table([Column("a"), Column("b", "m")], [["x", TableCell("1", note="2")]], file="t"), tmp_path)
+    assert r"x & 1 (2) \\" in (tmp_path / "tables/t.tex").read_text()
 
 
 def test_what_is_wide_can_be_scrolled_by_keys_and_shows_it(pages):

@@ -20,7 +20,7 @@ from stereo_slam_env.benchmark.head_to_head import Bench
 from stereo_slam_env.benchmark.recordings.sources import ReferenceSource
 from stereo_slam_env.benchmark.statistics.measures import EFFICIENCY, MEASURES
 from stereo_slam_env.evaluation.figures import FIGURES
-from stereo_slam_env.report import comparison_report
+from stereo_slam_env.report import page as page_module
 from stereo_slam_env.report.benchmark_report import write_report_of
 from stereo_slam_env.report.comparison_report import write_comparison_report
 from stereo_slam_env.report.console import show_comparison, show_results
@@ -140,7 +140,7 @@ def test_a_relative_difference_beside_two_values_says_what_it_is_of():
 
 
 def test_every_comparison_of_values_says_so(tmp_path, monkeypatch):
-    monkeypatch.setattr(comparison_report, "figure_block", lambda *_: Markup())
+    monkeypatch.setattr(page_module, "figure_blocks", lambda drawings, _: {one.name: Markup() for one in drawings})
     runs = uneven(1.6)
     before = [run for run in runs if run.filter_name == "ours"]
     after = [replace(run, filter_name="ours") for run in runs if run.filter_name == "theirs"]
@@ -192,7 +192,7 @@ def test_many_shown_changes_are_cut_to_a_screen_and_counted():
 
 
 def test_where_no_outcome_could_count_there_is_no_interval_anywhere(tmp_path, monkeypatch):
-    monkeypatch.setattr(comparison_report, "figure_block", lambda *_: Markup())
+    monkeypatch.setattr(page_module, "figure_blocks", lambda drawings, _: {one.name: Markup() for one in drawings})
     comparison = filters_of(2, lambda run: 1.1 + 0.01 * run.seed, 6)  # 6 runs would do for one comparison
     assert all(change.interval_percent is None for change in comparison.changes if not change.tied)
     page = write_comparison_report(tmp_path, comparison).read_text(encoding="utf-8")

@@ -6,6 +6,7 @@ from html import unescape
 
 import numpy as np
 import pytest
+from markupsafe import Markup
 
 import stereo_slam_env as sse
 from stereo_slam_env.evaluation.outside_run import outside_run
@@ -44,7 +45,9 @@ def report(out, runs):
 
 @pytest.fixture(autouse=True)
 def no_figures(monkeypatch):
-    monkeypatch.setattr("stereo_slam_env.report.run_report.figure_blocks", lambda charts, _: {})
+    monkeypatch.setattr(
+        "stereo_slam_env.report.page.figure_blocks", lambda drawings, _: {one.name: Markup() for one in drawings}
+    )
 
 
 def test_runs_of_one_system_stand_as_one_row_with_their_scatter(tmp_path):

@@ -57,7 +57,7 @@ def test_no_control_characters_reach_a_page():
 
 
 def test_a_page_is_written_whole_or_stays_as_it_was(tmp_path, monkeypatch):
-    write_page(tmp_path / "new" / "p.html", title="one", subtitle="", parts=[])
+    write_page(tmp_path / "new" / "p.html", title="one", subtitle="", contents=[])
     before = (tmp_path / "new" / "p.html").read_text("utf-8")
 
     def fails(*_):
@@ -65,7 +65,7 @@ def test_a_page_is_written_whole_or_stays_as_it_was(tmp_path, monkeypatch):
 
     monkeypatch.setattr(Path, "replace", fails)
     with pytest.raises(OSError, match="No space left"):
-        write_page(tmp_path / "new" / "p.html", title="two", subtitle="", parts=[])
+        write_page(tmp_path / "new" / "p.html", title="two", subtitle="", contents=[])
     assert (tmp_path / "new" / "p.html").read_text("utf-8") == before
     assert {path.name for path in (tmp_path / "new").iterdir()} == {"p.html", LIST}
 

@@ -15,7 +15,6 @@ from stereo_slam_env.evaluation.audits import ReferenceAudit
 from stereo_slam_env.evaluation.landmark_statistics import LandmarkStatistics
 from stereo_slam_env.files import own_files
 from stereo_slam_env.recording.recording import Reference
-from stereo_slam_env.report import run_report as report_module
 from stereo_slam_env.report.overview import overview
 from stereo_slam_env.report.page import _vega
 from stereo_slam_env.report.run_report import write_report
@@ -83,8 +82,8 @@ def page(markup):
 @pytest.fixture
 def no_figures(monkeypatch):
     """What the page says does not depend on its figures, and they take time."""
-    blocks = lambda charts, _: {name: Markup(f"<figure>{name}</figure>") for name in charts}  # noqa: E731
-    monkeypatch.setattr(report_module, "figure_blocks", blocks)
+    blocks = lambda drawings, _: {one.name: Markup(f"<figure>{one.name}</figure>") for one in drawings}  # noqa: E731
+    monkeypatch.setattr("stereo_slam_env.report.page.figure_blocks", blocks)
 
 
 def test_the_page_is_well_formed_and_needs_nothing_but_itself(path, markup, page):

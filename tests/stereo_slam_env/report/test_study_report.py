@@ -11,7 +11,7 @@ from stereo_slam_env.benchmark.scenarios.scenario import Scenario
 from stereo_slam_env.benchmark.scenarios.study import Cell, Study
 from stereo_slam_env.benchmark.statistics.attribution import attribute_runs
 from stereo_slam_env.benchmark.statistics.comparison import compare
-from stereo_slam_env.report import benchmark_report, comparison_report
+from stereo_slam_env.report import page
 from stereo_slam_env.report.benchmark_report import write_study_report
 from stereo_slam_env.report.comparison_report import write_comparison_report
 
@@ -26,12 +26,11 @@ def drawn(monkeypatch):
     """Names of the figures of the page; drawing them is tested elsewhere."""
     names = []
 
-    def figure_block(_, name, *__):
-        names.append(name)
-        return Markup(f"<figure>{name}</figure>")
+    def figure_blocks(drawings, _):
+        names.extend(drawing.name for drawing in drawings)
+        return {drawing.name: Markup(f"<figure>{drawing.name}</figure>") for drawing in drawings}
 
-    for module in (benchmark_report, comparison_report):
-        monkeypatch.setattr(module, "figure_block", figure_block)
+    monkeypatch.setattr(page, "figure_blocks", figure_blocks)
     return names
 
 
