@@ -171,7 +171,8 @@ def overview(summaries: Sequence[FilterSummary], verdict: Verdict) -> Markup:
         (Column("What does it cost?", "median time a frame"), lambda s: _cost(s, summaries)),
     ]
     answers = answers_table("Filter", questions, summaries)
-    return Markup("\n").join([part("paragraph", verdict.headline, "headline"), answers])
+    said = list(verdict.answers.values()) or [verdict.headline]
+    return Markup("\n").join([part("items", said, "headline"), answers])
 
 
 # ---- accuracy -------------------------------------------------------------------------------------------------------

@@ -138,6 +138,12 @@ class Verdict:
         return sorted(shown, key=lambda c: (c.divergences.only_a, c.difference.percent))
 
     @property
+    def shared_evidence(self) -> int | None:
+        """Number of paired runs behind all intervals, where it is the same; None where it is not."""
+        counts = {c.difference.count for c in self.comparisons.values() if c.difference.interval is not None}
+        return counts.pop() if len(counts) == 1 else None
+
+    @property
     def is_shown(self) -> bool:
         """Whether the runs show the leaders to be better than all others; False where there are no others."""
         rivals = [comparison for comparison in self.comparisons.values() if not comparison.tied]

@@ -54,7 +54,7 @@ def test_an_interval_that_ends_at_100_percent_has_it_in_it(percent, interval, re
 
 def test_an_interval_that_only_reaches_100_percent_leaves_it_open():
     said = judge([reached(np.linspace(40, 125, 8))], FIGURES).answers["limit"]
-    assert ", so it may be optimal) of the Cramér–Rao bound, 0.5 m." in said
+    assert "of the Cramér–Rao bound, 0.5 m, so it may be optimal." in said
 
 
 def test_no_more_than_100_percent_of_what_theory_allows_is_ever_claimed():

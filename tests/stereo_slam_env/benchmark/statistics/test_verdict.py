@@ -156,8 +156,8 @@ def test_many_rivals_do_not_make_a_long_headline():
     ]
     runs = make_runs(behaviours, seeds=range(10), frames=60)
     best = judge(*scored(runs)).answers["best"]
-    assert "and 3 more are not significant. The error of far-" in best
-    assert best.endswith("; and 2 more.")
+    assert "and 3 more are not significant; the error of far-" in best
+    assert best.endswith("; and 2 more: at 95 % confidence, 10 paired runs.")
 
 
 @pytest.mark.parametrize(
