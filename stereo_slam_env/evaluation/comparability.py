@@ -228,8 +228,8 @@ def find_obstacles(pairs: PosePairs, whole: tuple[Trajectory, Trajectory], pair:
         notes.append(why)
     elif kind == "none" and rigid * _MUCH < error:
         notes.append(
-            f"the error is {_length(rigid)} after a rigid alignment: where the estimate has a world of its own, "
-            "--align start, gravity-yaw or rigid says so"
+            f"the error is {_length(rigid)} after a rigid alignment: if the estimate has a world of its own, "
+            "say so by --align start, gravity-yaw or rigid"
         )
     if (risk := share_at_risk(pairs)) > _WORTH:
         notes.append(

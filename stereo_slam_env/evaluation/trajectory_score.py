@@ -201,15 +201,23 @@ class PairedVerdict:
         """The verdict in two sentences."""
         ratio, low, high = self.error_ratio
         better = self._better(high < 1.0, low > 1.0)
-        text = f"Position error: {ratio:.3g} [{low:.3g}, {high:.3g}] times that of {self.other}: {better}."
+        text = f"The position error of {self.estimate} is {ratio:.3g} times that of {self.other}"
+        text += f" (95 %: {low:.3g} to {high:.3g}): {better}."
         if (difference := self.log_score_difference) is None:
             return text
         better = self._better(difference.high < 0.0, difference.low > 0.0)
-        interval = f"[{difference.low:+.3g}, {difference.high:+.3g}]"
-        return f"{text} Log score of the pose: {difference.mean:+.3g} {interval} nats: {better}."
+        interval = f"{difference.low:+.3g} to {difference.high:+.3g}".replace("-", "−")
+        by = f"{difference.mean:+.3g}".replace("-", "−")
+        return f"{text} Its log score of the pose differs by {by} nats (95 %: {interval}): {better}."
 
     def _better(self, first: bool, second: bool) -> str:
-        return f"{self.estimate} is better" if first else f"{self.other} is better" if second else "not significant"
+        return (
+            f"{self.estimate} is better"
+            if first
+            else f"{self.other} is better"
+            if second
+            else "the difference is not significant"
+        )
 
 
 def evaluate_trajectory(
