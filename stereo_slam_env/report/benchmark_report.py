@@ -125,7 +125,7 @@ def _matrix(
     else:
         columns = [Column("Scenario", kind="text"), *(Column(name) for name in names)]
         rows = [[TableCell(cell, link=links[cell]), *(entry(cell, name) for name in names)] for cell in results]
-    return Table(columns, rows, file="scenarios")
+    return Table(columns, rows, latex="scenarios")
 
 
 def _entry(summary: FilterSummary, verdict: Verdict) -> TableCell:
@@ -256,7 +256,7 @@ def _everything(
                 _against_best(s, verdicts[cell]),
             ]
             rows.append([*first, *(figure_cell(figure, s, tones.get(figure.name, "")) for figure in figures)])
-    return Section("All figures", [Table(columns, rows, "wide", file="figures")])
+    return Section("All figures", [Table(columns, rows, "wide", latex="figures")])
 
 
 def _against_best(summary: FilterSummary, verdict: Verdict) -> TableCell:

@@ -69,7 +69,7 @@ def _guide(comparison: RunComparison) -> str:
     )
 
 
-def _table(changes: Sequence[Change], how: str, file: str = "") -> Table:
+def _table(changes: Sequence[Change], how: str, latex: str = "") -> Table:
     columns = [
         Column("Filter", kind="text"),
         Column("Measure", kind="text"),
@@ -86,8 +86,8 @@ def _table(changes: Sequence[Change], how: str, file: str = "") -> Table:
         tone = FINDING_TONES[change.finding]
         interval, (before, after) = change.interval_percent, change.values
         sorted_by = None if interval is None else 0.5 * sum(interval)
-        short = sentence("runs_too_few", change.count, change.needed)
-        finding = "the same" if change.tied else short if change.too_few else change.finding.value
+        short = sentence("runs_too_few", change.difference.count, change.difference.needed)
+        finding = "the same" if change.difference.tied else short if change.difference.too_few else change.finding.value
         rows.append(
             [
                 filter_cell(change.filter_name, colours),
@@ -95,12 +95,12 @@ def _table(changes: Sequence[Change], how: str, file: str = "") -> Table:
                 TableCell(before, known(change.before)),
                 TableCell(after, known(change.after)),
                 TableCell(change.brief or UNKNOWN, sorted_by, tone),
-                number(change.p_value, ".2g"),
-                number(change.count, "d"),
+                number(change.difference.p_value, ".2g"),
+                number(change.difference.count, "d"),
                 TableCell(finding, tone=tone),
             ]
         )
-    return Table(columns, rows, "wide", file=file)
+    return Table(columns, rows, "wide", latex=latex)
 
 
 def _only(comparison: RunComparison) -> Section:

@@ -273,9 +273,9 @@ def _vega() -> str:
 def on_page(table: Table, out: Path | None = None) -> Markup:
     """Markup of a sortable table; one that names a file is written to `out`/tables as LaTeX, too, and linked below."""
     rows = [[replace(cell, key=_sorting_key(cell)) for cell in row] for row in table.cells]
-    if out is None or not table.file:
+    if out is None or not table.latex:
         return part("table", table.columns, rows, table.look)
-    file = f"{TABLES}/{table.file}.tex"
+    file = f"{TABLES}/{table.latex}.tex"
     own_files(out, [file])
     write_text(out / file, latex_table(table))
     return part("table", table.columns, rows, table.look, file)

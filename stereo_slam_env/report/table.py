@@ -82,7 +82,7 @@ class Table:
     """Layout on the page: "wide" takes its width; "answers" are in large type, a mark beside and a note below."""
     block: int = 0
     """Rows between two blank lines on the screen; 0: none."""
-    file: str = ""
+    latex: str = ""
     """Name of the LaTeX file beside the page, without ending; empty: none."""
 
     def __post_init__(self) -> None:

@@ -69,15 +69,15 @@ def _counts_nothing(figure: Figure, summary: FilterSummary) -> bool:
 
 
 def figures_table(
-    summaries: Sequence[FilterSummary], groups: Sequence[Group], who: str = "Filter", file: str = ""
+    summaries: Sequence[FilterSummary], groups: Sequence[Group], who: str = "Filter", latex: str = ""
 ) -> Table:
     """Figures of these groups, a row a filter, which is called `who`."""
     figures = _shown(summaries, groups)
     cells = [[figure_cell(figure, s) for figure in figures] for s in summaries]
-    return _rows(summaries, who, [figure_column(figure) for figure in figures], cells, file)
+    return _rows(summaries, who, [figure_column(figure) for figure in figures], cells, latex)
 
 
-def consistency_table(summaries: Sequence[FilterSummary], who: str = "Filter", file: str = "") -> Table:
+def consistency_table(summaries: Sequence[FilterSummary], who: str = "Filter", latex: str = "") -> Table:
     """Mean NEES and NIS in their bands, and the share of the frames inside theirs."""
     figures = _shown(summaries, ("consistency",))
     columns, cells = [], []
@@ -100,7 +100,7 @@ def consistency_table(summaries: Sequence[FilterSummary], who: str = "Filter", f
                 Column("inside", "% frames", f"{figure.heading}: mean over runs inside the band of its frame")
             )
             cells.append([number(f.inside_percent if f else None, ".0f") for f in figures_found])
-    return _rows(summaries, who, columns, list(zip(*cells, strict=True)) or [[]] * len(summaries), file)
+    return _rows(summaries, who, columns, list(zip(*cells, strict=True)) or [[]] * len(summaries), latex)
 
 
 def _band_words(low: float, high: float) -> str:
@@ -109,7 +109,7 @@ def _band_words(low: float, high: float) -> str:
     return f"{low:.{digits}f}–{high:.{digits}f}"
 
 
-def pair_table(compared: PairwiseTable, who: str = "Filter", file: str = "") -> Table:
+def pair_table(compared: PairwiseTable, who: str = "Filter", latex: str = "") -> Table:
     """A row for each pair of filters, a column for each question."""
     columns = [Column(who, kind="text"), Column("against", kind="text")]
     for measure in compared.measures:
@@ -124,7 +124,7 @@ def pair_table(compared: PairwiseTable, who: str = "Filter", file: str = "") -> 
             continue
         pair_cells = (pair_cell(measure, compared.cell(measure, a, b)) for measure in compared.measures)
         rows.append([filter_cell(a, colours), filter_cell(b, colours), *pair_cells])
-    return Table(columns, rows, "wide", file=file)
+    return Table(columns, rows, "wide", latex=latex)
 
 
 FINDING_TONES: dict[Finding, Tone] = {Finding.BETTER: "good", Finding.WORSE: "bad", Finding.NOT_SHOWN: "none"}
@@ -203,9 +203,9 @@ def _rows(
     who: str,
     columns: Sequence[Column],
     cells: Sequence[Sequence[TableCell]],
-    file: str,
+    latex: str,
 ) -> Table:
     """Table with a row a filter."""
     colours = filter_colours(s.filter_name for s in summaries)
     rows = [[filter_cell(s.filter_name, colours), *row] for s, row in zip(summaries, cells, strict=True)]
-    return Table([Column(who, kind="text"), *columns], rows, "wide", file=file)
+    return Table([Column(who, kind="text"), *columns], rows, "wide", latex=latex)

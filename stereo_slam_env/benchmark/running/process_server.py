@@ -47,6 +47,8 @@ PRELOADED = (
 `rehearsals()`, functions that run what its machine code is for."""
 STATUS = struct.Struct("q")
 """Of the numbers on the pipe."""
+LARGEST_FILE = 16 * 2**30
+"""Bytes of a file that work may write."""
 LOADING, READY = b"l", b"r"
 """Signs of life while the server starts, and that it has."""
 
@@ -161,6 +163,16 @@ def _write(pipe: int, number: int) -> None:
         return
 
 
+def _limit_resources() -> None:
+    """Let this process take no more memory than the machine has, and write no file without end: it gets an error."""
+    import resource
+
+    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    for kind, most in ((resource.RLIMIT_DATA, memory), (resource.RLIMIT_FSIZE, LARGEST_FILE)):
+        hard = resource.getrlimit(kind)[1]
+        resource.setrlimit(kind, (most if hard == resource.RLIM_INFINITY else min(most, hard), hard))
+
+
 def _ask_linux(what: int, value: int) -> None:
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(what, value, 0, 0, 0)
@@ -173,6 +185,7 @@ def _work(connection: Connection, server: int) -> NoReturn:
     """Take the work, do it, send the answer, and leave without any clean-up."""
     os.setsid()
     _ask_linux(_SET_DEATH_SIGNAL, signal.SIGKILL)
+    _limit_resources()
     if os.getppid() != server:  # it ended meanwhile
         os._exit(1)
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)

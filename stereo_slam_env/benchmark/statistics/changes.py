@@ -46,39 +46,9 @@ class Change:
         return self.figure is TIME
 
     @property
-    def count(self) -> int:
-        """Number of recordings, of pairs where they are paired."""
-        return self.difference.count
-
-    @property
-    def needed(self) -> int:
-        """Number of runs without which no outcome could be shown."""
-        return self.difference.needed
-
-    @property
-    def too_few(self) -> bool:
-        """Whether no outcome whatever could have shown a change."""
-        return self.difference.too_few
-
-    @property
-    def p_value(self) -> float:
-        """Two-sided p value, corrected."""
-        return self.difference.p_value
-
-    @property
     def finding(self) -> Finding:
         """Better or worse after than before, or no difference shown."""
         return self.difference.finding
-
-    @property
-    def tied(self) -> bool:
-        """Whether nothing has changed, to within `TIE_PERCENT`."""
-        return self.difference.tied
-
-    @property
-    def identical(self) -> bool:
-        """Whether no value has changed at all."""
-        return self.difference.identical
 
     @property
     def interval_percent(self) -> tuple[float, float] | None:

@@ -8,8 +8,6 @@ from functools import cache
 from importlib.resources import files
 from typing import Any
 
-from jinja2 import Environment, StrictUndefined
-
 from stereo_slam_env.benchmark.statistics.differences import (
     CONFIDENCE,
     MIN_PAIRS,
@@ -40,6 +38,8 @@ def few(names: Sequence[str]) -> str:
 
 @cache
 def _templates() -> Any:
+    from jinja2 import Environment, StrictUndefined  # `evaluate` does without
+
     environment = Environment(
         autoescape=False, trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined, extensions=["jinja2.ext.do"]
     )

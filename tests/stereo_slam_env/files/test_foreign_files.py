@@ -158,6 +158,9 @@ OWN = {
     "filters/kernels/compilation.py": {"Path(path).read_bytes": "the project's own source"},
     "stereo_slam_env/benchmark/scenarios/schema.py": {"files(__package__).joinpath(NAME).read_bytes": "of the package"},
     "stereo_slam_env/benchmark/scenarios/study.py": {"_PRESETS.read_text": "a file of the package"},
+    "stereo_slam_env/benchmark/statistics/sentences.py": {
+        "files(__package__).joinpath('sentences.jinja').read_text": "a file of the package"
+    },
     "stereo_slam_env/benchmark/storage/code_identity.py": {
         "one.read_text": "a list of files of an installed package",
         "path.read_bytes": "the package's own source, or code that runs here anyway",

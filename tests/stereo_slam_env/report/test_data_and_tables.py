@@ -107,7 +107,7 @@ def test_no_table_of_a_report_has_a_sign_that_latex_does_not_know(pages):
 
 
 def test_a_note_of_a_cell_stands_in_brackets(tmp_path):
-    on_page(Table([Column("a"), Column("b", "m")], [["x", TableCell("1", note="2")]], file="t"), tmp_path)
+    on_page(Table([Column("a"), Column("b", "m")], [["x", TableCell("1", note="2")]], latex="t"), tmp_path)
     assert r"x & 1 (2) \\" in (tmp_path / "tables/t.tex").read_text()
 
 

@@ -194,7 +194,7 @@ def test_many_shown_changes_are_cut_to_a_screen_and_counted():
 def test_where_no_outcome_could_count_there_is_no_interval_anywhere(tmp_path, monkeypatch):
     monkeypatch.setattr(page_module, "figure_blocks", lambda drawings, _: {one.name: Markup() for one in drawings})
     comparison = filters_of(2, lambda run: 1.1 + 0.01 * run.seed, 6)  # 6 runs would do for one comparison
-    assert all(change.interval_percent is None for change in comparison.changes if not change.tied)
+    assert all(change.interval_percent is None for change in comparison.changes if not change.difference.tied)
     page = write_comparison_report(tmp_path, comparison).read_text(encoding="utf-8")
     assert not re.search(r"[+−]\d+ to [+−]\d+", page)
     assert "6 runs are too few" in page

@@ -17,7 +17,7 @@ import numba
 import numpy as np
 import pytest
 
-from stereo_slam_env.benchmark.running import isolation
+from stereo_slam_env.benchmark.running import isolation, process_server
 from stereo_slam_env.benchmark.running.isolation import NoProcess, WorkDied, WorkTooSlow, run_isolated
 
 from ...rendering.planes import skip_where_missing
@@ -90,6 +90,24 @@ class TwoWords(Exception):
 
     def __init__(self, one, two):
         super().__init__(f"{one} {two}")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux limits the memory of a process")
+def test_work_that_takes_more_memory_than_there_is_gets_an_error_and_nobody_else_does():
+    half = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // 2  # each of which the system gives
+    with pytest.raises(MemoryError):
+        run_isolated(lambda tell: len([np.empty(half, dtype=np.uint8) for _ in range(4)]), silence_limit=LIMIT)
+    assert run_isolated(lambda tell: np.zeros(2**28, dtype=np.uint8).size, silence_limit=LIMIT) == 2**28
+
+
+def test_work_that_writes_without_end_gets_an_error(tmp_path):
+    def work(tell):
+        with open(tmp_path / "endless", "wb") as file:
+            os.posix_fallocate(file.fileno(), 0, process_server.LARGEST_FILE + 1)
+
+    with pytest.raises(OSError, match="too large"):
+        run_isolated(work, silence_limit=LIMIT)
+    assert (tmp_path / "endless").stat().st_size == 0
 
 
 @pytest.mark.parametrize(

@@ -85,7 +85,7 @@ def test_times_that_changed_too_leave_the_other_changes_as_sure_as_they_were():
     slower = [replace(run, milliseconds=(1.5 + 0.01 * run.seed) * run.milliseconds) for run in after]
     wanted = {"filter_name": "dual-bearing", "measure": "position error"}
     ((alone,), (beside,)) = (changes_of(compare(result(before), result(runs)), **wanted) for runs in (after, slower))
-    assert (beside.interval_percent, beside.p_value) == (alone.interval_percent, alone.p_value)
+    assert (beside.interval_percent, beside.difference.p_value) == (alone.interval_percent, alone.difference.p_value)
 
 
 def test_a_change_in_one_run_of_eight_is_not_shown():
@@ -128,7 +128,7 @@ def test_what_only_one_of_them_has_is_named():
     assert comparison.recordings_before == ("drive-0 (seed 0)",)
     assert comparison.recordings_after == ("drive-7 (seed 7)", "drive-8 (seed 8)")
     assert {change.filter_name for change in comparison.changes} == {"dual-bearing"}
-    assert all(change.count == 6 for change in comparison.changes)
+    assert all(change.difference.count == 6 for change in comparison.changes)
     with pytest.raises(ValueError, match="have no filter in common: inverse-depth against euclidean"):
         compare(result(before[::2]), result(after[1::2]))
 
@@ -179,7 +179,7 @@ def test_a_grid_is_compared_cell_by_cell(tmp_path):
     comparison = compare(before, shutil.copytree(before.out, tmp_path / "after"))
     assert comparison.paired
     assert {change.filter_name for change in comparison.changes} == {"gate-0.9: ours", "gate-0.99: ours"}
-    assert all(change.count == 2 for change in comparison.changes)
+    assert all(change.difference.count == 2 for change in comparison.changes)
     assert comparison.headline == "Nothing has changed but perhaps the time."
 
 

@@ -140,7 +140,7 @@ def test_a_filter_that_now_raises_does_not_return_its_old_result(project, tmp_pa
     assert "The code of stereo-slam-env differs" not in said
     edit(tmp_path / "b" / "settings.json", f'"code": "{code_digest()}"', '"code": "another"')
     warnings = compare(tmp_path / "a", tmp_path / "b").warnings
-    assert f"The code of stereo-slam-env differs between the two runs ({code_digest()} and another)." in warnings
+    assert f"The code of stereo-slam-env ({code_digest()} and another) differs between the two runs." in warnings
 
 
 # ---- a project ------------------------------------------------------------------------------------------------------
