@@ -107,7 +107,7 @@ def test_the_table_is_readable_in_a_terminal(width, capsys):
     assert len(first) == 1
     assert first[0][1:4] == [str(rows[-1].count), "u", f"{rows[-1].bias[0]:+.3f}"]
     assert sum(f" {coordinate} " in line for line in lines for coordinate in "uvd") == 3 * len(rows)
-    assert f"beyond {OUTLIER:g} px" in lines[2]
+    assert f"beyond {OUTLIER:g} px" in lines[1]
 
 
 def test_a_table_of_nothing_says_so(capsys):
