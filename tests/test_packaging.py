@@ -53,7 +53,7 @@ def home(wheel, tmp_path_factory):
 def test_the_wheel_holds_both_packages_whole_and_nothing_else(wheel):
     with zipfile.ZipFile(wheel) as archive:
         packed = {name for name in archive.namelist() if ".dist-info/" not in name}
-    data = {".py", ".pyi", ".typed", ".json", ".html", ".css", ".js", ".toml", ".npz", ".csv"}
+    data = {".py", ".pyi", ".typed", ".json", ".html", ".jinja", ".css", ".js", ".toml", ".npz", ".csv"}
     wanted = {
         path.relative_to(ROOT).as_posix()
         for package in PACKAGES

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, Literal, get_args
+from typing import Any, Literal, cast, get_args
 
 import gymnasium as gym
 from gymnasium.vector import AutoresetMode
@@ -93,8 +93,9 @@ class GazeTask:
 
     def make_for_learning(self) -> gym.Env[Any, Any]:
         """`make_held`, with the number of one of `choices` for an action if there are any."""
-        env = self.make_held()
-        return env if self.pans is None else DirectionOfGaze(env, self.pans)
+        env: Any = self.make_held()
+        chosen: gym.Env[Any, Any] = env if self.pans is None else cast(Any, DirectionOfGaze(env, self.pans))
+        return chosen
 
     def make_rows(self, num_envs: int, scenes: int | None = None, threads: int = 1) -> Rows:
         """So many times `make_for_learning` as rows; see `envs.make_vec.stereo_vector`."""
@@ -103,7 +104,7 @@ class GazeTask:
         arguments.pop("disable_env_checker", None)
         rows = rows_of(self.environment, num_envs, arguments, scenes=scenes, threads=threads)
         held = self._held(limited(rows, limit))
-        gaze_rows: Rows = held if self.pans is None else DirectionOfGaze.around(held, pans=self.pans)
+        gaze_rows: Rows = held if self.pans is None else DirectionOfGaze(held, pans=self.pans)
         return gaze_rows
 
     def make_vector(
@@ -118,15 +119,16 @@ class GazeTask:
         return RowsVectorEnv(self.make_rows(count, scenes, threads), autoreset_mode)
 
     def _believing(self, inside: gym.Env[Any, Any] | Rows, hold: int) -> Any:
-        believing = BeliefObservation.around(inside, filter=self.filter, options=self.filter_options, hold=hold)
-        return BeliefPanorama.around(believing)
+        believing = BeliefObservation(inside, filter=self.filter, options=self.filter_options, hold=hold)
+        return BeliefPanorama(believing)
 
     def _held(self, inside: gym.Env[Any, Any] | Rows) -> Any:
         believing = self._believing(inside, self.hold)
+        paid: Any
         if self.reward == "error":
-            paid = TrueError.around(believing)
+            paid = TrueError(believing)
         else:
-            paid = InformationGain.around(
+            paid = InformationGain(
                 believing,
                 criterion=self.criterion,
                 of="pose",
@@ -134,7 +136,7 @@ class GazeTask:
                 belief=self.belief,
                 nees_gate=self.nees_gate,
             )
-        return SelectedKeys.around(paid, keys=POLICY_KEYS)
+        return SelectedKeys(paid, keys=POLICY_KEYS)
 
     @property
     def training(self) -> Mapping[str, Any]:

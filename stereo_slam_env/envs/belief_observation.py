@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 
@@ -17,8 +16,8 @@ from filters.contract.validation import positive, whole_number
 from filters.engine.batch import RelativeLandmarks
 from filters.geometry.arrays import BoolArray
 from stereo_slam_env.envs.filter_rows import Belief, filter_rows
-from stereo_slam_env.envs.row_wrapper import RowWrapper
-from stereo_slam_env.envs.rows import Arrays, Rows, RowsWrapper, Seeds, Step
+from stereo_slam_env.envs.row_wrapper import RowsWrapper
+from stereo_slam_env.envs.rows import Arrays, Seeds, Step
 from stereo_slam_env.sensing.padding import NO_LANDMARK
 
 FARTHEST = 1e4
@@ -27,33 +26,79 @@ LARGEST_COVARIANCE = 1e6
 """Bound of entries of covariances, m^2, m rad and rad^2."""
 
 
-class BeliefObservationRows(RowsWrapper):
-    """Implementation of `BeliefObservation` on rows."""
+class BeliefObservation(RowsWrapper):
+    """Runs a filter on the frames of the environment, and adds its belief to the observation.
+
+    At every reset the filter is started from `start` of the environment. It sees `frame`, in full precision, not the
+    float32 observation. Added keys, float32 unless said; **values beyond the bounds are clipped to them**:
+
+    | Key | Shape | Bounds | Meaning |
+    |-----|-------|--------|---------|
+    | `belief_position` | (3,) | 1e4 | left camera in W, m |
+    | `belief_orientation` | (4,) | 1 | quaternion xyzw, camera to W |
+    | `belief_covariance` | (6, 6) | 1e6 | of position (W, m) and rotation (camera frame, rad) |
+    | `belief_landmark_ids` | (M,) int64 | | ascending; -1 in padding |
+    | `belief_landmarks` | (M, 3) | 1e4 | positions in the **camera frame** (x right, y down, z forward), m |
+    | `belief_landmark_covariances` | (M, 3, 3) | 1e6 | of those, m^2: errors of the pose count, with correlations |
+    | `belief_mask` | (M,) int8 | | 1 where there is a landmark |
+
+    Of more than M landmarks those nearest to the camera are shown. Landmarks without a finite position in front of
+    where they were first seen are left out. `info` gains `belief_nis` and `belief_nis_dof` of the frame, and
+    `belief_map_size`, the number of all landmarks in the map.
+
+    A filter that raises, or whose pose is not finite, ends the episode with a RuntimeError from `reset` or `step` that
+    names the filter, the frame and the cause; after `reset` it goes on.
+
+    Parameters
+    ----------
+    env : gymnasium.Env
+        With a Dict observation, and `camera`, `noise`, `start` and `frame`.
+    filter : str
+        A name of `filters.available_filters()`.
+    max_landmarks : int
+        M.
+    use_odometry : bool
+        Whether the filter is given the odometry.
+    noise : float or nested list, optional
+        Noise to assume of measurements that come without a covariance: a standard deviation in px (independent
+        pixels), or R (3 x 3) of (u, v, d). None: the noise of the sensor.
+    options : mapping, optional
+        Options of the filter, JSON-able, as in scenario files: {"drop_unseen": False, "motion": {...}}.
+    hold : int
+        Frames for which an action holds. The filter uses all of them, the belief is read after the last one, and the
+        reward is the sum; `info` is that of the last one.
+
+    Raises
+    ------
+    ValueError
+        An argument is unknown or impossible, or the environment offers no frames.
+    """
 
     changes = ("beliefs",)
+    shared = ("beliefs", "slam", "belief", "report")
 
     def __init__(
         self,
-        rows: Rows,
-        filter: str,
-        max_landmarks: int,
-        use_odometry: bool,
-        noise: float | list[list[float]] | None,
-        options: Mapping[str, Any] | None,
-        hold: int,
+        env: Any,
+        filter: str = "shared-anchor",
+        max_landmarks: int = 64,
+        use_odometry: bool = True,
+        noise: float | list[list[float]] | None = None,
+        options: Mapping[str, Any] | None = None,
+        hold: int = 1,
     ) -> None:
-        super().__init__(rows)
+        super().__init__(env)
         self._hold, self._most = whole_number("hold", hold, 1), whole_number("max_landmarks", max_landmarks, 1)
         camera, assumed = self.needed("camera"), assumed_noise(noise, self.needed("noise"))
         filter_options = dict(options or {})
         self.beliefs = filter_rows(
             lambda: make_filter(filter, camera=camera, noise=assumed, **filter_options),
             filter,
-            rows.count,
-            int(getattr(rows.world, "threads", 1)),
+            env.count,
+            int(getattr(env.world, "threads", 1)),
             use_odometry=bool(use_odometry),
         )
-        """The filters."""
+        """The filters and their beliefs."""
         most = self._most
         bounds: dict[str, tuple[float, tuple[int, ...]]] = {
             "belief_position": (FARTHEST, (3,)),
@@ -108,91 +153,21 @@ class BeliefObservationRows(RowsWrapper):
         added = {"belief_nis": beliefs.nis.copy(), "belief_nis_dof": beliefs.nis_dof.copy()}
         return {**observation, **values}, {**info, **added, "belief_map_size": beliefs.map_sizes}
 
-
-class BeliefObservation(RowWrapper):
-    """Runs a filter on the frames of the environment, and adds its belief to the observation.
-
-    At every reset the filter is started from `start` of the environment. It sees `frame`, in full precision, not the
-    float32 observation. Added keys, float32 unless said; **values beyond the bounds are clipped to them**:
-
-    | Key | Shape | Bounds | Meaning |
-    |-----|-------|--------|---------|
-    | `belief_position` | (3,) | 1e4 | left camera in W, m |
-    | `belief_orientation` | (4,) | 1 | quaternion xyzw, camera to W |
-    | `belief_covariance` | (6, 6) | 1e6 | of position (W, m) and rotation (camera frame, rad) |
-    | `belief_landmark_ids` | (M,) int64 | | ascending; -1 in padding |
-    | `belief_landmarks` | (M, 3) | 1e4 | positions in the **camera frame** (x right, y down, z forward), m |
-    | `belief_landmark_covariances` | (M, 3, 3) | 1e6 | of those, m^2: errors of the pose count, with correlations |
-    | `belief_mask` | (M,) int8 | | 1 where there is a landmark |
-
-    Of more than M landmarks those nearest to the camera are shown. Landmarks without a finite position in front of
-    where they were first seen are left out. `info` gains `belief_nis` and `belief_nis_dof` of the frame, and
-    `belief_map_size`, the number of all landmarks in the map.
-
-    A filter that raises, or whose pose is not finite, ends the episode with a RuntimeError from `reset` or `step` that
-    names the filter, the frame and the cause; after `reset` it goes on.
-
-    Parameters
-    ----------
-    env : gymnasium.Env
-        With a Dict observation, and `camera`, `noise`, `start` and `frame`.
-    filter : str
-        A name of `filters.available_filters()`.
-    max_landmarks : int
-        M.
-    use_odometry : bool
-        Whether the filter is given the odometry.
-    noise : float or nested list, optional
-        Noise to assume of measurements that come without a covariance: a standard deviation in px (independent
-        pixels), or R (3 x 3) of (u, v, d). None: the noise of the sensor.
-    options : mapping, optional
-        Options of the filter, JSON-able, as in scenario files: {"drop_unseen": False, "motion": {...}}.
-    hold : int
-        Frames for which an action holds. The filter uses all of them, the belief is read after the last one, and the
-        reward is the sum; `info` is that of the last one.
-
-    Raises
-    ------
-    ValueError
-        An argument is unknown or impossible, or the environment offers no frames.
-    """
-
-    OnRows = BeliefObservationRows
-
-    def __init__(
-        self,
-        env: gym.Env[Any, Any],
-        filter: str = "shared-anchor",
-        max_landmarks: int = 64,
-        use_odometry: bool = True,
-        noise: float | list[list[float]] | None = None,
-        options: Mapping[str, Any] | None = None,
-        hold: int = 1,
-    ) -> None:
-        super().__init__(env)
-
-    @property
-    def beliefs(self) -> Any:
-        """The filter and its belief as `FilterRows` with one row."""
-        return self.rows.beliefs
-
     @property
     def slam(self) -> StereoFilter:
-        """The filter, after the current frame."""
-        slam: StereoFilter = self.beliefs.filters[0]
+        """The filter of one environment, after the current frame."""
+        slam: StereoFilter = self.beliefs.filters[self.only_row("slam")]
         return slam
 
     @property
     def belief(self) -> Belief:
-        """Belief of the filter after the current frame."""
-        belief: Belief = self.beliefs.belief(0)
-        return belief
+        """Belief of that filter after the current frame."""
+        return self.beliefs.belief(self.only_row("belief"))
 
     @property
     def report(self) -> UpdateReport:
-        """Report of the update with the current frame."""
-        report: UpdateReport = self.beliefs.report(0)
-        return report
+        """Report of its update with the current frame."""
+        return self.beliefs.report(self.only_row("report"))
 
 
 def assumed_noise(given: Any, noise_of_sensor: StereoNoise) -> StereoNoise:

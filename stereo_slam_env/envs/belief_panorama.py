@@ -6,7 +6,6 @@ import math
 from collections.abc import Collection, Mapping
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
@@ -18,8 +17,8 @@ from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.geometry.camera import StereoCamera
 from filters.kernels.compilation import entry
 from stereo_slam_env.envs.filter_rows import FilterRows
-from stereo_slam_env.envs.row_wrapper import RowWrapper
-from stereo_slam_env.envs.rows import Arrays, Rows, RowsWrapper, Seeds, Step
+from stereo_slam_env.envs.row_wrapper import RowsWrapper
+from stereo_slam_env.envs.rows import Arrays, Seeds, Step
 
 FEATURES = ("share", "gain", "elevation", "nearness", "in_view", "unseen")
 """Columns of `panorama`."""
@@ -33,21 +32,57 @@ _LARGEST_SIGMA = 1e3
 """Bound of `belief_sigmas`, m and rad."""
 
 
-class BeliefPanoramaRows(RowsWrapper):
-    """Implementation of `BeliefPanorama` on rows."""
+class BeliefPanorama(RowsWrapper):
+    """Adds the keys `panorama` (sectors, 6) and `belief_sigmas` (6,) to the observation, float32.
+
+    `panorama`: sector k is the azimuth from -pi + 2 pi k / sectors on, about the vertical of the *car's* straight-ahead
+    direction (the middle of the rows), positive to the right: the observation key `head` (pan, tilt; rad) is taken off
+    the direction of the camera, R_wc = R_wb R_y(pan) R_x(tilt). Without that key the camera looks straight ahead.
+    Columns, 0 in a sector without landmarks, clipped to [-1, 2]:
+
+    | Column | Name | Meaning |
+    |--------|------|---------|
+    | 0 | share | landmarks of the map there within `reach`, over the rows of `uvd`; only those count below, too |
+    | 1 | gain | 0.1 ln(1 + sum of the gains of one look at each, in its position relative to the camera, nats) |
+    | 2 | elevation | mean elevation, over pi/2; up is positive |
+    | 3 | nearness | 1 / (1 + z / 10 m) of the nearest, z its distance |
+    | 4 | in_view | share of the sector that the camera sees now, by azimuth |
+    | 5 | unseen | 1 - exp(-t / 5 s), t the time since half of it was in view; 1: never |
+
+    A look gains ln(sqrt(1 + c_r / s_r^2) (1 + c_l / s_l^2)): c_r and c_l are the variances of the relative position
+    along and across the line of sight, s_r = z^2 sigma_d / (f b) and s_l = z sigma_u / f what one measurement at the
+    distance z leaves of them. Landmarks are taken as independent, so a sum says more than there is.
+
+    `belief_sigmas` are the standard deviations of the pose: position in W, m, and rotation in the camera frame, rad; at
+    most 1e3.
+
+    Parameters
+    ----------
+    env : gymnasium.Env
+        With `BeliefObservation` inside.
+    sectors : int
+        Rows of `panorama`, at least 3.
+    reach : float, optional
+        Landmarks farther away do not count, m. None: as far as the landmark sensor of the environment sees.
+
+    Raises
+    ------
+    ValueError
+        `sectors` is not an integer of at least 3, `reach` is not positive, or there is no filter in the loop.
+    """
 
     changes = ("_last_seen", "_in_view", "_times")
 
-    def __init__(self, rows: Rows, sectors: int, reach: float | None) -> None:
-        super().__init__(rows)
+    def __init__(self, env: Any, sectors: int = 12, reach: float | None = None) -> None:
+        super().__init__(env)
         self._sectors = whole_number("sectors", sectors, 3)
         self._beliefs: FilterRows = self.needed("beliefs")
         inner = self.dict_space()
         self._camera, self._noise = self.needed("camera"), self.needed("noise")
         self._reach = self.needed("options").tracking.farthest if reach is None else positive("reach", reach)
-        self._last_seen = np.full((rows.count, sectors), -np.inf)
-        self._in_view = np.zeros((rows.count, sectors))
-        self._times = np.zeros(rows.count)
+        self._last_seen = np.full((env.count, sectors), -np.inf)
+        self._in_view = np.zeros((env.count, sectors))
+        self._times = np.zeros(env.count)
         self._most = inner["uvd"].shape[0] if "uvd" in inner else 1  # type: ignore[index]
         added: dict[str, spaces.Space[Any]] = {
             "panorama": spaces.Box(_LOW, _HIGH, (sectors, len(FEATURES)), np.float32),
@@ -94,51 +129,6 @@ class BeliefPanoramaRows(RowsWrapper):
         in_view = share_in_view(self._camera, self.world.angles()[which, :1], self._sectors)
         self._in_view[which] = in_view
         self._last_seen[which] = np.where(in_view >= 0.5, self._times[which, None], self._last_seen[which])
-
-
-class BeliefPanorama(RowWrapper):
-    """Adds the keys `panorama` (sectors, 6) and `belief_sigmas` (6,) to the observation, float32.
-
-    `panorama`: sector k is the azimuth from -pi + 2 pi k / sectors on, about the vertical of the *car's* straight-ahead
-    direction (the middle of the rows), positive to the right: the observation key `head` (pan, tilt; rad) is taken off
-    the direction of the camera, R_wc = R_wb R_y(pan) R_x(tilt). Without that key the camera looks straight ahead.
-    Columns, 0 in a sector without landmarks, clipped to [-1, 2]:
-
-    | Column | Name | Meaning |
-    |--------|------|---------|
-    | 0 | share | landmarks of the map there within `reach`, over the rows of `uvd`; only those count below, too |
-    | 1 | gain | 0.1 ln(1 + sum of the gains of one look at each, in its position relative to the camera, nats) |
-    | 2 | elevation | mean elevation, over pi/2; up is positive |
-    | 3 | nearness | 1 / (1 + z / 10 m) of the nearest, z its distance |
-    | 4 | in_view | share of the sector that the camera sees now, by azimuth |
-    | 5 | unseen | 1 - exp(-t / 5 s), t the time since half of it was in view; 1: never |
-
-    A look gains ln(sqrt(1 + c_r / s_r^2) (1 + c_l / s_l^2)): c_r and c_l are the variances of the relative position
-    along and across the line of sight, s_r = z^2 sigma_d / (f b) and s_l = z sigma_u / f what one measurement at the
-    distance z leaves of them. Landmarks are taken as independent, so a sum says more than there is.
-
-    `belief_sigmas` are the standard deviations of the pose: position in W, m, and rotation in the camera frame, rad; at
-    most 1e3.
-
-    Parameters
-    ----------
-    env : gymnasium.Env
-        With `BeliefObservation` inside.
-    sectors : int
-        Rows of `panorama`, at least 3.
-    reach : float, optional
-        Landmarks farther away do not count, m. None: as far as the landmark sensor of the environment sees.
-
-    Raises
-    ------
-    ValueError
-        `sectors` is not an integer of at least 3, `reach` is not positive, or there is no filter in the loop.
-    """
-
-    OnRows = BeliefPanoramaRows
-
-    def __init__(self, env: gym.Env[Any, Any], sectors: int = 12, reach: float | None = None) -> None:
-        super().__init__(env)
 
 
 def share_in_view(camera: StereoCamera, pan: float | FloatArray, sectors: int) -> FloatArray:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
-import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 
@@ -17,8 +16,8 @@ from stereo_slam_env.envs.belief_observation import BeliefObservation
 from stereo_slam_env.envs.belief_panorama import BeliefPanorama
 from stereo_slam_env.envs.filter_rows import FilterRows
 from stereo_slam_env.envs.make_vec import inner_environment, of_world, vector_of
-from stereo_slam_env.envs.row_wrapper import RowWrapper, SelectedKeys
-from stereo_slam_env.envs.rows import Arrays, Rows, RowsWrapper, Seeds, Step
+from stereo_slam_env.envs.row_wrapper import RowsWrapper, SelectedKeys
+from stereo_slam_env.envs.rows import Arrays, Rows, Seeds, Step
 from stereo_slam_env.world.routes import through_streets
 from stereo_slam_env.world.street_grid import LEFT, RIGHT, STRAIGHT, Place, StreetGrid
 
@@ -35,19 +34,59 @@ _WORLD: Mapping[str, Any] = {
 _UNPAID = {f"{term}_weight": 0.0 for term in ("progress", "tracking", "collision", "goal", "time")}
 
 
-class BranchChoiceRows(RowsWrapper):
-    """Implementation of `BranchChoice` on rows."""
+class BranchChoice(RowsWrapper):
+    """The agent chooses at each junction which road is driven, and is paid for a map that is true.
+
+    The action is `Discrete(3)`: left, straight on, right; where there is no such road, the first that exists of
+    straight on, right, left is taken. A script drives it to its middle, where the next choice is made; the episode ends
+    after `roads` choices. A landmark of the filter's map counts 1 - (true error / `accuracy`)^2, not less than 0; the
+    share of the map is the sum of that over the number of all landmarks along all roads. The reward of a choice is
+    `weight` times what that share has gained: by new landmarks, by a loop that is closed, which puts right where all
+    others are, or less than 0 by an estimate that goes astray.
+
+    The observation gains `branches` (3, 5), for left, straight on and right: whether there is such a road, whether it
+    has been driven, how many roads further on the nearest is that has not been driven, and that of the start, and the
+    claimed standard deviation of the position there when it was first driven, m, or now where it has not been;
+    `roads_left` (1,); and `mapped` (1,), the share of the map that the filter claims, by its variances instead of
+    squared errors. `info` gains `mapped`, the true share, `roads`, how many different ones have been driven, and
+    `reward_map`; `is_success` is whether the true share has reached `goal` without a collision.
+
+    Parameters
+    ----------
+    env : gymnasium.Env
+        A scripted drive on the route "random-grid", with `BeliefObservation` around it.
+    roads : int
+        Choices in an episode.
+    accuracy : float
+        m.
+    weight : float
+        Paid for the whole map.
+    goal : float
+        Share of the map, above 0.
+
+    Raises
+    ------
+    ValueError
+        An argument is impossible, or the route does not lead through streets.
+    """
 
     changes = ("_places", "_driven", "_sigmas", "_choices", "_credit", "_claimed", "_gained")
     training: ClassVar[Mapping[str, Any]] = {**FEW_DECISIONS, "decisions": 8_192, "evaluate_every": 4_096}
 
-    def __init__(self, rows: Rows, roads: int, accuracy: float, weight: float, goal: float) -> None:
-        super().__init__(rows)
+    def __init__(
+        self,
+        env: Any,
+        roads: int = 12,
+        accuracy: float = 1.0,
+        weight: float = 100.0,
+        goal: float = 0.2,
+    ) -> None:
+        super().__init__(env)
         self._beliefs: FilterRows = self.needed("beliefs")
-        streets_of(rows)  # refused before the first episode
+        streets_of(env)  # refused before the first episode
         self._roads, self._accuracy = whole_number("roads", roads, 1, int(_MOST_ROADS)), positive("accuracy", accuracy)
         self._weight, self._goal = positive("weight", weight), positive("goal", goal)
-        self._still = np.zeros((rows.count, *rows.action_space.shape), dtype=np.float32)
+        self._still = np.zeros((env.count, *env.action_space.shape), dtype=np.float32)
         added = {
             "branches": spaces.Box(0.0, np.tile(_MOST, (3, 1))),
             "roads_left": spaces.Box(0.0, _MOST_ROADS, (1,), np.float32),
@@ -55,12 +94,12 @@ class BranchChoiceRows(RowsWrapper):
         }
         self.observation_space = spaces.Dict({**self.dict_space(), **added})
         self.action_space = spaces.Discrete(3)
-        self._places: list[Place | None] = [None] * rows.count
-        self._choices: list[list[int]] = [[] for _ in range(rows.count)]
-        self._driven: list[BoolArray] = [np.zeros(0, dtype=np.bool_)] * rows.count
-        self._sigmas: list[FloatArray] = [np.zeros(0)] * rows.count
+        self._places: list[Place | None] = [None] * env.count
+        self._choices: list[list[int]] = [[] for _ in range(env.count)]
+        self._driven: list[BoolArray] = [np.zeros(0, dtype=np.bool_)] * env.count
+        self._sigmas: list[FloatArray] = [np.zeros(0)] * env.count
         """Of each road the claimed position sigma when it was first driven, m."""
-        self._credit, self._claimed, self._gained = np.zeros((3, rows.count))
+        self._credit, self._claimed, self._gained = np.zeros((3, env.count))
         """Share of the map, the same as the filter claims it, and what the first has brought in the last decision."""
 
     def begin(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
@@ -160,55 +199,6 @@ class BranchChoiceRows(RowsWrapper):
                 share[b] = np.maximum(1.0 - (each / self._accuracy) ** 2, 0.0).sum() / len(truth)
 
 
-class BranchChoice(RowWrapper):
-    """The agent chooses at each junction which road is driven, and is paid for a map that is true.
-
-    The action is `Discrete(3)`: left, straight on, right; where there is no such road, the first that exists of
-    straight on, right, left is taken. A script drives it to its middle, where the next choice is made; the episode ends
-    after `roads` choices. A landmark of the filter's map counts 1 - (true error / `accuracy`)^2, not less than 0; the
-    share of the map is the sum of that over the number of all landmarks along all roads. The reward of a choice is
-    `weight` times what that share has gained: by new landmarks, by a loop that is closed, which puts right where all
-    others are, or less than 0 by an estimate that goes astray.
-
-    The observation gains `branches` (3, 5), for left, straight on and right: whether there is such a road, whether it
-    has been driven, how many roads further on the nearest is that has not been driven, and that of the start, and the
-    claimed standard deviation of the position there when it was first driven, m, or now where it has not been;
-    `roads_left` (1,); and `mapped` (1,), the share of the map that the filter claims, by its variances instead of
-    squared errors. `info` gains `mapped`, the true share, `roads`, how many different ones have been driven, and
-    `reward_map`; `is_success` is whether the true share has reached `goal` without a collision.
-
-    Parameters
-    ----------
-    env : gymnasium.Env
-        A scripted drive on the route "random-grid", with `BeliefObservation` around it.
-    roads : int
-        Choices in an episode.
-    accuracy : float
-        m.
-    weight : float
-        Paid for the whole map.
-    goal : float
-        Share of the map, above 0.
-
-    Raises
-    ------
-    ValueError
-        An argument is impossible, or the route does not lead through streets.
-    """
-
-    OnRows = BranchChoiceRows
-
-    def __init__(
-        self,
-        env: gym.Env[Any, Any],
-        roads: int = 12,
-        accuracy: float = 1.0,
-        weight: float = 100.0,
-        goal: float = 0.2,
-    ) -> None:
-        super().__init__(env)
-
-
 def streets_of(rows: Rows) -> StreetGrid:
     """The streets of the typical route of rows; a `ValueError` where it leads through none."""
     route = rows.inner("route")
@@ -262,9 +252,9 @@ def branches(
     """
     defaults = {"render_mode": render_mode, **_WORLD, **_UNPAID}
     inside = inner_environment("StereoSlam/Drive-v0", level, of_world(arguments, world), many, **defaults)
-    inside = BeliefPanorama.around(BeliefObservation.around(inside, filter=filter, options=filter_options))
-    paid = {"roads": roads, "accuracy": accuracy, "weight": weight, "goal": goal}
-    return SelectedKeys.around(BranchChoice.around(inside, **paid), keys=KEYS)
+    inside = BeliefPanorama(BeliefObservation(inside, filter=filter, options=filter_options))
+    paid = BranchChoice(inside, roads=roads, accuracy=accuracy, weight=weight, goal=goal)
+    return SelectedKeys(paid, keys=KEYS)
 
 
 branches_vector = vector_of(branches)

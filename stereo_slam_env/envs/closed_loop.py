@@ -7,7 +7,6 @@ from functools import partial
 from types import MappingProxyType
 from typing import Any, ClassVar
 
-import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
@@ -20,8 +19,8 @@ from stereo_slam_env.envs.belief_observation import BeliefObservation
 from stereo_slam_env.envs.belief_panorama import BeliefPanorama
 from stereo_slam_env.envs.filter_rows import FilterRows
 from stereo_slam_env.envs.make_vec import inner_environment, of_world, vector_of
-from stereo_slam_env.envs.row_wrapper import RowWrapper, SelectedKeys
-from stereo_slam_env.envs.rows import Arrays, Rows, RowsWrapper, Seeds, Step
+from stereo_slam_env.envs.row_wrapper import RowsWrapper, SelectedKeys
+from stereo_slam_env.envs.rows import Arrays, Seeds, Step
 from stereo_slam_env.simulator.motion import nearest_frames, routes_ahead
 from stereo_slam_env.simulator.state import ARENA
 from stereo_slam_env.world.routes import FRAME_PERIOD
@@ -70,39 +69,7 @@ def follow_route(
     return action
 
 
-class DriveChoicesRows(RowsWrapper):
-    """Implementation of `DriveChoices` on rows."""
-
-    def __init__(self, rows: Rows, speeds: Sequence[float], pans: Sequence[float], hold: int, stop: int) -> None:
-        super().__init__(rows)
-        self._hold, self._stop = whole_number("hold", hold, 1), whole_number("stop", stop, 2)
-        pairs = [(positive("speeds", speed), pan) for speed in speeds for pan in pans]
-        self._speeds, pan = np.array([(0.0, 0.0), *pairs]).T
-        try:
-            self._route = rows.inner("route_shown")  # by an estimate
-        except AttributeError:
-            self._route = partial(self.world.shown, "route")
-        self._entries: int = rows.action_space.shape[0]
-        self._pans = np.zeros((len(pan), self._entries), dtype=np.float32)
-        self._pans[:, -2], self._pans[0, stop] = pan, 1.0
-        self.action_space = spaces.Discrete(len(pan))
-
-    def advance(self, actions: Any, going: BoolArray) -> Step:
-        """Drive as was chosen until the choice ends, or the episode."""
-        decisions = np.asarray(actions)
-        total, over, late, still = np.zeros(self.count), ~going, np.zeros_like(going), going
-        for _ in range(self._hold):
-            info = {"car": self.world.shown("car"), "route": self._route()}
-            driven = follow_route(info, self._entries, speed=self._speeds[decisions])
-            rewards, ended, cut = self.rows.advance(driven + self._pans[decisions], still)
-            total, over, late = total + rewards, over | ended | cut, late | cut
-            still = going & ~over
-            if not still.any():
-                break
-        return total, going & over & ~late, late
-
-
-class DriveChoices(RowWrapper):
+class DriveChoices(RowsWrapper):
     """An agent that chooses a speed and a direction of gaze every second, or stops; `follow_route` steers.
 
     The action is `Discrete(1 + S P)`: 0 stops, 1 + P s + p is the speed number s and the gaze number p. So what is to
@@ -123,17 +90,40 @@ class DriveChoices(RowWrapper):
         Entry of the action that stops if it is 1.
     """
 
-    OnRows = DriveChoicesRows
-
     def __init__(
         self,
-        env: gym.Env[Any, Any],
+        env: Any,
         speeds: Sequence[float] = (5.0, 8.0),
         pans: Sequence[float] = (-0.7, 0.0, 0.7),
         hold: int = 10,
         stop: int = 2,
     ) -> None:
         super().__init__(env)
+        self._hold, self._stop = whole_number("hold", hold, 1), whole_number("stop", stop, 2)
+        pairs = [(positive("speeds", speed), pan) for speed in speeds for pan in pans]
+        self._speeds, pan = np.array([(0.0, 0.0), *pairs]).T
+        try:
+            self._route = env.inner("route_shown")  # by an estimate
+        except AttributeError:
+            self._route = partial(self.world.shown, "route")
+        self._entries: int = env.action_space.shape[0]
+        self._pans = np.zeros((len(pan), self._entries), dtype=np.float32)
+        self._pans[:, -2], self._pans[0, stop] = pan, 1.0
+        self.action_space = spaces.Discrete(len(pan))
+
+    def advance(self, actions: Any, going: BoolArray) -> Step:
+        """Drive as was chosen until the choice ends, or the episode."""
+        decisions = np.asarray(actions)
+        total, over, late, still = np.zeros(self.count), ~going, np.zeros_like(going), going
+        for _ in range(self._hold):
+            info = {"car": self.world.shown("car"), "route": self._route()}
+            driven = follow_route(info, self._entries, speed=self._speeds[decisions])
+            rewards, ended, cut = self.rows.advance(driven + self._pans[decisions], still)
+            total, over, late = total + rewards, over | ended | cut, late | cut
+            still = going & ~over
+            if not still.any():
+                break
+        return total, going & over & ~late, late
 
 
 KEYS = ("belief_sigmas", "car", "odometry", "progress", "route")
@@ -143,20 +133,32 @@ _SLOW = 5.0
 """Speed of `drive_slowly`, m/s."""
 
 
-class RouteByEstimateRows(RowsWrapper):
-    """Implementation of `RouteByEstimate` on rows."""
+class RouteByEstimate(RowsWrapper):
+    """Shows the route as the filter believes to see it.
+
+    The keys `route` and `progress` of the observation are computed from the pose that the filter estimated `latency`
+    frames ago, and no longer from the truth. So an error of the filter moves the car, and the car moves what the filter
+    sees next.
+
+    Parameters
+    ----------
+    env : gymnasium.Env
+        In which the agent drives, with `BeliefObservation` around it.
+    latency : int
+        Frames.
+    """
 
     changes = ("_poses", "_nearest", "_progress")
     training: ClassVar[Mapping[str, Any]] = {**STEERING, "decisions": 393_216}
 
-    def __init__(self, rows: Rows, latency: int) -> None:
-        super().__init__(rows)
+    def __init__(self, env: Any, latency: int = 0) -> None:
+        super().__init__(env)
         self._latency = whole_number("latency", latency, 0)
         self._beliefs: FilterRows = self.needed("beliefs")
         self._head: Head | None = self.needed("head")
-        self._poses = np.zeros((self._latency + 1, rows.count, 7))
+        self._poses = np.zeros((self._latency + 1, env.count, 7))
         """The latest estimates of the camera if the head looked straight ahead, the newest first."""
-        self._nearest, self._progress = np.zeros(rows.count, dtype=np.int64), np.zeros(rows.count)
+        self._nearest, self._progress = np.zeros(env.count, dtype=np.int64), np.zeros(env.count)
 
     def begin(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
         """The start is known, so the estimate is not late yet."""
@@ -201,27 +203,6 @@ class RouteByEstimateRows(RowsWrapper):
         return np.array(ahead)
 
 
-class RouteByEstimate(RowWrapper):
-    """Shows the route as the filter believes to see it.
-
-    The keys `route` and `progress` of the observation are computed from the pose that the filter estimated `latency`
-    frames ago, and no longer from the truth. So an error of the filter moves the car, and the car moves what the filter
-    sees next.
-
-    Parameters
-    ----------
-    env : gymnasium.Env
-        In which the agent drives, with `BeliefObservation` around it.
-    latency : int
-        Frames.
-    """
-
-    OnRows = RouteByEstimateRows
-
-    def __init__(self, env: gym.Env[Any, Any], latency: int = 0) -> None:
-        super().__init__(env)
-
-
 def closed_loop(
     render_mode: str | None = None,
     *,
@@ -264,9 +245,9 @@ def closed_loop(
     odometry = {"odometry_sigma_linear": 0.2, "odometry_sigma_angular": 0.02}
     defaults = {"render_mode": render_mode, "max_landmarks": 40, "tracking_weight": 0.0, **odometry}
     inside = inner_environment("StereoSlam/Drive-v0", level, of_world(arguments, world), many, **defaults)
-    inside = BeliefPanorama.around(BeliefObservation.around(inside, filter=filter, options=filter_options))
+    inside = BeliefPanorama(BeliefObservation(inside, filter=filter, options=filter_options))
     latency = LATENCIES[level] if latency is None else latency
-    return SelectedKeys.around(RouteByEstimate.around(inside, latency=latency), keys=KEYS)
+    return SelectedKeys(RouteByEstimate(inside, latency=latency), keys=KEYS)
 
 
 closed_loop_vector = vector_of(closed_loop)

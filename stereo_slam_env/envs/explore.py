@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
-import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
@@ -19,8 +18,8 @@ from stereo_slam_env.envs.belief_panorama import BeliefPanorama
 from stereo_slam_env.envs.closed_loop import DriveChoices, RouteByEstimate, drive_slowly
 from stereo_slam_env.envs.filter_rows import FilterRows
 from stereo_slam_env.envs.make_vec import inner_environment, of_world, vector_of
-from stereo_slam_env.envs.row_wrapper import RowWrapper, SelectedKeys
-from stereo_slam_env.envs.rows import Arrays, Rows, RowsWrapper, Seeds, Step
+from stereo_slam_env.envs.row_wrapper import RowsWrapper, SelectedKeys
+from stereo_slam_env.envs.rows import Arrays, Seeds, Step
 from stereo_slam_env.world.routes import FRAME_PERIOD
 
 KEYS = ("belief_sigmas", "panorama", "head", "car", "route", "progress", "coverage")
@@ -33,8 +32,32 @@ _PERIOD, _PAN = 4.0, 0.7
 """Of the head in `explore_by_sweeping`: time to look to both sides, s, and how far, as a share of the farthest."""
 
 
-class CoverageRows(RowsWrapper):
-    """Implementation of `Coverage` on rows."""
+class Coverage(RowsWrapper):
+    """Pays for landmarks that enter the map, and lets the agent stop.
+
+    The landmarks to be mapped are those of the scene no farther from the route than the sensor sees. One is *mapped*
+    once the filter knows its position in W with a standard deviation (root of the trace of the covariance) below
+    `accuracy`, and the estimate is within three times that of the true position; it then stays mapped. So neither a map
+    that is claimed nor a map that is forgotten pays.
+
+    The action has one more entry, number 2: above 0.5 it ends the episode. The observation gains `coverage` (1,), the
+    share that the filter claims to have mapped, 0 to 1: landmarks that it knows that well, where it believes them to be
+    so near the route. `info` gains `coverage`, the true share, `path_length` (m), `reward_coverage` and `reward_path`;
+    `is_success` is whether that has reached `goal` without a collision, and without leaving the lane.
+
+    Parameters
+    ----------
+    env : gymnasium.Env
+        `StereoSlam/DriveGaze-v0` with `BeliefObservation` around it.
+    accuracy : float
+        m.
+    goal : float
+        Share of the landmarks, above 0.
+    coverage_weight : float
+        Paid for the whole map.
+    path_weight : float
+        Price of each metre.
+    """
 
     changes = ("_in_reach", "_mapped", "_claimed", "_shown", "_now", "_terms")
     training: ClassVar[Mapping[str, Any]] = {
@@ -46,8 +69,15 @@ class CoverageRows(RowsWrapper):
     }
     """A car that does not keep its lane yet would learn to stop at once, and so does one that often stops by chance."""
 
-    def __init__(self, rows: Rows, accuracy: float, goal: float, coverage_weight: float, path_weight: float) -> None:
-        super().__init__(rows)
+    def __init__(
+        self,
+        env: Any,
+        accuracy: float = 0.8,
+        goal: float = 0.6,
+        coverage_weight: float = 20.0,
+        path_weight: float = 0.01,
+    ) -> None:
+        super().__init__(env)
         self._beliefs: FilterRows = self.needed("beliefs")
         options = self.needed("options")
         if options.sensor != "landmarks":
@@ -58,12 +88,12 @@ class CoverageRows(RowsWrapper):
         self._prices = np.array([weights[0], -weights[1]])
         coverage = spaces.Box(0.0, 1.0, (1,), np.float32)
         self.observation_space = spaces.Dict({**self.dict_space(), "coverage": coverage})
-        self.action_space = spaces.Box(-1.0, 1.0, (rows.action_space.shape[0] + 1,), np.float32)
-        self._in_reach = [np.zeros(0, dtype=np.bool_)] * rows.count
+        self.action_space = spaces.Box(-1.0, 1.0, (env.action_space.shape[0] + 1,), np.float32)
+        self._in_reach = [np.zeros(0, dtype=np.bool_)] * env.count
         self._mapped, self._claimed = list(self._in_reach), list(self._in_reach)
-        self._shown = np.zeros((rows.count, 1), dtype=np.float32)
+        self._shown = np.zeros((env.count, 1), dtype=np.float32)
         """Claimed coverage."""
-        self._now, self._terms = np.zeros((rows.count, 2)), np.zeros((rows.count, 2))
+        self._now, self._terms = np.zeros((env.count, 2)), np.zeros((env.count, 2))
         """Coverage and metres driven, and what they have brought in the last step."""
 
     def begin(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
@@ -122,46 +152,6 @@ class CoverageRows(RowsWrapper):
         return np.asarray(away.min(axis=1, initial=np.inf) <= self._farthest)
 
 
-class Coverage(RowWrapper):
-    """Pays for landmarks that enter the map, and lets the agent stop.
-
-    The landmarks to be mapped are those of the scene no farther from the route than the sensor sees. One is *mapped*
-    once the filter knows its position in W with a standard deviation (root of the trace of the covariance) below
-    `accuracy`, and the estimate is within three times that of the true position; it then stays mapped. So neither a map
-    that is claimed nor a map that is forgotten pays.
-
-    The action has one more entry, number 2: above 0.5 it ends the episode. The observation gains `coverage` (1,), the
-    share that the filter claims to have mapped, 0 to 1: landmarks that it knows that well, where it believes them to be
-    so near the route. `info` gains `coverage`, the true share, `path_length` (m), `reward_coverage` and `reward_path`;
-    `is_success` is whether that has reached `goal` without a collision, and without leaving the lane.
-
-    Parameters
-    ----------
-    env : gymnasium.Env
-        `StereoSlam/DriveGaze-v0` with `BeliefObservation` around it.
-    accuracy : float
-        m.
-    goal : float
-        Share of the landmarks, above 0.
-    coverage_weight : float
-        Paid for the whole map.
-    path_weight : float
-        Price of each metre.
-    """
-
-    OnRows = CoverageRows
-
-    def __init__(
-        self,
-        env: gym.Env[Any, Any],
-        accuracy: float = 0.8,
-        goal: float = 0.6,
-        coverage_weight: float = 20.0,
-        path_weight: float = 0.01,
-    ) -> None:
-        super().__init__(env)
-
-
 def explore(
     render_mode: str | None = None,
     *,
@@ -210,11 +200,11 @@ def explore(
     unpaid = dict.fromkeys(("progress_weight", "tracking_weight", "goal_weight", "effort_weight"), 0.0)
     defaults = {"render_mode": render_mode, "route": "random-loop", "time_weight": 0.05, **unpaid}
     inside = inner_environment("StereoSlam/DriveGaze-v0", level, of_world(arguments, world), many, **defaults)
-    inside = BeliefPanorama.around(BeliefObservation.around(inside, filter=filter, options=filter_options))
-    inside = RouteByEstimate.around(inside)
+    inside = BeliefPanorama(BeliefObservation(inside, filter=filter, options=filter_options))
+    inside = RouteByEstimate(inside)
     weights = {"coverage_weight": coverage_weight, "path_weight": path_weight}
-    paid = Coverage.around(inside, accuracy=accuracy, goal=goal, **weights)
-    return SelectedKeys.around(paid if choices is None else DriveChoices.around(paid, **choices), keys=KEYS)
+    paid = Coverage(inside, accuracy=accuracy, goal=goal, **weights)
+    return SelectedKeys(paid if choices is None else DriveChoices(paid, **choices), keys=KEYS)
 
 
 explore_vector = vector_of(explore)

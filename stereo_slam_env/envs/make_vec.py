@@ -87,17 +87,17 @@ def stereo_vector(
         raise ValueError("panorama, information and error need a filter in the loop: give belief={}")
     rows = limited(rows_of(name, num_envs, options, scenes=scenes, threads=threads), max_episode_steps)
     if belief is not None:
-        rows = BeliefObservation.around(rows, **belief)
+        rows = BeliefObservation(rows, **belief)
     if panorama is not None:
-        rows = BeliefPanorama.around(rows, **panorama)
+        rows = BeliefPanorama(rows, **panorama)
     if information is not None:
-        rows = InformationGain.around(rows, **{"of": "pose", **information})
+        rows = InformationGain(rows, **{"of": "pose", **information})
     if error is not None:
-        rows = TrueError.around(rows, **error)
+        rows = TrueError(rows, **error)
     if pans is not None:
-        rows = DirectionOfGaze.around(rows, pans=pans)
+        rows = DirectionOfGaze(rows, pans=pans)
     if keys is not None:
-        rows = SelectedKeys.around(rows, keys=keys)
+        rows = SelectedKeys(rows, keys=keys)
     return RowsVectorEnv(rows, autoreset_mode)
 
 

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, ClassVar
 
-import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 
@@ -17,8 +16,8 @@ from stereo_slam_env.envs.belief_observation import BeliefObservation
 from stereo_slam_env.envs.belief_panorama import BeliefPanorama
 from stereo_slam_env.envs.make_vec import inner_environment, of_world, vector_of
 from stereo_slam_env.envs.rewards import InformationGain
-from stereo_slam_env.envs.row_wrapper import RowWrapper, SelectedKeys
-from stereo_slam_env.envs.rows import Arrays, Rows, RowsWrapper, Seeds, Step
+from stereo_slam_env.envs.row_wrapper import RowsWrapper, SelectedKeys
+from stereo_slam_env.envs.rows import Arrays, Seeds, Step
 from stereo_slam_env.simulator.state import ODOMETRY_SIGMAS
 from stereo_slam_env.world.routes import Route
 
@@ -36,8 +35,32 @@ _BEYOND, _KNOWN_AGAIN = 5.0, -48.0
 """Of `close_if_it_pays`: metres beyond the start, and the sum of 2 ln(sigma) that is left there."""
 
 
-class LoopClosureRows(RowsWrapper):
-    """Implementation of `LoopClosure` on rows."""
+class LoopClosure(RowsWrapper):
+    """The agent takes over on the way round a block, and decides every second whether to drive on or to stop.
+
+    `reset` drives from the start of the route to a place somewhere between the shares `begin` of the way to the start
+    pose, with the filter running, and draws a price for a metre, evenly between 0 and `dearest`. The action is
+    `Discrete(2)`: 0 stops, which ends the episode, 1 drives on for `hold` steps, looking straight ahead. The reward is
+    that of the environment, what was learnt, minus the price of the metres. The observation gains `ahead` (1,), the
+    planned way to the place where the route passes its start, m, below 0 beyond it, and `price` (1,), per metre. `info`
+    gains `reward_path`; `is_success` is whether the loop was closed and that has paid.
+
+    Parameters
+    ----------
+    env : gymnasium.Env
+        `StereoSlam/Gaze-v0` on a route that passes its start again, with a reward for what is learnt.
+    begin : (2,) sequence of float
+        Shares of the way.
+    dearest : float
+        Per metre, in units of the reward of `env`.
+    hold : int
+        Steps of a decision.
+
+    Raises
+    ------
+    ValueError
+        An argument is impossible, or the route does not come back to its start.
+    """
 
     changes = ("_closing", "_steps", "_price", "_driven", "_total", "_learnt", "_path")
     training: ClassVar[Mapping[str, Any]] = {
@@ -55,25 +78,31 @@ class LoopClosureRows(RowsWrapper):
     """Whoever stops every other time never sees a loop closed. Most of the time is the way to the first decision, and
     the more environments there are, the more drive it together."""
 
-    def __init__(self, rows: Rows, begin: Sequence[float], dearest: float, hold: int) -> None:
-        super().__init__(rows)
+    def __init__(
+        self,
+        env: Any,
+        begin: Sequence[float] = (0.5, 0.95),
+        dearest: float = 0.4,
+        hold: int = 10,
+    ) -> None:
+        super().__init__(env)
         low, high = (positive("begin", share, allow_zero=True) for share in begin)
         if not low <= high <= 1.0:
             raise ValueError(f"begin must be two shares that ascend to 1 at most, got {tuple(begin)}")
         self._begin, self._dearest = (low, high), positive("dearest", dearest)
         self._hold = whole_number("hold", hold, 1)
         closing_distance(self.needed("route"))  # refused before the first episode
-        self._closing = np.zeros(rows.count)
-        self._still = np.zeros((rows.count, *rows.action_space.shape), dtype=np.float32)
+        self._closing = np.zeros(env.count)
+        self._still = np.zeros((env.count, *env.action_space.shape), dtype=np.float32)
         added = {
             "ahead": spaces.Box(-_FARTHEST, _FARTHEST, (1,), np.float32),
             "price": spaces.Box(0.0, max(dearest, max(DEAREST.values())), (1,), np.float32),
         }
         self.observation_space = spaces.Dict({**self.dict_space(), **added})
         self.action_space = spaces.Discrete(2)
-        self._steps = np.zeros(rows.count, dtype=np.int64)
-        self._price, self._driven, self._total = (np.zeros(rows.count) for _ in range(3))
-        self._learnt, self._path = np.zeros(rows.count), np.zeros(rows.count)
+        self._steps = np.zeros(env.count, dtype=np.int64)
+        self._price, self._driven, self._total = (np.zeros(env.count) for _ in range(3))
+        self._learnt, self._path = np.zeros(env.count), np.zeros(env.count)
 
     def begin(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
         """Draw a place and a price, and drive there."""
@@ -128,45 +157,6 @@ class LoopClosureRows(RowsWrapper):
         step = self.rows.advance(self._still, going)
         self._steps[going] += 1
         return step
-
-
-class LoopClosure(RowWrapper):
-    """The agent takes over on the way round a block, and decides every second whether to drive on or to stop.
-
-    `reset` drives from the start of the route to a place somewhere between the shares `begin` of the way to the start
-    pose, with the filter running, and draws a price for a metre, evenly between 0 and `dearest`. The action is
-    `Discrete(2)`: 0 stops, which ends the episode, 1 drives on for `hold` steps, looking straight ahead. The reward is
-    that of the environment, what was learnt, minus the price of the metres. The observation gains `ahead` (1,), the
-    planned way to the place where the route passes its start, m, below 0 beyond it, and `price` (1,), per metre. `info`
-    gains `reward_path`; `is_success` is whether the loop was closed and that has paid.
-
-    Parameters
-    ----------
-    env : gymnasium.Env
-        `StereoSlam/Gaze-v0` on a route that passes its start again, with a reward for what is learnt.
-    begin : (2,) sequence of float
-        Shares of the way.
-    dearest : float
-        Per metre, in units of the reward of `env`.
-    hold : int
-        Steps of a decision.
-
-    Raises
-    ------
-    ValueError
-        An argument is impossible, or the route does not come back to its start.
-    """
-
-    OnRows = LoopClosureRows
-
-    def __init__(
-        self,
-        env: gym.Env[Any, Any],
-        begin: Sequence[float] = (0.5, 0.95),
-        dearest: float = 0.4,
-        hold: int = 10,
-    ) -> None:
-        super().__init__(env)
 
 
 def closing_distance(route: Route) -> float:
@@ -227,9 +217,9 @@ def revisit(
     given = {**_ODOMETRY, **of_world(arguments, world)}
     inside = inner_environment("StereoSlam/Gaze-v0", level, given, many, **defaults)
     dearest = DEAREST[level] if dearest is None else dearest
-    inside = BeliefPanorama.around(BeliefObservation.around(inside, filter=filter, options=filter_options))
-    paid = InformationGain.around(inside, of="pose", resolution=(0.01, 0.001))
-    return SelectedKeys.around(LoopClosure.around(paid, begin=begin, dearest=dearest, hold=hold), keys=KEYS)
+    inside = BeliefPanorama(BeliefObservation(inside, filter=filter, options=filter_options))
+    paid = InformationGain(inside, of="pose", resolution=(0.01, 0.001))
+    return SelectedKeys(LoopClosure(paid, begin=begin, dearest=dearest, hold=hold), keys=KEYS)
 
 
 revisit_vector = vector_of(revisit)

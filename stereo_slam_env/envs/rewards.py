@@ -6,7 +6,6 @@ from collections import deque
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal, get_args
 
-import gymnasium as gym
 import numpy as np
 
 from filters.contract.validation import finite_number, one_of, whole_number
@@ -14,8 +13,8 @@ from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.motions.constant_velocity import ConstantVelocity
 from stereo_slam_env.envs.filter_rows import FilterRows
 from stereo_slam_env.envs.information import Criterion, InformationCriterion, Subject
-from stereo_slam_env.envs.row_wrapper import RowWrapper
-from stereo_slam_env.envs.rows import Arrays, Rows, RowsWrapper, Seeds, Step
+from stereo_slam_env.envs.row_wrapper import RowsWrapper
+from stereo_slam_env.envs.rows import Arrays, Seeds, Step
 from stereo_slam_env.evaluation.bands import mean_band
 from stereo_slam_env.evaluation.cramer_rao import ReferenceBelief
 
@@ -23,27 +22,86 @@ BeliefOf = Literal["filter", "reference"]
 """Belief that is paid for: that of the filter in the loop, or the reference belief."""
 
 
-class InformationGainRows(RowsWrapper):
-    """Implementation of `InformationGain` on rows."""
+class InformationGain(RowsWrapper):
+    """The reward of a step is the decrease of a potential, the uncertainty of pose and map.
 
+    So the return telescopes: it is the potential at reset minus the potential at the end, times `weight`, whatever
+    happened between and however long it took. The potentials are those of `envs.information`; there every unseen
+    landmark stands at a prior, so that discovering one is never punished. A landmark that leaves the map falls back to
+    the prior: its information is lost, and costs what it had earned. (The named filters drop landmarks as soon as
+    they are out of sight; `BeliefObservation(env, options={"drop_unseen": False})` keeps them.)
+
+    Driving costs information: the first step most (some 90 nats of the pose), because the start is known as if exactly.
+
+    **Over-confidence.** A covariance is the filter's claim, and an over-confident filter earns more. Two guards:
+
+    - `belief="reference"`: the potential is that of the best estimator, linearised at the truth and fed with the same
+      frames (approximately the posterior Cramer-Rao bound): the same for all filters, and without one.
+    - `nees_gate=0.95`: while the pose NEES (position and rotation) exceeds the upper end of the two-sided chi-square
+      band of that probability, nothing is credited: the potential stays where it was, or rises with the filter's. The
+      reward of such a step is never positive. What the filter claimed meanwhile is credited once it is consistent
+      again. The return still telescopes, but to the *credited* potential; that one depends on the truth and on the
+      past, not on the belief alone, so it is no potential-based shaping of the belief-space task, and a policy cannot
+      know it from the belief. A consistent filter exceeds the band in 2.5 % of the steps, too.
+
+    `info` gains `reward_information` (0 at reset) and `information_potential` (credited, if there is a gate); with
+    `report_both` also `reward_information_claimed` and `reward_information_reference`, of filter and reference, before
+    any gate. A filter whose claims exceed the reference over many episodes is over-confident; in one episode noise and
+    the landmarks that its gate refused move them either way.
+
+    Parameters
+    ----------
+    env : gymnasium.Env
+        With `BeliefObservation` inside, where the filter's belief is needed.
+    criterion : {"log-det", "entropy", "d-optimality", "a-optimality", "e-optimality"}
+        Potential; nats for the first two, else m^2.
+    of : {"map", "pose"}
+        Of pose and map together, or of the pose alone.
+    prior_sigma : float
+        Standard deviation of the position of an unseen landmark, m, each axis.
+    resolution : (2,) sequence of float
+        To know position, m, and rotation, rad, better than this is worth next to nothing, see `InformationCriterion`.
+    belief : {"filter", "reference"}
+        Belief whose potential counts.
+    nees_gate : float, optional
+        Probability of the chi-square band; only with `belief="filter"`. None: no gate.
+    weight : float
+        Of the reward.
+    keep_reward : bool
+        Add it to the reward of the environment, instead of replacing that.
+    max_age : int, optional
+        Frames without a sighting after which a landmark leaves the reference belief; 0, like the named filters, at
+        once; None: never, which costs more and more.
+    use_odometry : bool
+        Whether the reference is given the odometry.
+    report_both : bool
+        Run both, the filter's and the reference belief, whichever the reward is made of.
+
+    Raises
+    ------
+    ValueError
+        An argument is unknown or impossible, or there is no filter in the loop where one is needed.
+    """
+
+    shared = ("reference",)
     changes = ("_recent", "references", "_potentials", "_gains", "_credited", "_gain")
 
     def __init__(
         self,
-        rows: Rows,
-        criterion: Criterion,
-        of: Subject,
-        prior_sigma: float,
-        resolution: Sequence[float],
-        belief: BeliefOf,
-        nees_gate: float | None,
-        weight: float,
-        keep_reward: bool,
-        max_age: int | None,
-        use_odometry: bool,
-        report_both: bool,
+        env: Any,
+        criterion: Criterion = "log-det",
+        of: Subject = "map",
+        prior_sigma: float = 10.0,
+        resolution: Sequence[float] = (0.0, 0.0),
+        belief: BeliefOf = "filter",
+        nees_gate: float | None = None,
+        weight: float = 1.0,
+        keep_reward: bool = False,
+        max_age: int | None = 0,
+        use_odometry: bool = True,
+        report_both: bool = False,
     ) -> None:
-        super().__init__(rows)
+        super().__init__(env)
         one_of("belief", belief, get_args(BeliefOf))
         if nees_gate is not None and belief == "reference":
             raise ValueError("nees_gate must be None with belief='reference', which claims nothing to be judged")
@@ -53,15 +111,15 @@ class InformationGainRows(RowsWrapper):
         self._paid, self._weight, self._keep_reward = belief, finite_number("weight", weight), keep_reward
         self._both, self._use_odometry = report_both, use_odometry
         self._ages = max_age is not None
-        self._recent: list[deque[IntArray]] = [deque(maxlen=frames_kept) for _ in range(rows.count)]
+        self._recent: list[deque[IntArray]] = [deque(maxlen=frames_kept) for _ in range(env.count)]
         self._beliefs: FilterRows | None = None
         if belief == "filter" or report_both:
             self._beliefs = self.needed("beliefs")
-        self.references: list[ReferenceBelief | None] = [None] * rows.count
+        self.references: list[ReferenceBelief | None] = [None] * env.count
         """The reference beliefs after the current frames, where they are run."""
         names = [name for name in get_args(BeliefOf) if report_both or name == belief]
-        self._potentials, self._gains = ({name: np.zeros(rows.count) for name in names} for _ in range(2))
-        self._credited, self._gain = np.zeros(rows.count), np.zeros(rows.count)
+        self._potentials, self._gains = ({name: np.zeros(env.count) for name in names} for _ in range(2))
+        self._credited, self._gain = np.zeros(env.count), np.zeros(env.count)
 
     def begin(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
         """Start without a gain."""
@@ -140,129 +198,16 @@ class InformationGainRows(RowsWrapper):
             consistent[b] = self._beliefs.belief(b).nees(truth)[2] <= self._limit
         return consistent
 
-
-class InformationGain(RowWrapper):
-    """The reward of a step is the decrease of a potential, the uncertainty of pose and map.
-
-    So the return telescopes: it is the potential at reset minus the potential at the end, times `weight`, whatever
-    happened between and however long it took. The potentials are those of `envs.information`; there every unseen
-    landmark stands at a prior, so that discovering one is never punished. A landmark that leaves the map falls back to
-    the prior: its information is lost, and costs what it had earned. (The named filters drop landmarks as soon as
-    they are out of sight; `BeliefObservation(env, options={"drop_unseen": False})` keeps them.)
-
-    Driving costs information: the first step most (some 90 nats of the pose), because the start is known as if exactly.
-
-    **Over-confidence.** A covariance is the filter's claim, and an over-confident filter earns more. Two guards:
-
-    - `belief="reference"`: the potential is that of the best estimator, linearised at the truth and fed with the same
-      frames (approximately the posterior Cramer-Rao bound): the same for all filters, and without one.
-    - `nees_gate=0.95`: while the pose NEES (position and rotation) exceeds the upper end of the two-sided chi-square
-      band of that probability, nothing is credited: the potential stays where it was, or rises with the filter's. The
-      reward of such a step is never positive. What the filter claimed meanwhile is credited once it is consistent
-      again. The return still telescopes, but to the *credited* potential; that one depends on the truth and on the
-      past, not on the belief alone, so it is no potential-based shaping of the belief-space task, and a policy cannot
-      know it from the belief. A consistent filter exceeds the band in 2.5 % of the steps, too.
-
-    `info` gains `reward_information` (0 at reset) and `information_potential` (credited, if there is a gate); with
-    `report_both` also `reward_information_claimed` and `reward_information_reference`, of filter and reference, before
-    any gate. A filter whose claims exceed the reference over many episodes is over-confident; in one episode noise and
-    the landmarks that its gate refused move them either way.
-
-    Parameters
-    ----------
-    env : gymnasium.Env
-        With `BeliefObservation` inside, where the filter's belief is needed.
-    criterion : {"log-det", "entropy", "d-optimality", "a-optimality", "e-optimality"}
-        Potential; nats for the first two, else m^2.
-    of : {"map", "pose"}
-        Of pose and map together, or of the pose alone.
-    prior_sigma : float
-        Standard deviation of the position of an unseen landmark, m, each axis.
-    resolution : (2,) sequence of float
-        To know position, m, and rotation, rad, better than this is worth next to nothing, see `InformationCriterion`.
-    belief : {"filter", "reference"}
-        Belief whose potential counts.
-    nees_gate : float, optional
-        Probability of the chi-square band; only with `belief="filter"`. None: no gate.
-    weight : float
-        Of the reward.
-    keep_reward : bool
-        Add it to the reward of the environment, instead of replacing that.
-    max_age : int, optional
-        Frames without a sighting after which a landmark leaves the reference belief; 0, like the named filters, at
-        once; None: never, which costs more and more.
-    use_odometry : bool
-        Whether the reference is given the odometry.
-    report_both : bool
-        Run both, the filter's and the reference belief, whichever the reward is made of.
-
-    Raises
-    ------
-    ValueError
-        An argument is unknown or impossible, or there is no filter in the loop where one is needed.
-    """
-
-    OnRows = InformationGainRows
-
-    def __init__(
-        self,
-        env: gym.Env[Any, Any],
-        criterion: Criterion = "log-det",
-        of: Subject = "map",
-        prior_sigma: float = 10.0,
-        resolution: Sequence[float] = (0.0, 0.0),
-        belief: BeliefOf = "filter",
-        nees_gate: float | None = None,
-        weight: float = 1.0,
-        keep_reward: bool = False,
-        max_age: int | None = 0,
-        use_odometry: bool = True,
-        report_both: bool = False,
-    ) -> None:
-        super().__init__(env)
-
     @property
     def reference(self) -> ReferenceBelief:
-        """The reference belief after the current frame, where one is run."""
-        reference: ReferenceBelief | None = self.rows.references[0]
+        """The reference belief of one environment after the current frame, where it is run."""
+        reference = self.references[self.only_row("reference")]
         if reference is None:
             raise RuntimeError("there is no reference belief: use belief='reference' or report_both, and reset first")
         return reference
 
 
-class TrueErrorRows(RowsWrapper):
-    """Implementation of `TrueError` on rows."""
-
-    changes = ("_squares",)
-
-    def __init__(self, rows: Rows, weight: float, keep_reward: bool) -> None:
-        super().__init__(rows)
-        self._beliefs: FilterRows = self.needed("beliefs")
-        self._weight, self._keep_reward = finite_number("weight", weight), keep_reward
-        self._squares = np.zeros(rows.count)
-
-    def begin(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
-        self.rows.begin(chosen, seeds, options)
-        self._squares = np.where(chosen, self._now(), self._squares)
-
-    def advance(self, actions: Any, going: BoolArray) -> Step:
-        """The reward is the error after the step."""
-        rewards, terminated, truncated = self.rows.advance(actions, going)
-        self._squares = np.where(going, self._now(), self._squares)
-        paid = np.where(going, -self._weight * self._squares, 0.0)
-        return rewards + paid if self._keep_reward else paid, terminated, truncated
-
-    def look(self) -> tuple[Arrays, Arrays]:
-        observation, info = self.rows.look()
-        return observation, {**info, "reward_error": -self._weight * self._squares}
-
-    def _now(self) -> FloatArray:
-        """Squared errors of all rows, m^2; (B,)."""
-        errors = self._beliefs.poses[:, :3] - self.world.true_positions()
-        return np.asarray(np.einsum("bi,bi->b", errors, errors))
-
-
-class TrueError(RowWrapper):
+class TrueError(RowsWrapper):
     """The reward of a step is minus the squared true error of the filter's position, m^2.
 
     A filter cannot earn by claiming more than it knows, as it can by `InformationGain`. The reward needs the truth,
@@ -285,7 +230,30 @@ class TrueError(RowWrapper):
         There is no filter in the loop, or the weight is not finite.
     """
 
-    OnRows = TrueErrorRows
+    changes = ("_squares",)
 
-    def __init__(self, env: gym.Env[Any, Any], weight: float = 1.0, keep_reward: bool = False) -> None:
+    def __init__(self, env: Any, weight: float = 1.0, keep_reward: bool = False) -> None:
         super().__init__(env)
+        self._beliefs: FilterRows = self.needed("beliefs")
+        self._weight, self._keep_reward = finite_number("weight", weight), keep_reward
+        self._squares = np.zeros(env.count)
+
+    def begin(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
+        self.rows.begin(chosen, seeds, options)
+        self._squares = np.where(chosen, self._now(), self._squares)
+
+    def advance(self, actions: Any, going: BoolArray) -> Step:
+        """The reward is the error after the step."""
+        rewards, terminated, truncated = self.rows.advance(actions, going)
+        self._squares = np.where(going, self._now(), self._squares)
+        paid = np.where(going, -self._weight * self._squares, 0.0)
+        return rewards + paid if self._keep_reward else paid, terminated, truncated
+
+    def look(self) -> tuple[Arrays, Arrays]:
+        observation, info = self.rows.look()
+        return observation, {**info, "reward_error": -self._weight * self._squares}
+
+    def _now(self) -> FloatArray:
+        """Squared errors of all rows, m^2; (B,)."""
+        errors = self._beliefs.poses[:, :3] - self.world.true_positions()
+        return np.asarray(np.einsum("bi,bi->b", errors, errors))

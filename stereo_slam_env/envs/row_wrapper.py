@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from inspect import signature
+from abc import ABCMeta
+from collections.abc import Collection, Mapping, Sequence
+from inspect import Signature, signature
 from typing import Any, ClassVar
 
 import gymnasium as gym
@@ -13,48 +14,65 @@ from gymnasium.utils import RecordConstructorArgs
 
 from filters.contract.validation import require_known, whole_number
 from filters.geometry.arrays import BoolArray, FloatArray
-from stereo_slam_env.envs.rows import Arrays, OneRow, Rows, RowsWrapper, Step, checked_actions
+from stereo_slam_env.envs.rows import Arrays, OneRow, Rows, Seeds, Step, checked_actions
 from stereo_slam_env.envs.stereo_env import row_of
-from stereo_slam_env.simulator.state import Kept
+from stereo_slam_env.simulator.state import Kept, State
 from stereo_slam_env.world.vehicle import Head
 
 _ALL = np.ones(1, dtype=np.bool_)
 
 
-class RowWrapper(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs, Kept):
-    """A wrapper that does what its `OnRows` does on many rows, on one.
+class _OneClass(ABCMeta):
+    """Class of wrappers: around rows it makes an instance, around an environment one of Gymnasium's wrappers."""
 
-    Arguments of `OnRows` are the rows inside, and by their names those of the wrapper. They are JSON-able and kept:
-    `env.spec` knows the wrapper, and pickle and deepcopy make a fresh one.
+    def __init__(cls, name: str, bases: tuple[type, ...], namespace: dict[str, Any]) -> None:
+        super().__init__(name, bases, namespace)
+        parameters = list(signature(cls.__init__).parameters.values())[1:]  # type: ignore[misc]
+        cls.__signature__ = Signature(parameters)
+        about = {"__module__": cls.__module__, "__doc__": cls.__doc__, "__signature__": cls.__signature__}
+        cls.Single = type(name, (RowWrapper,), {**about, "OnRows": cls})
+
+    def __call__(cls, env: gym.Env[Any, Any] | Rows, *args: Any, **arguments: Any) -> Any:
+        try:
+            bound = cls.__signature__.bind(env, *args, **arguments)
+        except TypeError as error:
+            raise TypeError(f"{cls.__name__}: {error}") from None
+        bound.apply_defaults()
+        (_, inside), *bound_arguments = bound.arguments.items()
+        settings = {name: list(value) if isinstance(value, tuple) else value for name, value in bound_arguments}
+        return super().__call__(inside, **settings) if isinstance(inside, Rows) else cls.Single(inside, settings)
+
+    def __instancecheck__(cls, instance: object) -> bool:
+        return super().__instancecheck__(
+            getattr(instance, "rows", None) if isinstance(instance, RowWrapper) else instance
+        )
+
+
+class RowWrapper(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs, Kept):
+    """A `RowsWrapper` around a single environment.
+
+    Its arguments are JSON-able and kept: `env.spec` knows the wrapper, and pickle and deepcopy make a fresh one.
     """
 
     changes = ("rows",)
-    OnRows: ClassVar[Callable[..., RowsWrapper]]
+    OnRows: ClassVar[Any]
     arguments: dict[str, Any]
     """All arguments beside `env`, defaults included."""
 
-    def __new__(cls, env: gym.Env[Any, Any], *args: Any, **arguments: Any) -> RowWrapper:
-        """Keep the arguments of the subclass, defaults included."""
-        wrapper = super().__new__(cls)
-        wrapper.arguments = cls._bound(env, *args, **arguments)
-        return wrapper
-
-    def __init__(self, env: gym.Env[Any, Any]) -> None:
-        RecordConstructorArgs.__init__(self, **self.arguments)
+    def __init__(self, env: gym.Env[Any, Any], arguments: dict[str, Any]) -> None:
+        self.arguments = arguments
+        RecordConstructorArgs.__init__(self, **arguments)
         gym.Wrapper.__init__(self, env)
-        self.rows: Any = type(self).OnRows(OneRow(env), **self.arguments)
+        self.rows: Any = type(self).OnRows(OneRow(env), **arguments)
         self.observation_space, self.action_space = self.rows.observation_space, self.rows.action_space
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return _made_again, (type(self), self.env, self.arguments)
+        return _made_again, (type(self).OnRows, self.env, self.arguments)
 
-    @classmethod
-    def _bound(cls, env: object, *args: Any, **arguments: Any) -> dict[str, Any]:
-        """All arguments beside `env`, defaults included."""
-        bound = signature(cls).bind(env, *args, **arguments)
-        bound.apply_defaults()
-        bound_arguments = list(bound.arguments.items())[1:]
-        return {name: list(value) if isinstance(value, tuple) else value for name, value in bound_arguments}
+    def __getattr__(self, name: str) -> Any:
+        if name in type(self).OnRows.shared:
+            return getattr(self.rows, name)
+        raise AttributeError(f"{type(self).__name__} has no attribute {name!r}")
 
     def inner(self, name: str) -> Any:
         """Attribute `name` of the environment or of a wrapper inside; a `ValueError` says what would offer it."""
@@ -63,13 +81,6 @@ class RowWrapper(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs, Kept):
         except AttributeError:
             source = "BeliefObservation" if name in ("slam", "belief") else "an environment StereoSlam/..."
             raise ValueError(f"{type(self).__name__} needs {name!r}: wrap {source} with it") from None
-
-    @classmethod
-    def around(cls, inside: gym.Env[Any, Any] | Rows, **arguments: Any) -> Any:
-        """The wrapper around one environment, or around rows."""
-        if isinstance(inside, Rows):
-            return cls.OnRows(inside, **cls._bound(inside, **arguments))
-        return cls(inside, **arguments)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Reset the environment."""
@@ -100,26 +111,79 @@ def _one_row(action: Any) -> Any:
         return [action]
 
 
-def _made_again(kind: type[RowWrapper], env: gym.Env[Any, Any], arguments: dict[str, Any]) -> RowWrapper:
-    return kind(env, **arguments)
+def _made_again(kind: Any, env: gym.Env[Any, Any], arguments: dict[str, Any]) -> RowWrapper:
+    wrapper: RowWrapper = kind(env, **arguments)
+    return wrapper
 
 
-class SelectedKeysRows(RowsWrapper):
-    """Implementation of `SelectedKeys` on rows."""
+class RowsWrapper(Rows, metaclass=_OneClass):
+    """Rows that pass on what the rows inside say; a subclass changes some of it, and is a wrapper for both.
 
-    def __init__(self, rows: Rows, keys: Sequence[str]) -> None:
-        super().__init__(rows)
-        inner = self.dict_space()
-        require_known("the observation has no key", keys, inner)
-        self.observation_space, self._keys = spaces.Dict({key: inner[key] for key in keys}), list(keys)
-        rows.want(self._keys)
+    `MyWrapper(env, ...)` is a wrapper of Gymnasium around one environment, `MyWrapper(rows, ...)` rows around rows. The
+    first parameter of its `__init__` is called `env`, and is rows there; the others are JSON-able.
+    """
+
+    shared: ClassVar[tuple[str, ...]] = ()
+    """Attributes that the wrapper around one environment has, too."""
+
+    def __init__(self, env: Any) -> None:
+        self.rows: Rows = env
+        self.count, self.world = self.rows.count, self.rows.world
+        self.observation_space, self.action_space = self.rows.observation_space, self.rows.action_space
+
+    def begin(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
+        self.rows.begin(chosen, seeds, options)
+
+    def advance(self, actions: Any, going: BoolArray) -> Step:
+        return self.rows.advance(actions, going)
 
     def look(self) -> tuple[Arrays, Arrays]:
-        observation, info = self.rows.look()
-        return {key: observation[key] for key in self._keys}, info
+        return self.rows.look()
+
+    def inner(self, name: str) -> Any:
+        return getattr(self, name) if hasattr(self, name) else self.rows.inner(name)
+
+    def want(self, keys: Collection[str]) -> None:
+        self.rows.want(keys)
+
+    def snapshot(self) -> State:
+        """State of a row, that of the rows inside included."""
+        return {**super().snapshot(), "rows": self.rows.snapshot()}
+
+    def restore(self, state: Mapping[str, Any]) -> None:
+        self.rows.restore(state["rows"])
+        super().restore(state)
+
+    def close(self) -> None:
+        self.rows.close()
+
+    def needed(self, name: str) -> Any:
+        """Demand attributes of the rows inside; a `ValueError` says what would offer it."""
+        try:
+            return self.rows.inner(name)
+        except AttributeError:
+            name, source = (
+                ("slam", "BeliefObservation") if name == "beliefs" else (name, "an environment StereoSlam/...")
+            )
+            raise ValueError(f"{type(self).__name__} needs {name!r}: wrap {source} with it") from None
+
+    def dict_space(self) -> dict[str, spaces.Space[Any]]:
+        """The spaces of the observation inside; a `ValueError` where it is no Dict."""
+        inside = self.rows.observation_space
+        if not isinstance(inside, spaces.Dict):
+            raise ValueError(
+                f"{type(self).__name__} needs a Dict observation, got {inside}: put what flattens it outside"
+            )
+        return dict(inside.spaces)
+
+    def only_row(self, name: str) -> int:
+        """Number of the only row; an `AttributeError` says that several have no such attribute."""
+        if self.count != 1:
+            raise AttributeError(f"{self.count} environments have no {name!r} of their own")
+        return 0
 
 
-class SelectedKeys(RowWrapper):
+class SelectedKeys(RowsWrapper):
     """Some keys of the Dict observation. Unlike `gymnasium.wrappers.FilterObservation` it can be pickled.
 
     Parameters
@@ -135,28 +199,19 @@ class SelectedKeys(RowWrapper):
         The observation is no Dict, or is without one of the keys.
     """
 
-    OnRows = SelectedKeysRows
-
-    def __init__(self, env: gym.Env[Any, Any], keys: Sequence[str]) -> None:
+    def __init__(self, env: Any, keys: Sequence[str]) -> None:
         super().__init__(env)
+        inner = self.dict_space()
+        require_known("the observation has no key", keys, inner)
+        self.observation_space, self._keys = spaces.Dict({key: inner[key] for key in keys}), list(keys)
+        env.want(self._keys)
+
+    def look(self) -> tuple[Arrays, Arrays]:
+        observation, info = self.rows.look()
+        return {key: observation[key] for key in self._keys}, info
 
 
-class DirectionOfGazeRows(RowsWrapper):
-    """Implementation of `DirectionOfGaze` on rows."""
-
-    def __init__(self, rows: Rows, pans: int) -> None:
-        super().__init__(rows)
-        looks = directions(whole_number("pans", pans, 2))
-        moving_head(self.needed("head"))
-        size = rows.action_space.shape[0]
-        self._actions = np.concatenate([np.zeros((pans, size - 2)), looks], axis=1).astype(np.float32)
-        self.action_space = spaces.Discrete(pans)
-
-    def advance(self, actions: Any, going: BoolArray) -> Step:
-        return self.rows.advance(self._actions[np.asarray(actions)], going)
-
-
-class DirectionOfGaze(RowWrapper):
+class DirectionOfGaze(RowsWrapper):
     """The action is the number of a direction to look in, from the farthest left to the farthest right.
 
     Parameters
@@ -167,10 +222,16 @@ class DirectionOfGaze(RowWrapper):
         Number of directions.
     """
 
-    OnRows = DirectionOfGazeRows
-
-    def __init__(self, env: gym.Env[Any, Any], pans: int = 9) -> None:
+    def __init__(self, env: Any, pans: int = 9) -> None:
         super().__init__(env)
+        looks = directions(whole_number("pans", pans, 2))
+        moving_head(self.needed("head"))
+        size = env.action_space.shape[0]
+        self._actions = np.concatenate([np.zeros((pans, size - 2)), looks], axis=1).astype(np.float32)
+        self.action_space = spaces.Discrete(pans)
+
+    def advance(self, actions: Any, going: BoolArray) -> Step:
+        return self.rows.advance(self._actions[np.asarray(actions)], going)
 
 
 def moving_head(head: Any) -> Head:

@@ -17,7 +17,8 @@ from filters.contract.validation import whole_number
 from filters.geometry.arrays import BoolArray, FloatArray
 from stereo_slam_env.envs.arguments import StereoOptions
 from stereo_slam_env.envs.core_rows import CoreRows
-from stereo_slam_env.envs.rows import Arrays, Rows, TimeLimitRows, checked_actions
+from stereo_slam_env.envs.row_wrapper import RowsWrapper
+from stereo_slam_env.envs.rows import Arrays, Rows, Seeds, Step, checked_actions
 from stereo_slam_env.envs.stereo_env import row_of
 from stereo_slam_env.simulator.state import Kept, Sensed
 
@@ -184,9 +185,29 @@ class RowsVectorEnv(gym.vector.VectorEnv[Arrays, NDArray[Any], NDArray[Any]], Ke
         return checked_actions("actions", actions, self.single_action_space, self.num_envs)
 
 
+class TimeLimit(RowsWrapper):
+    """Rows whose episodes are truncated after so many steps."""
+
+    changes = ("_steps",)
+
+    def __init__(self, env: Any, max_episode_steps: int) -> None:
+        super().__init__(env)
+        self.max_episode_steps = max_episode_steps
+        self._steps = np.zeros(self.count, dtype=np.int64)
+
+    def begin(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
+        self.rows.begin(chosen, seeds, options)
+        self._steps[chosen] = 0
+
+    def advance(self, actions: Any, going: BoolArray) -> Step:
+        rewards, terminated, truncated = self.rows.advance(actions, going)
+        self._steps[going] += 1
+        return rewards, terminated, truncated | (going & (self._steps >= self.max_episode_steps))
+
+
 def limited(rows: Rows, most: int | None) -> Rows:
     """The rows with a time limit, as `gymnasium.make` has it: None and -1 are none."""
-    return rows if most is None or most == -1 else TimeLimitRows(rows, whole_number("max_episode_steps", most, 1))
+    return rows if most is None or most == -1 else TimeLimit(rows, whole_number("max_episode_steps", most, 1))
 
 
 def core_rows(

@@ -99,8 +99,8 @@ def _sentences(verdicts: Mapping[str, Verdict], names: Sequence[str]) -> list[st
     else:
         sentences = []
         for leaders, best in sorted(by_leaders.items(), key=lambda item: -len(item[1])):
-            others, shown = len(leaders) < len(names), sum(verdict.is_shown for verdict in best)
-            sentences.append(sentence("leaders", leaders, len(best), len(verdicts), others, shown))
+            has_rivals, significant = len(leaders) < len(names), sum(verdict.is_shown for verdict in best)
+            sentences.append(sentence("leaders", leaders, len(best), len(verdicts), has_rivals, significant))
     reasons = list(dict.fromkeys(verdict.headline for verdict in unknown))
     return sentences + ([sentence("no_leader", len(unknown), reasons, len(names) == 1)] if unknown else [])
 

@@ -114,7 +114,7 @@ def drive_episode(
         options = make_with_common_options(
             choice.name, core.get_wrapper_attr("camera"), noise, choice.options, scenario.common_options
         ).options
-        env = BeliefPanorama(
+        env: Any = BeliefPanorama(
             BeliefObservation(
                 core,
                 filter=choice.name,

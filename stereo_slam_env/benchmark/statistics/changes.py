@@ -131,8 +131,8 @@ class RunComparison:
     @property
     def shown_by_finding(self) -> dict[Finding, list[Change]]:
         """The changes that the runs show, worse and better ones."""
-        shown = {f: [c for c in self.changes if c.finding is f] for f in (Finding.WORSE, Finding.BETTER)}
-        return {finding: changes for finding, changes in shown.items() if changes}
+        groups = {f: [c for c in self.changes if c.finding is f] for f in (Finding.WORSE, Finding.BETTER)}
+        return {finding: changes for finding, changes in groups.items() if changes}
 
     @property
     def how(self) -> str:

@@ -78,8 +78,8 @@ class ResponseAttribution:
     @property
     def together(self) -> list[tuple[str, ...]]:
         """Pairs of factors with an interaction that is shown, and worth words."""
-        shown = {effect.factors for effect in self.interactions if effect.difference.shown}
-        return sorted(names for names in shown if self.shares[names] >= _WORTH_WORDS)
+        significant = {effect.factors for effect in self.interactions if effect.difference.shown}
+        return sorted(names for names in significant if self.shares[names] >= _WORTH_WORDS)
 
 
 def explain(

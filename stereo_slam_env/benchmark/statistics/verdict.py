@@ -134,8 +134,8 @@ class Verdict:
     @property
     def beaten(self) -> list[FilterComparison]:
         """Filters that are shown to be worse, the nearest first; those that diverged are the farthest."""
-        shown = [c for c in self.comparisons.values() if c.shown]
-        return sorted(shown, key=lambda c: (c.divergences.only_a, c.difference.percent))
+        rivals = [c for c in self.comparisons.values() if c.shown]
+        return sorted(rivals, key=lambda c: (c.divergences.only_a, c.difference.percent))
 
     @property
     def shared_evidence(self) -> int | None:
