@@ -45,7 +45,7 @@ def ends(
     task = replace(task, filter_options={**task.filter_options, **options})
     vector, seeds = task.make_vector(drives), range(first_seed, first_seed + drives)
     try:
-        beliefs = vector.rows.inner("beliefs")
+        beliefs = vector.rows.get_attr("beliefs")
         observation, info = vector.reset(seed=list(seeds))
         act = policy_in_rows(vector, partial(make_policy, policy), seeds)
         going = np.ones(drives, dtype=bool)

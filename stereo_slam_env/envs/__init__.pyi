@@ -26,4 +26,5 @@ from .revisit import close_if_it_pays as close_if_it_pays
 from .rewards import InformationGain as InformationGain
 from .rewards import TrueError as TrueError
 from .row_wrapper import DirectionOfGaze as DirectionOfGaze
+from .row_wrapper import RowsWrapper as RowsWrapper
 from .row_wrapper import SelectedKeys as SelectedKeys

@@ -94,7 +94,7 @@ class BeliefObservation(RowsWrapper):
         self.beliefs = filter_rows(
             lambda: make_filter(filter, camera=camera, noise=assumed, **filter_options),
             filter,
-            env.count,
+            self.num_envs,
             int(getattr(env.world, "threads", 1)),
             use_odometry=bool(use_odometry),
         )
@@ -116,19 +116,19 @@ class BeliefObservation(RowsWrapper):
         self.observation_space = spaces.Dict({**self.dict_space(), **added})
         self._map_shown = True
 
-    def want(self, keys: Collection[str]) -> None:
+    def select_keys(self, keys: Collection[str]) -> None:
         self._map_shown = any(key.startswith(("belief_landmark", "belief_mask")) for key in keys)
-        self.rows.want(keys)
+        self.rows.select_keys(keys)
 
-    def begin(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
-        self.rows.begin(chosen, seeds, options)
+    def reset(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
+        self.rows.reset(chosen, seeds, options)
         self.beliefs.use_frames(self.world, chosen, chosen)
 
-    def advance(self, actions: Any, going: BoolArray) -> Step:
-        nobody = np.zeros(self.count, dtype=np.bool_)
-        total, terminated, truncated, still = np.zeros(self.count), nobody, nobody, going
+    def step(self, actions: Any, going: BoolArray) -> Step:
+        nobody = np.zeros(self.num_envs, dtype=np.bool_)
+        total, terminated, truncated, still = np.zeros(self.num_envs), nobody, nobody, going
         for _ in range(self._hold):
-            rewards, ended, late = self.rows.advance(actions, still)
+            rewards, ended, late = self.rows.step(actions, still)
             total, terminated, truncated = total + rewards, terminated | ended, truncated | late
             self.beliefs.use_frames(self.world, still, nobody)
             still = still & ~(ended | late)
@@ -136,8 +136,8 @@ class BeliefObservation(RowsWrapper):
                 break
         return total, terminated, truncated
 
-    def look(self) -> tuple[Arrays, Arrays]:
-        observation, info = self.rows.look()
+    def observe(self) -> tuple[Arrays, Arrays]:
+        observation, info = self.rows.observe()
         beliefs = self.beliefs
         poses = beliefs.poses
         values: Arrays = {
@@ -146,7 +146,7 @@ class BeliefObservation(RowsWrapper):
             "belief_covariance": beliefs.pose_covariances,
         }
         if self._map_shown:
-            values |= _nearest(beliefs.maps, self.count, self._most)
+            values |= _nearest(beliefs.maps, self.num_envs, self._most)
         for key, bound in self._bounds.items():
             if key in values:
                 values[key] = np.clip(values[key], -bound, bound).astype(np.float32)

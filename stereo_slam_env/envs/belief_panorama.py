@@ -80,9 +80,9 @@ class BeliefPanorama(RowsWrapper):
         inner = self.dict_space()
         self._camera, self._noise = self.needed("camera"), self.needed("noise")
         self._reach = self.needed("options").tracking.farthest if reach is None else positive("reach", reach)
-        self._last_seen = np.full((env.count, sectors), -np.inf)
-        self._in_view = np.zeros((env.count, sectors))
-        self._times = np.zeros(env.count)
+        self._last_seen = np.full((self.num_envs, sectors), -np.inf)
+        self._in_view = np.zeros((self.num_envs, sectors))
+        self._times = np.zeros(self.num_envs)
         self._most = inner["uvd"].shape[0] if "uvd" in inner else 1  # type: ignore[index]
         added: dict[str, spaces.Space[Any]] = {
             "panorama": spaces.Box(_LOW, _HIGH, (sectors, len(FEATURES)), np.float32),
@@ -91,24 +91,24 @@ class BeliefPanorama(RowsWrapper):
         self.observation_space = spaces.Dict({**inner, **added})
         self._panorama_shown = True
 
-    def want(self, keys: Collection[str]) -> None:
+    def select_keys(self, keys: Collection[str]) -> None:
         """Without `panorama` no map is read."""
         self._panorama_shown = "panorama" in keys
-        self.rows.want(keys)
+        self.rows.select_keys(keys)
 
-    def begin(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
+    def reset(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
         """No sector has been in view yet."""
-        self.rows.begin(chosen, seeds, options)
+        self.rows.reset(chosen, seeds, options)
         self._last_seen[chosen] = -np.inf
         self._look_around(chosen)
 
-    def advance(self, actions: Any, going: BoolArray) -> Step:
-        step = self.rows.advance(actions, going)
+    def step(self, actions: Any, going: BoolArray) -> Step:
+        step = self.rows.step(actions, going)
         self._look_around(going)
         return step
 
-    def look(self) -> tuple[Arrays, Arrays]:
-        observation, info = self.rows.look()
+    def observe(self) -> tuple[Arrays, Arrays]:
+        observation, info = self.rows.observe()
         sigmas = np.sqrt(np.einsum("bii->bi", self._beliefs.pose_covariances)).clip(0.0, _LARGEST_SIGMA)
         added = {"belief_sigmas": sigmas.astype(np.float32)}
         if self._panorama_shown:
@@ -116,7 +116,7 @@ class BeliefPanorama(RowsWrapper):
         return {**observation, **added}, info
 
     def _panorama(self) -> NDArray[np.float32]:
-        features = np.empty((self.count, self._sectors, len(FEATURES)))
+        features = np.empty((self.num_envs, self._sectors, len(FEATURES)))
         maps, angles = self._beliefs.maps, self.world.angles()
         features[..., :4] = panoramas(maps, angles, self._camera, self._noise, self._sectors, self._most, self._reach)
         features[..., 4] = self._in_view

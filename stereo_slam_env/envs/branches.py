@@ -86,7 +86,7 @@ class BranchChoice(RowsWrapper):
         streets_of(env)  # refused before the first episode
         self._roads, self._accuracy = whole_number("roads", roads, 1, int(_MOST_ROADS)), positive("accuracy", accuracy)
         self._weight, self._goal = positive("weight", weight), positive("goal", goal)
-        self._still = np.zeros((env.count, *env.action_space.shape), dtype=np.float32)
+        self._still = np.zeros((self.num_envs, *env.action_space.shape), dtype=np.float32)
         added = {
             "branches": spaces.Box(0.0, np.tile(_MOST, (3, 1))),
             "roads_left": spaces.Box(0.0, _MOST_ROADS, (1,), np.float32),
@@ -94,17 +94,17 @@ class BranchChoice(RowsWrapper):
         }
         self.observation_space = spaces.Dict({**self.dict_space(), **added})
         self.action_space = spaces.Discrete(3)
-        self._places: list[Place | None] = [None] * env.count
-        self._choices: list[list[int]] = [[] for _ in range(env.count)]
-        self._driven: list[BoolArray] = [np.zeros(0, dtype=np.bool_)] * env.count
-        self._sigmas: list[FloatArray] = [np.zeros(0)] * env.count
+        self._places: list[Place | None] = [None] * self.num_envs
+        self._choices: list[list[int]] = [[] for _ in range(self.num_envs)]
+        self._driven: list[BoolArray] = [np.zeros(0, dtype=np.bool_)] * self.num_envs
+        self._sigmas: list[FloatArray] = [np.zeros(0)] * self.num_envs
         """Of each road the claimed position sigma when it was first driven, m."""
-        self._credit, self._claimed, self._gained = np.zeros((3, env.count))
+        self._credit, self._claimed, self._gained = np.zeros((3, self.num_envs))
         """Share of the map, the same as the filter claims it, and what the first has brought in the last decision."""
 
-    def begin(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
+    def reset(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
         """The car stands in the middle of its first road."""
-        self.rows.begin(chosen, seeds, options)
+        self.rows.reset(chosen, seeds, options)
         for b in np.flatnonzero(chosen).tolist():
             streets = self._streets(b)
             self._choices[b] = []
@@ -113,9 +113,9 @@ class BranchChoice(RowsWrapper):
         self._map(chosen)
         self._gained[chosen] = 0.0
 
-    def advance(self, actions: Any, going: BoolArray) -> Step:
+    def step(self, actions: Any, going: BoolArray) -> Step:
         """Drive on to the middle of the road that is chosen."""
-        goals, failed = np.zeros(self.count, dtype=np.int64), np.zeros(self.count, dtype=np.bool_)
+        goals, failed = np.zeros(self.num_envs, dtype=np.int64), np.zeros(self.num_envs, dtype=np.bool_)
         there: dict[int, Place] = {}
         for b in np.flatnonzero(going).tolist():
             place, streets = self._places[b], self._streets(b)
@@ -126,7 +126,7 @@ class BranchChoice(RowsWrapper):
             self.world.reroute(b, route)
             goals[b] = route.frames - 2  # of the step beyond it, which no row drives
         while (driving := going & ~failed & (self._steps < goals)).any():
-            _, terminated, truncated = self.rows.advance(self._still, driving)
+            _, terminated, truncated = self.rows.step(self._still, driving)
             failed |= terminated | truncated
         for b in np.flatnonzero(going).tolist():
             self._arrive(b, there[b])
@@ -134,12 +134,12 @@ class BranchChoice(RowsWrapper):
         self._map(going)
         self._gained[going] = self._weight * (self._credit - before)[going]
         over = going & (failed | (self._left == 0))
-        return np.where(going, self._gained, 0.0), over, np.zeros(self.count, dtype=np.bool_)
+        return np.where(going, self._gained, 0.0), over, np.zeros(self.num_envs, dtype=np.bool_)
 
-    def look(self) -> tuple[Arrays, Arrays]:
-        observation, info = self.rows.look()
+    def observe(self) -> tuple[Arrays, Arrays]:
+        observation, info = self.rows.observe()
         credit, roads = self._credit.copy(), np.array([int(driven.sum()) for driven in self._driven])
-        added = {"branches": np.stack([self._ahead(b) for b in range(self.count)])}
+        added = {"branches": np.stack([self._ahead(b) for b in range(self.num_envs)])}
         shown = {"roads_left": self._left, "mapped": self._claimed}
         added |= {key: values[:, None].astype(np.float32) for key, values in shown.items()}
         extras = {"mapped": credit, "roads": roads, "reward_map": self._gained.copy()}
@@ -201,7 +201,7 @@ class BranchChoice(RowsWrapper):
 
 def streets_of(rows: Rows) -> StreetGrid:
     """The streets of the typical route of rows; a `ValueError` where it leads through none."""
-    route = rows.inner("route")
+    route = rows.get_attr("route")
     if route.streets is None:
         raise ValueError(f"the route must lead through streets, as 'random-grid' does, and {route.name!r} does not")
     streets: StreetGrid = route.streets

@@ -103,7 +103,7 @@ class DriveChoices(RowsWrapper):
         pairs = [(positive("speeds", speed), pan) for speed in speeds for pan in pans]
         self._speeds, pan = np.array([(0.0, 0.0), *pairs]).T
         try:
-            self._route = env.inner("route_shown")  # by an estimate
+            self._route = env.get_attr("route_shown")  # by an estimate
         except AttributeError:
             self._route = partial(self.world.shown, "route")
         self._entries: int = env.action_space.shape[0]
@@ -111,14 +111,14 @@ class DriveChoices(RowsWrapper):
         self._pans[:, -2], self._pans[0, stop] = pan, 1.0
         self.action_space = spaces.Discrete(len(pan))
 
-    def advance(self, actions: Any, going: BoolArray) -> Step:
+    def step(self, actions: Any, going: BoolArray) -> Step:
         """Drive as was chosen until the choice ends, or the episode."""
         decisions = np.asarray(actions)
-        total, over, late, still = np.zeros(self.count), ~going, np.zeros_like(going), going
+        total, over, late, still = np.zeros(self.num_envs), ~going, np.zeros_like(going), going
         for _ in range(self._hold):
             info = {"car": self.world.shown("car"), "route": self._route()}
             driven = follow_route(info, self._entries, speed=self._speeds[decisions])
-            rewards, ended, cut = self.rows.advance(driven + self._pans[decisions], still)
+            rewards, ended, cut = self.rows.step(driven + self._pans[decisions], still)
             total, over, late = total + rewards, over | ended | cut, late | cut
             still = going & ~over
             if not still.any():
@@ -156,19 +156,19 @@ class RouteByEstimate(RowsWrapper):
         self._latency = whole_number("latency", latency, 0)
         self._beliefs: FilterRows = self.needed("beliefs")
         self._head: Head | None = self.needed("head")
-        self._poses = np.zeros((self._latency + 1, env.count, 7))
+        self._poses = np.zeros((self._latency + 1, self.num_envs, 7))
         """The latest estimates of the camera if the head looked straight ahead, the newest first."""
-        self._nearest, self._progress = np.zeros(env.count, dtype=np.int64), np.zeros(env.count)
+        self._nearest, self._progress = np.zeros(self.num_envs, dtype=np.int64), np.zeros(self.num_envs)
 
-    def begin(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
+    def reset(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
         """The start is known, so the estimate is not late yet."""
-        self.rows.begin(chosen, seeds, options)
+        self.rows.reset(chosen, seeds, options)
         self._poses[:, chosen] = self._bodies()[chosen]
         self._nearest[chosen], self._progress[chosen] = 0, 0.0
 
-    def advance(self, actions: Any, going: BoolArray) -> Step:
+    def step(self, actions: Any, going: BoolArray) -> Step:
         """Drive, and find the place on the route by the estimate."""
-        step = self.rows.advance(actions, going)
+        step = self.rows.step(actions, going)
         self._poses[1:, going] = self._poses[:-1, going]
         self._poses[0, going] = self._bodies()[going]
         for b in np.flatnonzero(going).tolist():
@@ -189,15 +189,15 @@ class RouteByEstimate(RowsWrapper):
             bodies[b] = *body.position, *body.orientation
         return bodies
 
-    def look(self) -> tuple[Arrays, Arrays]:
-        observation, info = self.rows.look()
+    def observe(self) -> tuple[Arrays, Arrays]:
+        observation, info = self.rows.observe()
         progress = self._progress[:, None].astype(np.float32)
         return {**observation, "route": self.route_shown(), "progress": progress}, info
 
     def route_shown(self) -> Any:
         """The key `route` of all rows."""
         ahead = []
-        for b in range(self.count):
+        for b in range(self.num_envs):
             route, pose = self.world.route_of(b), self._poses[-1, b : b + 1]
             ahead.append(routes_ahead(route.positions, route.arc_length, self._nearest[b : b + 1], pose, ARENA)[0])
         return np.array(ahead)

@@ -64,7 +64,7 @@ class CoreRows(Rows):
     def __init__(
         self, options: StereoOptions, count: int, *, threads: int = 1, pool: int | None = None, draws: bool = False
     ) -> None:
-        self.options, self.count, self.world, self.threads = options, count, self, min(threads, count)
+        self.options, self.num_envs, self.world, self.threads = options, count, self, min(threads, count)
         self.draws = draws or options.draws
         self.camera: StereoCamera = options.camera
         self._route: Route = named_route(options.route)
@@ -125,7 +125,7 @@ class CoreRows(Rows):
 
     # --- episodes ---------------------------------------------------------------------------------------------------
 
-    def begin(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
+    def reset(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
         """`options={"scene": "keep"}` keeps the scene of the last episode of a row."""
         keep = keeps_scene(options)
         if any(seed is not None for seed in seeds):
@@ -147,7 +147,7 @@ class CoreRows(Rows):
         self.simulator.begin(chosen)
         self._take_pictures(rows)
 
-    def advance(self, actions: Any, going: BoolArray) -> Step:
+    def step(self, actions: Any, going: BoolArray) -> Step:
         """Actions are within -1..1."""
         simulator, sensed = self.simulator, self.simulator.sensed
         simulator.step(np.ascontiguousarray(actions, dtype=np.float64), going)
@@ -156,11 +156,11 @@ class CoreRows(Rows):
         if self._sees_images:
             simulator.judge()
         terminated = going & (sensed.failed | sensed.success)
-        return np.where(going, sensed.reward, 0.0), terminated, np.zeros(self.count, dtype=np.bool_)
+        return np.where(going, sensed.reward, 0.0), terminated, np.zeros(self.num_envs, dtype=np.bool_)
 
     def restore(self, state: Mapping[str, Any]) -> None:
         if self._sees_images:
-            self._image_sensors = [self._image_sensor(b) for b in range(self.count)]
+            self._image_sensors = [self._image_sensor(b) for b in range(self.num_envs)]
         super().restore(state)
 
     def close(self) -> None:
@@ -200,7 +200,7 @@ class CoreRows(Rows):
 
     # --- what is said of them ---------------------------------------------------------------------------------------
 
-    def look(self) -> tuple[Arrays, Arrays]:
+    def observe(self) -> tuple[Arrays, Arrays]:
         options, fleet, sensed, shown = self.options, self.simulator.fleet, self.simulator.sensed, self.simulator.show()
         observation: Arrays = {"uvd": shown.uvd, "ids": shown.ids, "mask": shown.mask, "odometry": shown.odometry}
         if not options.observe_ids:
@@ -213,7 +213,7 @@ class CoreRows(Rows):
         if self.head is not None:
             observation["head"] = shown.head
         if options.render_images:
-            pairs = [self.images(b) for b in range(self.count)]
+            pairs = [self.images(b) for b in range(self.num_envs)]
             observation |= {"left": np.stack([p.left for p in pairs]), "right": np.stack([p.right for p in pairs])}
         info: Arrays = {
             "truth_position": shown.position,
@@ -240,12 +240,12 @@ class CoreRows(Rows):
         measured = self.simulator.measures_right
         return {
             "v_right": v_right if measured else np.zeros_like(v_right),
-            "v_right_measured": np.full(self.count, measured),
-            "R": np.zeros((self.count, rows, 3, 3)),
-            "R_measured": np.zeros(self.count, dtype=np.bool_),
+            "v_right_measured": np.full(self.num_envs, measured),
+            "R": np.zeros((self.num_envs, rows, 3, 3)),
+            "R_measured": np.zeros(self.num_envs, dtype=np.bool_),
         }
 
-    def inner(self, name: str) -> Any:
+    def get_attr(self, name: str) -> Any:
         return getattr(self, name)
 
     def route_of(self, b: int) -> Route:
@@ -301,7 +301,7 @@ class CoreRows(Rows):
             sensed.ids[is_measured],
             sensed.uvd[is_measured],
             sensed.v_right[is_measured],
-            np.full(self.count, self.simulator.measures_right),
+            np.full(self.num_envs, self.simulator.measures_right),
             None,
             self.times(),
             (sensed.odometry, self.simulator.odometry_covariance, self.simulator.fleet.step > 0),

@@ -89,16 +89,16 @@ class Coverage(RowsWrapper):
         coverage = spaces.Box(0.0, 1.0, (1,), np.float32)
         self.observation_space = spaces.Dict({**self.dict_space(), "coverage": coverage})
         self.action_space = spaces.Box(-1.0, 1.0, (env.action_space.shape[0] + 1,), np.float32)
-        self._in_reach = [np.zeros(0, dtype=np.bool_)] * env.count
+        self._in_reach = [np.zeros(0, dtype=np.bool_)] * self.num_envs
         self._mapped, self._claimed = list(self._in_reach), list(self._in_reach)
-        self._shown = np.zeros((env.count, 1), dtype=np.float32)
+        self._shown = np.zeros((self.num_envs, 1), dtype=np.float32)
         """Claimed coverage."""
-        self._now, self._terms = np.zeros((env.count, 2)), np.zeros((env.count, 2))
+        self._now, self._terms = np.zeros((self.num_envs, 2)), np.zeros((self.num_envs, 2))
         """Coverage and metres driven, and what they have brought in the last step."""
 
-    def begin(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
+    def reset(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
         """Start with an empty map."""
-        self.rows.begin(chosen, seeds, options)
+        self.rows.reset(chosen, seeds, options)
         for b in np.flatnonzero(chosen).tolist():
             places = self.world.landmark_truth(b).positions
             self._in_reach[b] = self._by_the_road(b, places)
@@ -106,18 +106,18 @@ class Coverage(RowsWrapper):
         self._now[chosen] = self._looked(chosen)[chosen]
         self._terms[chosen] = 0.0
 
-    def advance(self, actions: Any, going: BoolArray) -> Step:
+    def step(self, actions: Any, going: BoolArray) -> Step:
         """Drive, look, and be paid for what is new on the map."""
         stops = going & (actions[:, STOP] > _STOP_ABOVE)
-        rewards, terminated, truncated = self.rows.advance(np.delete(actions, STOP, axis=1), going)
+        rewards, terminated, truncated = self.rows.step(np.delete(actions, STOP, axis=1), going)
         now = self._looked(going)
         self._terms[going] = ((now - self._now) * self._prices)[going]
         self._now[going] = now[going]
         paid = np.where(going, self._terms[:, 0] + self._terms[:, 1], 0.0)
         return rewards + paid, terminated | stops, truncated
 
-    def look(self) -> tuple[Arrays, Arrays]:
-        observation, info = self.rows.look()
+    def observe(self) -> tuple[Arrays, Arrays]:
+        observation, info = self.rows.observe()
         coverage, driven = self._now.T
         success = (coverage >= self._goal) & ~np.asarray(info["failed"])
         added = {"reward_coverage": self._terms[:, 0].copy(), "reward_path": self._terms[:, 1].copy()}

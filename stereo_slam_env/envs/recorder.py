@@ -73,11 +73,11 @@ def _drives(
     progress: Callable[[int, int | None], None] | None,
 ) -> list[list[Frame]]:
     """The frames of every row, to the end of its drive or to so many."""
-    active, nothing = np.ones(rows.count, dtype=np.bool_), np.zeros((rows.count, 2))
-    rows.begin(active, seeds, {})
-    collected = [[rows.frame(b)] for b in range(rows.count)]
+    active, nothing = np.ones(rows.num_envs, dtype=np.bool_), np.zeros((rows.num_envs, 2))
+    rows.reset(active, seeds, {})
+    collected = [[rows.frame(b)] for b in range(rows.num_envs)]
     for number in count(2) if frames is None else range(2, frames + 1):
-        _, over, _ = rows.advance(nothing, active)
+        _, over, _ = rows.step(nothing, active)
         for b in np.flatnonzero(active).tolist():
             collected[b].append(rows.frame(b))
         active &= ~over

@@ -92,22 +92,22 @@ class LoopClosure(RowsWrapper):
         self._begin, self._dearest = (low, high), positive("dearest", dearest)
         self._hold = whole_number("hold", hold, 1)
         closing_distance(self.needed("route"))  # refused before the first episode
-        self._closing = np.zeros(env.count)
-        self._still = np.zeros((env.count, *env.action_space.shape), dtype=np.float32)
+        self._closing = np.zeros(self.num_envs)
+        self._still = np.zeros((self.num_envs, *env.action_space.shape), dtype=np.float32)
         added = {
             "ahead": spaces.Box(-_FARTHEST, _FARTHEST, (1,), np.float32),
             "price": spaces.Box(0.0, max(dearest, max(DEAREST.values())), (1,), np.float32),
         }
         self.observation_space = spaces.Dict({**self.dict_space(), **added})
         self.action_space = spaces.Discrete(2)
-        self._steps = np.zeros(env.count, dtype=np.int64)
-        self._price, self._driven, self._total = (np.zeros(env.count) for _ in range(3))
-        self._learnt, self._path = np.zeros(env.count), np.zeros(env.count)
+        self._steps = np.zeros(self.num_envs, dtype=np.int64)
+        self._price, self._driven, self._total = (np.zeros(self.num_envs) for _ in range(3))
+        self._learnt, self._path = np.zeros(self.num_envs), np.zeros(self.num_envs)
 
-    def begin(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
+    def reset(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
         """Draw a place and a price, and drive there."""
-        self.rows.begin(chosen, seeds, options)
-        first = np.zeros(self.count, dtype=np.int64)  # step of the first decision
+        self.rows.reset(chosen, seeds, options)
+        first = np.zeros(self.num_envs, dtype=np.int64)  # step of the first decision
         for b in np.flatnonzero(chosen).tolist():
             generator, route = self.world.generator(b), self.world.route_of(b)
             self._closing[b] = closing_distance(route)
@@ -119,10 +119,10 @@ class LoopClosure(RowsWrapper):
             self._drive(undecided)
         self._driven[chosen] = self.world.told("distance")[chosen]
 
-    def advance(self, actions: Any, going: BoolArray) -> Step:
+    def step(self, actions: Any, going: BoolArray) -> Step:
         """Stop, or drive on for a second."""
         stops = going & (np.asarray(actions) == STOP)
-        still, learnt = going & ~stops, np.zeros(self.count)
+        still, learnt = going & ~stops, np.zeros(self.num_envs)
         over = stops.copy()
         driving = still
         for _ in range(self._hold):
@@ -137,10 +137,10 @@ class LoopClosure(RowsWrapper):
         self._driven[still] = driven[still]
         self._total = self._total + np.where(still, learnt + path, 0.0)
         self._learnt[going], self._path[going] = learnt[going], path[going]
-        return learnt + path, over, np.zeros(self.count, dtype=np.bool_)
+        return learnt + path, over, np.zeros(self.num_envs, dtype=np.bool_)
 
-    def look(self) -> tuple[Arrays, Arrays]:
-        observation, info = self.rows.look()
+    def observe(self) -> tuple[Arrays, Arrays]:
+        observation, info = self.rows.observe()
         ahead = self._closing - self._driven_by_script()
         added = {"ahead": ahead[:, None].astype(np.float32), "price": self._price[:, None].astype(np.float32)}
         rewards = {"reward_information": self._learnt.copy(), "reward_path": self._path.copy()}
@@ -150,11 +150,11 @@ class LoopClosure(RowsWrapper):
     def _driven_by_script(self) -> FloatArray:
         """Planned distances of all rows along their routes, m; (B,)."""
         lengths = (self.world.route_of(b).arc_length[step] for b, step in enumerate(self._steps.tolist()))
-        return np.fromiter(lengths, dtype=np.float64, count=self.count)
+        return np.fromiter(lengths, dtype=np.float64, count=self.num_envs)
 
     def _drive(self, going: BoolArray) -> Step:
         """A step of the rows inside."""
-        step = self.rows.advance(self._still, going)
+        step = self.rows.step(self._still, going)
         self._steps[going] += 1
         return step
 

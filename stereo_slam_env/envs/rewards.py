@@ -111,19 +111,19 @@ class InformationGain(RowsWrapper):
         self._paid, self._weight, self._keep_reward = belief, finite_number("weight", weight), keep_reward
         self._both, self._use_odometry = report_both, use_odometry
         self._ages = max_age is not None
-        self._recent: list[deque[IntArray]] = [deque(maxlen=frames_kept) for _ in range(env.count)]
+        self._recent: list[deque[IntArray]] = [deque(maxlen=frames_kept) for _ in range(self.num_envs)]
         self._beliefs: FilterRows | None = None
         if belief == "filter" or report_both:
             self._beliefs = self.needed("beliefs")
-        self.references: list[ReferenceBelief | None] = [None] * env.count
+        self.references: list[ReferenceBelief | None] = [None] * self.num_envs
         """The reference beliefs after the current frames, where they are run."""
         names = [name for name in get_args(BeliefOf) if report_both or name == belief]
-        self._potentials, self._gains = ({name: np.zeros(env.count) for name in names} for _ in range(2))
-        self._credited, self._gain = np.zeros(env.count), np.zeros(env.count)
+        self._potentials, self._gains = ({name: np.zeros(self.num_envs) for name in names} for _ in range(2))
+        self._credited, self._gain = np.zeros(self.num_envs), np.zeros(self.num_envs)
 
-    def begin(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
+    def reset(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
         """Start without a gain."""
-        self.rows.begin(chosen, seeds, options)
+        self.rows.reset(chosen, seeds, options)
         if "reference" in self._potentials:
             camera, noise = self.needed("camera"), self.needed("noise")
             for b in np.flatnonzero(chosen).tolist():
@@ -137,9 +137,9 @@ class InformationGain(RowsWrapper):
             self._potentials[name][chosen], self._gains[name][chosen] = now[chosen], 0.0
         self._credited[chosen], self._gain[chosen] = self._potentials[self._paid][chosen], 0.0
 
-    def advance(self, actions: Any, going: BoolArray) -> Step:
+    def step(self, actions: Any, going: BoolArray) -> Step:
         """The reward is the information gained."""
-        rewards, terminated, truncated = self.rows.advance(actions, going)
+        rewards, terminated, truncated = self.rows.step(actions, going)
         for name, now in self._now(going).items():
             before = self._potentials[name]
             self._gains[name] = np.where(going, self._weight * (before - now), self._gains[name])
@@ -151,8 +151,8 @@ class InformationGain(RowsWrapper):
         gained = np.where(going, self._gain, 0.0)
         return rewards + gained if self._keep_reward else gained, terminated, truncated
 
-    def look(self) -> tuple[Arrays, Arrays]:
-        observation, info = self.rows.look()
+    def observe(self) -> tuple[Arrays, Arrays]:
+        observation, info = self.rows.observe()
         added = {"reward_information": self._gain.copy(), "information_potential": self._credited.copy()}
         if self._both:
             added["reward_information_claimed"] = self._gains["filter"].copy()
@@ -168,14 +168,14 @@ class InformationGain(RowsWrapper):
         assert self._beliefs is not None
         if self._criterion.of == "pose":
             return self._criterion.pose_potentials(self._beliefs.pose_covariances)
-        now = np.zeros(self.count)
+        now = np.zeros(self.num_envs)
         for b in np.flatnonzero(which).tolist():
             now[b] = self._criterion.potential(self._beliefs.belief(b).joint_covariance)
         return now
 
     def _of_references(self, which: BoolArray) -> FloatArray:
         """Potentials of the reference beliefs, which are fed the frames; landmarks leave them by age."""
-        now = np.zeros(self.count)
+        now = np.zeros(self.num_envs)
         for b in np.flatnonzero(which).tolist():
             best, frame, recent = self.references[b], self.world.frame(b), self._recent[b]
             assert best is not None
@@ -188,7 +188,7 @@ class InformationGain(RowsWrapper):
         return now
 
     def _are_consistent(self, which: BoolArray) -> BoolArray:
-        consistent = np.ones(self.count, dtype=np.bool_)
+        consistent = np.ones(self.num_envs, dtype=np.bool_)
         if self._limit == np.inf:
             return consistent
         assert self._beliefs is not None
@@ -236,21 +236,21 @@ class TrueError(RowsWrapper):
         super().__init__(env)
         self._beliefs: FilterRows = self.needed("beliefs")
         self._weight, self._keep_reward = finite_number("weight", weight), keep_reward
-        self._squares = np.zeros(env.count)
+        self._squares = np.zeros(self.num_envs)
 
-    def begin(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
-        self.rows.begin(chosen, seeds, options)
+    def reset(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
+        self.rows.reset(chosen, seeds, options)
         self._squares = np.where(chosen, self._now(), self._squares)
 
-    def advance(self, actions: Any, going: BoolArray) -> Step:
+    def step(self, actions: Any, going: BoolArray) -> Step:
         """The reward is the error after the step."""
-        rewards, terminated, truncated = self.rows.advance(actions, going)
+        rewards, terminated, truncated = self.rows.step(actions, going)
         self._squares = np.where(going, self._now(), self._squares)
         paid = np.where(going, -self._weight * self._squares, 0.0)
         return rewards + paid if self._keep_reward else paid, terminated, truncated
 
-    def look(self) -> tuple[Arrays, Arrays]:
-        observation, info = self.rows.look()
+    def observe(self) -> tuple[Arrays, Arrays]:
+        observation, info = self.rows.observe()
         return observation, {**info, "reward_error": -self._weight * self._squares}
 
     def _now(self) -> FloatArray:

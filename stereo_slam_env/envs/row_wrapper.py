@@ -40,6 +40,11 @@ class _OneClass(ABCMeta):
         bound.apply_defaults()
         (_, inside), *bound_arguments = bound.arguments.items()
         settings = {name: list(value) if isinstance(value, tuple) else value for name, value in bound_arguments}
+        if isinstance(inside, gym.vector.VectorEnv):
+            native: Any = inside
+            if not isinstance(getattr(native, "rows", None), Rows):
+                raise ValueError(f"{cls.__name__} needs a native vector of StereoSlam/..., got {inside}")
+            return type(native)(super().__call__(native.rows, **settings), native.autoreset_mode)
         return super().__call__(inside, **settings) if isinstance(inside, Rows) else cls.Single(inside, settings)
 
     def __instancecheck__(cls, instance: object) -> bool:
@@ -74,30 +79,22 @@ class RowWrapper(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs, Kept):
             return getattr(self.rows, name)
         raise AttributeError(f"{type(self).__name__} has no attribute {name!r}")
 
-    def inner(self, name: str) -> Any:
-        """Attribute `name` of the environment or of a wrapper inside; a `ValueError` says what would offer it."""
-        try:
-            return self.env.get_wrapper_attr(name)
-        except AttributeError:
-            source = "BeliefObservation" if name in ("slam", "belief") else "an environment StereoSlam/..."
-            raise ValueError(f"{type(self).__name__} needs {name!r}: wrap {source} with it") from None
-
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Reset the environment."""
-        self.rows.begin(_ALL, [seed], options or {})
-        return self._look()
+        self.rows.reset(_ALL, [seed], options or {})
+        return self._observe()
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Step the environment."""
         actions = _one_row(action)
         if self.action_space is not self.env.action_space:  # the environment inside checks its own
             actions = checked_actions("action", actions, self.action_space, 1)
-        rewards, terminated, truncated = self.rows.advance(actions, _ALL)
-        observation, info = self._look()
+        rewards, terminated, truncated = self.rows.step(actions, _ALL)
+        observation, info = self._observe()
         return observation, float(rewards[0]), bool(terminated[0]), bool(truncated[0]), info
 
-    def _look(self) -> tuple[Any, dict[str, Any]]:
-        observation, info = self.rows.look()
+    def _observe(self) -> tuple[Any, dict[str, Any]]:
+        observation, info = self.rows.observe()
         return row_of(observation, 0), row_of(info, 0)
 
 
@@ -119,8 +116,9 @@ def _made_again(kind: Any, env: gym.Env[Any, Any], arguments: dict[str, Any]) ->
 class RowsWrapper(Rows, metaclass=_OneClass):
     """Rows that pass on what the rows inside say; a subclass changes some of it, and is a wrapper for both.
 
-    `MyWrapper(env, ...)` is a wrapper of Gymnasium around one environment, `MyWrapper(rows, ...)` rows around rows. The
-    first parameter of its `__init__` is called `env`, and is rows there; the others are JSON-able.
+    `MyWrapper(env, ...)` around one environment is one of Gymnasium's wrappers, around a native vector a vector, and
+    around rows rows. The first parameter of `__init__` is called `env`, and is rows there; the others are JSON-able.
+    `changes` names the attributes that a step or a reset changes: a snapshot keeps them.
     """
 
     shared: ClassVar[tuple[str, ...]] = ()
@@ -128,23 +126,23 @@ class RowsWrapper(Rows, metaclass=_OneClass):
 
     def __init__(self, env: Any) -> None:
         self.rows: Rows = env
-        self.count, self.world = self.rows.count, self.rows.world
+        self.num_envs, self.world = self.rows.num_envs, self.rows.world
         self.observation_space, self.action_space = self.rows.observation_space, self.rows.action_space
 
-    def begin(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
-        self.rows.begin(chosen, seeds, options)
+    def reset(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
+        self.rows.reset(chosen, seeds, options)
 
-    def advance(self, actions: Any, going: BoolArray) -> Step:
-        return self.rows.advance(actions, going)
+    def step(self, actions: Any, going: BoolArray) -> Step:
+        return self.rows.step(actions, going)
 
-    def look(self) -> tuple[Arrays, Arrays]:
-        return self.rows.look()
+    def observe(self) -> tuple[Arrays, Arrays]:
+        return self.rows.observe()
 
-    def inner(self, name: str) -> Any:
-        return getattr(self, name) if hasattr(self, name) else self.rows.inner(name)
+    def get_attr(self, name: str) -> Any:
+        return getattr(self, name) if hasattr(self, name) else self.rows.get_attr(name)
 
-    def want(self, keys: Collection[str]) -> None:
-        self.rows.want(keys)
+    def select_keys(self, keys: Collection[str]) -> None:
+        self.rows.select_keys(keys)
 
     def snapshot(self) -> State:
         """State of a row, that of the rows inside included."""
@@ -160,7 +158,7 @@ class RowsWrapper(Rows, metaclass=_OneClass):
     def needed(self, name: str) -> Any:
         """Demand attributes of the rows inside; a `ValueError` says what would offer it."""
         try:
-            return self.rows.inner(name)
+            return self.rows.get_attr(name)
         except AttributeError:
             name, source = (
                 ("slam", "BeliefObservation") if name == "beliefs" else (name, "an environment StereoSlam/...")
@@ -178,8 +176,8 @@ class RowsWrapper(Rows, metaclass=_OneClass):
 
     def only_row(self, name: str) -> int:
         """Number of the only row; an `AttributeError` says that several have no such attribute."""
-        if self.count != 1:
-            raise AttributeError(f"{self.count} environments have no {name!r} of their own")
+        if self.num_envs != 1:
+            raise AttributeError(f"{self.num_envs} environments have no {name!r} of their own")
         return 0
 
 
@@ -204,10 +202,10 @@ class SelectedKeys(RowsWrapper):
         inner = self.dict_space()
         require_known("the observation has no key", keys, inner)
         self.observation_space, self._keys = spaces.Dict({key: inner[key] for key in keys}), list(keys)
-        env.want(self._keys)
+        env.select_keys(self._keys)
 
-    def look(self) -> tuple[Arrays, Arrays]:
-        observation, info = self.rows.look()
+    def observe(self) -> tuple[Arrays, Arrays]:
+        observation, info = self.rows.observe()
         return {key: observation[key] for key in self._keys}, info
 
 
@@ -230,8 +228,8 @@ class DirectionOfGaze(RowsWrapper):
         self._actions = np.concatenate([np.zeros((pans, size - 2)), looks], axis=1).astype(np.float32)
         self.action_space = spaces.Discrete(pans)
 
-    def advance(self, actions: Any, going: BoolArray) -> Step:
-        return self.rows.advance(self._actions[np.asarray(actions)], going)
+    def step(self, actions: Any, going: BoolArray) -> Step:
+        return self.rows.step(self._actions[np.asarray(actions)], going)
 
 
 def moving_head(head: Any) -> Head:

@@ -101,7 +101,7 @@ class World(Protocol):
 class Rows(Kept, ABC):
     """B environments of one kind. Rows that are not asked to do something stay as they are."""
 
-    count: int
+    num_envs: int
     """Number of rows, B."""
     observation_space: Any
     """`gymnasium.spaces.Space` of one row."""
@@ -111,22 +111,22 @@ class Rows(Kept, ABC):
     """What is behind the rows."""
 
     @abstractmethod
-    def begin(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
+    def reset(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
         """Begin an episode of the chosen rows (B,); a seed is None where the generator of the row goes on."""
 
     @abstractmethod
-    def advance(self, actions: Any, going: BoolArray) -> Step:
+    def step(self, actions: Any, going: BoolArray) -> Step:
         """Step the rows that go on (B,), by actions (B, ...); the others get reward 0 and no flag."""
 
     @abstractmethod
-    def look(self) -> tuple[Arrays, Arrays]:
+    def observe(self) -> tuple[Arrays, Arrays]:
         """Observation and `info` of all rows, each key with a first axis of B; they are the caller's."""
 
     @abstractmethod
-    def inner(self, name: str) -> Any:
+    def get_attr(self, name: str) -> Any:
         """Attribute of all rows, by the name that single environments have for it; or an `AttributeError`."""
 
-    def want(self, keys: Collection[str]) -> None:
+    def select_keys(self, keys: Collection[str]) -> None:
         """Use only these keys of the observation; others may be left out."""
 
     def close(self) -> None:
@@ -139,20 +139,20 @@ class OneRow(Rows):
     changes = ("_said", "_looked")
 
     def __init__(self, env: gym.Env[Any, Any]) -> None:
-        self.count, self.env, self.world = 1, env, self
+        self.num_envs, self.env, self.world = 1, env, self
         self.observation_space, self.action_space = env.observation_space, env.action_space
         self._said: tuple[Any, dict[str, Any]] = {}, {}
         self._looked = False
 
-    def begin(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
+    def reset(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
         self._said, self._looked = self.env.reset(seed=seeds[0], options=dict(options) or None), False
 
-    def advance(self, actions: Any, going: BoolArray) -> Step:
+    def step(self, actions: Any, going: BoolArray) -> Step:
         observation, reward, terminated, truncated, info = self.env.step(actions[0])
         self._said, self._looked = (observation, info), False
         return np.array([float(reward)]), np.array([bool(terminated)]), np.array([bool(truncated)])
 
-    def look(self) -> tuple[Arrays, Arrays]:
+    def observe(self) -> tuple[Arrays, Arrays]:
         """Whatever is in `info` is passed on as it is."""
         observation, info = deepcopy(self._said) if self._looked else self._said  # nothing is handed out twice
         self._looked = True
@@ -161,7 +161,7 @@ class OneRow(Rows):
             batched = {key: np.asarray(value)[None] for key, value in observation.items()}
         return batched, {key: [value] for key, value in info.items()}
 
-    def inner(self, name: str) -> Any:
+    def get_attr(self, name: str) -> Any:
         return self.env.get_wrapper_attr(name)
 
     def snapshot(self) -> State:
@@ -173,34 +173,34 @@ class OneRow(Rows):
         super().restore(state)
 
     def frame(self, b: int) -> Frame:
-        frame: Frame = self.inner("frame")
+        frame: Frame = self.get_attr("frame")
         return frame
 
     def start(self, b: int) -> Start:
-        start: Start = self.inner("start")
+        start: Start = self.get_attr("start")
         return start
 
     def route_of(self, b: int) -> Route:
-        route: Route = self.inner("route")
+        route: Route = self.get_attr("route")
         return route
 
     def reroute(self, b: int, route: Route) -> None:
-        self.inner("reroute")(route)
+        self.get_attr("reroute")(route)
 
     def body(self, b: int) -> Pose:
-        body: Pose = self.inner("body")
+        body: Pose = self.get_attr("body")
         return body
 
     def generator(self, b: int) -> np.random.Generator:
         return self.env.np_random
 
     def landmark_truth(self, b: int) -> LandmarkTruth:
-        truth: LandmarkTruth = self.inner("landmark_truth")()
+        truth: LandmarkTruth = self.get_attr("landmark_truth")()
         return truth
 
     def angles(self) -> FloatArray:
         if self.env.has_wrapper_attr("head_angles"):
-            return np.asarray(self.inner("head_angles"), dtype=np.float64)[None]
+            return np.asarray(self.get_attr("head_angles"), dtype=np.float64)[None]
         return np.asarray(self._said[0].get("head", np.zeros(2)), dtype=np.float64)[None]
 
     def times(self) -> FloatArray:

@@ -140,7 +140,7 @@ class StereoEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle, Kept):
         keeps_scene(options or {})  # refused before anything changes
         super().reset(seed=seed)
         self._rows.generators[0] = self.np_random
-        self._rows.begin(_ALL, [None], options or {})
+        self._rows.reset(_ALL, [None], options or {})
         self._begun, self._over, self._closed = True, False, False
         return self._look()
 
@@ -150,7 +150,7 @@ class StereoEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle, Kept):
             what = "the environment is closed: reset opens it again" if self._closed else "the episode is over"
             raise RuntimeError(f"{what}: call reset before the next step")
         command = np.clip(finite_array("action", action, self.action_space.shape or ()), -1.0, 1.0)
-        rewards, terminated, _ = self._rows.advance(command[None], _ALL)
+        rewards, terminated, _ = self._rows.step(command[None], _ALL)
         self._over = bool(terminated[0])
         observation, info = self._look()
         return observation, float(rewards[0]), self._over, False, info
@@ -173,5 +173,5 @@ class StereoEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle, Kept):
         self._frame = None
         if self._window is not None:
             self._window.show(self._rows.picture(0))
-        observation, info = self._rows.look()
+        observation, info = self._rows.observe()
         return row_of(observation, 0), row_of(info, 0)

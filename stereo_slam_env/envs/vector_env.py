@@ -42,10 +42,10 @@ class RowsVectorEnv(gym.vector.VectorEnv[Arrays, NDArray[Any], NDArray[Any]], Ke
     changes = ("rows", "_begun", "_over")
 
     def __init__(self, rows: Rows, autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP) -> None:
-        self.rows, self.num_envs = rows, rows.count
+        self.rows, self.num_envs = rows, rows.num_envs
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {"render_modes": ["rgb_array"], "render_fps": 10, "autoreset_mode": self.autoreset_mode}
-        self.metadata["training"] = rows.inner("training")
+        self.metadata["training"] = rows.get_attr("training")
         self.render_mode = "rgb_array" if self.core.draws else None
         self.single_observation_space, self.single_action_space = rows.observation_space, rows.action_space
         self.observation_space = batch_space(rows.observation_space, self.num_envs)
@@ -67,8 +67,8 @@ class RowsVectorEnv(gym.vector.VectorEnv[Arrays, NDArray[Any], NDArray[Any]], Ke
         reset_options = dict(options or {})
         everybody = np.ones(self.num_envs, dtype=np.bool_)
         selected = _mask(reset_options.pop("reset_mask"), self._begun) if "reset_mask" in reset_options else everybody
-        self._begin(selected, _seeds_of(seed, self.num_envs), reset_options)
-        return self._look()
+        self._reset_rows(selected, _seeds_of(seed, self.num_envs), reset_options)
+        return self._observe()
 
     def step(self, actions: NDArray[Any]) -> tuple[Arrays, FloatArray, BoolArray, BoolArray, Arrays]:
         """Step every environment."""
@@ -78,15 +78,15 @@ class RowsVectorEnv(gym.vector.VectorEnv[Arrays, NDArray[Any], NDArray[Any]], Ke
             if self.autoreset_mode != AutoresetMode.NEXT_STEP:
                 numbers = np.flatnonzero(over)[:5].tolist()
                 raise RuntimeError(f"the episodes of environments {numbers} are over: reset them")
-            self._begin(over)
-        rewards, terminated, truncated = self.rows.advance(command, ~over)
+            self._reset_rows(over)
+        rewards, terminated, truncated = self.rows.step(command, ~over)
         self._over = terminated | truncated
         if self.autoreset_mode != AutoresetMode.SAME_STEP or not self._over.any():
-            observation, info = self._look()
+            observation, info = self._observe()
             return observation, rewards, terminated, truncated, info
-        last, ended = self._look(), self._over.copy()
-        self._begin(ended)
-        observation, info = self._look()
+        last, ended = self._observe(), self._over.copy()
+        self._reset_rows(ended)
+        observation, info = self._observe()
         info["final_obs"], info["_final_obs"] = _singles(last[0], ended), ended
         info["final_info"] = {**last[1], **{name: ended for name in last[1] if name.startswith("_")}}
         info["_final_info"] = ended
@@ -98,9 +98,9 @@ class RowsVectorEnv(gym.vector.VectorEnv[Arrays, NDArray[Any], NDArray[Any]], Ke
         """Step those environments (num_envs,) that are `going`; the others stay as they are, and none is reset."""
         if np.shape(going) != (self.num_envs,) or np.asarray(going).dtype != np.bool_:
             raise ValueError(f"going must be ({self.num_envs},) bool, got {going!r}")
-        rewards, terminated, truncated = self.rows.advance(self._command(actions), going & ~self._over)
+        rewards, terminated, truncated = self.rows.step(self._command(actions), going & ~self._over)
         self._over |= terminated | truncated
-        observation, info = self._look()
+        observation, info = self._observe()
         return observation, rewards, terminated, truncated, info
 
     def render(self) -> Sequence[NDArray[np.uint8]] | None:  # type: ignore[override]
@@ -123,7 +123,7 @@ class RowsVectorEnv(gym.vector.VectorEnv[Arrays, NDArray[Any], NDArray[Any]], Ke
     def filters(self) -> Any:
         """The filters in the loop."""
         try:
-            return self.rows.inner("beliefs").filters
+            return self.rows.get_attr("beliefs").filters
         except AttributeError:
             raise RuntimeError("there is no filter in the loop: give belief={}") from None
 
@@ -136,7 +136,7 @@ class RowsVectorEnv(gym.vector.VectorEnv[Arrays, NDArray[Any], NDArray[Any]], Ke
     def max_episode_steps(self) -> int | None:
         """The time limit; None: there is none."""
         try:
-            return int(self.rows.inner("max_episode_steps"))
+            return int(self.rows.get_attr("max_episode_steps"))
         except AttributeError:
             return None
 
@@ -162,17 +162,17 @@ class RowsVectorEnv(gym.vector.VectorEnv[Arrays, NDArray[Any], NDArray[Any]], Ke
         """Memory of the state of all environments, without the filters."""
         return self.core.simulator.nbytes
 
-    def _begin(self, chosen: BoolArray, seeds: Sequence[int | None] = (), options: Mapping[str, Any] = {}) -> None:
+    def _reset_rows(self, chosen: BoolArray, seeds: Sequence[int | None] = (), options: Mapping[str, Any] = {}) -> None:
         seeds = seeds or [None] * self.num_envs
-        self.rows.begin(chosen, seeds, options)
+        self.rows.reset(chosen, seeds, options)
         for b in np.flatnonzero(chosen).tolist():
             self._seeds[b] = self._seeds[b] if seeds[b] is None else seeds[b]
         self._begun |= chosen
         self._over[chosen] = False
 
-    def _look(self) -> tuple[Arrays, Arrays]:
+    def _observe(self) -> tuple[Arrays, Arrays]:
         """Observation and info; `_key` says whose rows are valid, which all are."""
-        observation, info = self.rows.look()
+        observation, info = self.rows.observe()
         everybody = np.ones(self.num_envs, dtype=np.bool_)
         return observation, {**info, **{f"_{key}": everybody for key in info}}
 
@@ -193,14 +193,14 @@ class TimeLimit(RowsWrapper):
     def __init__(self, env: Any, max_episode_steps: int) -> None:
         super().__init__(env)
         self.max_episode_steps = max_episode_steps
-        self._steps = np.zeros(self.count, dtype=np.int64)
+        self._steps = np.zeros(self.num_envs, dtype=np.int64)
 
-    def begin(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
-        self.rows.begin(chosen, seeds, options)
+    def reset(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
+        self.rows.reset(chosen, seeds, options)
         self._steps[chosen] = 0
 
-    def advance(self, actions: Any, going: BoolArray) -> Step:
-        rewards, terminated, truncated = self.rows.advance(actions, going)
+    def step(self, actions: Any, going: BoolArray) -> Step:
+        rewards, terminated, truncated = self.rows.step(actions, going)
         self._steps[going] += 1
         return rewards, terminated, truncated | (going & (self._steps >= self.max_episode_steps))
 
@@ -253,7 +253,7 @@ class _PicturesOfRows(Sequence[NDArray[np.uint8]]):
         self._rows = rows
 
     def __len__(self) -> int:
-        return self._rows.count
+        return self._rows.num_envs
 
     def __getitem__(self, b: Any) -> Any:
         return self._rows.picture(range(len(self))[b])

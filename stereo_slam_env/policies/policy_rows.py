@@ -179,16 +179,16 @@ class RowOfVector:
         """Attribute of the single environment; an `AttributeError` where there is none."""
         rows, b = self._rows, self._b
         if name == "slam":
-            return rows.inner("beliefs").filters[b]
+            return rows.get_attr("beliefs").filters[b]
         if name == "belief":
-            return rows.inner("beliefs").belief(b)
+            return rows.get_attr("beliefs").belief(b)
         if name == "head_angles":
             return rows.world.angles()[b].copy()
         if name == "route":
             return rows.world.route_of(b)
         if name == "row":  # of `beliefs`, which are those of all rows
             return b
-        return rows.inner(name)
+        return rows.get_attr(name)
 
     def has_wrapper_attr(self, name: str) -> bool:
         """Whether there is something under that name."""
@@ -237,7 +237,7 @@ def true_figures(vector: RowsVectorEnv, begin: Callable[[Any], Actions], seeds: 
         Of the episodes.
     """
     observation, info = vector.reset(seed=list(seeds))
-    act, count, beliefs = begin(observation), len(seeds), vector.rows.inner("beliefs")
+    act, count, beliefs = begin(observation), len(seeds), vector.rows.get_attr("beliefs")
     active, figures = np.ones(count, dtype=np.bool_), np.zeros((count, 6))
     squares, returns, steps = np.zeros(count), np.zeros(count), np.zeros(count)
     while active.any():
@@ -277,13 +277,13 @@ class Oracle:
         """The choices of all rows, (B,)."""
         rows, state = self._rows, self._rows.snapshot()
         choices = int(rows.action_space.n)
-        sums = np.zeros((choices, rows.count))
+        sums = np.zeros((choices, rows.num_envs))
         for choice in range(choices):
             alive = going.copy()
             for _ in range(self._depth):
                 if not alive.any():
                     break
-                rewards, terminated, truncated = rows.advance(np.full(rows.count, choice), alive)
+                rewards, terminated, truncated = rows.step(np.full(rows.num_envs, choice), alive)
                 sums[choice] += rewards
                 alive &= ~(terminated | truncated)
             rows.restore(state)

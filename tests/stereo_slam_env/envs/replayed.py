@@ -75,10 +75,10 @@ def episode(env, steps=None):
 
 def assert_the_second_rests(rows, actions):
     """Of two rows the first goes on, and earns something; the other earns nothing and stays as it is."""
-    before = rows.look()
-    rewards, terminated, truncated = rows.advance(actions, np.array([True, False]))
+    before = rows.observe()
+    rewards, terminated, truncated = rows.step(actions, np.array([True, False]))
     assert rewards[0] != 0.0
     assert (rewards[1], terminated[1], truncated[1]) == (0.0, False, False)
-    for old, new in zip(before, rows.look(), strict=True):
+    for old, new in zip(before, rows.observe(), strict=True):
         for key, values in old.items():
             np.testing.assert_array_equal(new[key][1], values[1], err_msg=key)

@@ -41,7 +41,7 @@ def driven(name, steps=4, **arguments):
 @pytest.fixture
 def false_truth(monkeypatch):
     """The world says of true places, progress and the route ahead what is not so."""
-    truth, show = CoreRows.landmark_truth, CoreRows.look
+    truth, show = CoreRows.landmark_truth, CoreRows.observe
 
     def elsewhere(self, b):
         told = truth(self, b)
@@ -52,7 +52,7 @@ def false_truth(monkeypatch):
         return {key: 0.0 * x if key in ("progress", "route") else x for key, x in observation.items()}, info
 
     monkeypatch.setattr(CoreRows, "landmark_truth", elsewhere)
-    monkeypatch.setattr(CoreRows, "look", look)
+    monkeypatch.setattr(CoreRows, "observe", look)
 
 
 @pytest.fixture(scope="module")
@@ -85,7 +85,7 @@ def test_a_turned_head_does_not_turn_the_route_that_is_shown():
     action = np.array([0.0, 0.0, 0.0, 1.0, 0.5])
     for _ in range(8):
         seen, _, _, _, info = env.step(action)
-    true = env.unwrapped._rows.look()[0]["route"][0]
+    true = env.unwrapped._rows.observe()[0]["route"][0]
     assert abs(seen["head"][0]) > 0.3
     assert np.isfinite(info["truth_position"]).all()
     np.testing.assert_allclose(seen["route"], true, atol=0.2)
