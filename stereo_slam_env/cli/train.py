@@ -30,7 +30,8 @@ def train(
     environment: Annotated[
         str,
         typer.Option(
-            "--environment", help="Any id, also module:id. Gaze-v0, ActiveGaze-v0: where to look; others: their reward."
+            "--environment",
+            help="An id (module:id) that shows a Dict. Gaze-v0, ActiveGaze-v0: where to look; others: their reward.",
         ),
     ] = "StereoSlam/Gaze-v0",
     arguments: Annotated[str, typer.Option("--arguments", help="Of the environment, as JSON.")] = "{}",

@@ -12,10 +12,8 @@ from filters.contract.validation import positive, whole_number
 from filters.geometry.arrays import BoolArray, FloatArray
 from stereo_slam_env.envs.active_gaze import GAZE_FILTER
 from stereo_slam_env.envs.arguments import FEW_DECISIONS
-from stereo_slam_env.envs.belief_observation import BeliefObservation
-from stereo_slam_env.envs.belief_panorama import BeliefPanorama
 from stereo_slam_env.envs.filter_rows import FilterRows
-from stereo_slam_env.envs.make_vec import inner_environment, of_world, vector_of
+from stereo_slam_env.envs.make_vec import arguments_of, inner_environment, of_world, vector_of
 from stereo_slam_env.envs.row_wrapper import RowsWrapper, SelectedKeys
 from stereo_slam_env.envs.rows import Arrays, Rows, Seeds, Step
 from stereo_slam_env.world.routes import through_streets
@@ -215,12 +213,8 @@ def branches(
     arguments: Mapping[str, Any] | None = None,
     filter: str = "shared-anchor",
     filter_options: Mapping[str, Any] = GAZE_FILTER,
-    roads: int = 12,
-    accuracy: float = 1.0,
-    weight: float = 100.0,
-    goal: float = 0.2,
     many: Mapping[str, Any] | None = None,
-    **world: Any,
+    **others: Any,
 ) -> Any:
     """`StereoSlam/Branches-v0`: drive through a grid of streets so that much of it is on the map, and true.
 
@@ -243,18 +237,15 @@ def branches(
         Name of the filter in the loop.
     filter_options : mapping
         Its options; one that drops what is out of view has no map.
-    roads, accuracy, weight, goal
-        Of `BranchChoice`.
     many : mapping, optional
         `num_envs`, `scenes` and `threads`: that many in rows, instead of one environment.
-    **world
-        Arguments of `StereoSlam/Drive-v0`, as in `arguments`.
+    **others
+        Arguments of `BranchChoice`, and of `StereoSlam/Drive-v0` as in `arguments`.
     """
     defaults = {"render_mode": render_mode, **_WORLD, **_UNPAID}
-    inside = inner_environment("StereoSlam/Drive-v0", level, of_world(arguments, world), many, **defaults)
-    inside = BeliefPanorama(BeliefObservation(inside, filter=filter, options=filter_options))
-    paid = BranchChoice(inside, roads=roads, accuracy=accuracy, weight=weight, goal=goal)
-    return SelectedKeys(paid, keys=KEYS)
+    pay, world = arguments_of(BranchChoice, others), of_world(arguments, others)
+    inside = inner_environment("StereoSlam/Drive-v0", level, world, many, filter, filter_options, **defaults)
+    return SelectedKeys(BranchChoice(inside, **pay), keys=KEYS)
 
 
 branches_vector = vector_of(branches)

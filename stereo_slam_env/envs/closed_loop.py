@@ -15,10 +15,8 @@ from filters.contract.validation import positive, whole_number
 from filters.geometry.arrays import BoolArray, FloatArray
 from filters.geometry.poses import Pose
 from stereo_slam_env.envs.arguments import STEERING
-from stereo_slam_env.envs.belief_observation import BeliefObservation
-from stereo_slam_env.envs.belief_panorama import BeliefPanorama
 from stereo_slam_env.envs.filter_rows import FilterRows
-from stereo_slam_env.envs.make_vec import inner_environment, of_world, vector_of
+from stereo_slam_env.envs.make_vec import arguments_of, inner_environment, of_world, vector_of
 from stereo_slam_env.envs.row_wrapper import RowsWrapper, SelectedKeys
 from stereo_slam_env.envs.rows import Arrays, Seeds, Step
 from stereo_slam_env.simulator.motion import nearest_frames, routes_ahead
@@ -210,9 +208,8 @@ def closed_loop(
     arguments: Mapping[str, Any] | None = None,
     filter: str = "right-invariant",
     filter_options: Mapping[str, Any] | None = None,
-    latency: int | None = None,
     many: Mapping[str, Any] | None = None,
-    **world: Any,
+    **others: Any,
 ) -> Any:
     """`StereoSlam/ClosedLoop-v0`: come to the end of a route that is only known relative to an estimate.
 
@@ -235,19 +232,17 @@ def closed_loop(
         Name of the filter that is driven by.
     filter_options : mapping, optional
         Its options.
-    latency : int, optional
-        Of `RouteByEstimate`; None: that of the level in `LATENCIES`.
     many : mapping, optional
         `num_envs`, `scenes` and `threads`: that many in rows, instead of one environment.
-    **world
-        Arguments of `StereoSlam/Drive-v0`, as in `arguments`.
+    **others
+        Arguments of `RouteByEstimate`, whose `latency` is that of the level in `LATENCIES` unless given, and of
+        `StereoSlam/Drive-v0` as in `arguments`.
     """
     odometry = {"odometry_sigma_linear": 0.2, "odometry_sigma_angular": 0.02}
     defaults = {"render_mode": render_mode, "max_landmarks": 40, "tracking_weight": 0.0, **odometry}
-    inside = inner_environment("StereoSlam/Drive-v0", level, of_world(arguments, world), many, **defaults)
-    inside = BeliefPanorama(BeliefObservation(inside, filter=filter, options=filter_options))
-    latency = LATENCIES[level] if latency is None else latency
-    return SelectedKeys(RouteByEstimate(inside, latency=latency), keys=KEYS)
+    late, world = arguments_of(RouteByEstimate, others), of_world(arguments, others)
+    inside = inner_environment("StereoSlam/Drive-v0", level, world, many, filter, filter_options, **defaults)
+    return SelectedKeys(RouteByEstimate(inside, **{"latency": LATENCIES[level], **late}), keys=KEYS)
 
 
 closed_loop_vector = vector_of(closed_loop)

@@ -13,11 +13,9 @@ from filters.contract.validation import positive
 from filters.geometry.arrays import BoolArray, FloatArray
 from stereo_slam_env.envs.active_gaze import GAZE_FILTER
 from stereo_slam_env.envs.arguments import FEW_DECISIONS
-from stereo_slam_env.envs.belief_observation import BeliefObservation
-from stereo_slam_env.envs.belief_panorama import BeliefPanorama
 from stereo_slam_env.envs.closed_loop import DriveChoices, RouteByEstimate, drive_slowly
 from stereo_slam_env.envs.filter_rows import FilterRows
-from stereo_slam_env.envs.make_vec import inner_environment, of_world, vector_of
+from stereo_slam_env.envs.make_vec import arguments_of, inner_environment, of_world, vector_of
 from stereo_slam_env.envs.row_wrapper import RowsWrapper, SelectedKeys
 from stereo_slam_env.envs.rows import Arrays, Seeds, Step
 from stereo_slam_env.world.routes import FRAME_PERIOD
@@ -159,13 +157,9 @@ def explore(
     arguments: Mapping[str, Any] | None = None,
     filter: str = "shared-anchor",
     filter_options: Mapping[str, Any] = GAZE_FILTER,
-    accuracy: float = 0.8,
-    goal: float = 0.6,
-    coverage_weight: float = 20.0,
-    path_weight: float = 0.01,
     choices: Mapping[str, Any] | None = None,
     many: Mapping[str, Any] | None = None,
-    **world: Any,
+    **others: Any,
 ) -> Any:
     """`StereoSlam/Explore-v0`: drive round a block and look about, until the map is worth no further metre.
 
@@ -187,23 +181,19 @@ def explore(
         Name of the filter in the loop.
     filter_options : mapping
         Its options; one that drops what is out of view maps little.
-    accuracy, goal, coverage_weight, path_weight : float
-        Of `Coverage`.
     choices : mapping, optional
         Arguments of `DriveChoices`: the action is then a speed and a gaze for a second, or the stop, and a script
         steers. None: it is that of above.
     many : mapping, optional
         `num_envs`, `scenes` and `threads`: that many in rows, instead of one environment.
-    **world
-        Arguments of `StereoSlam/DriveGaze-v0`, as in `arguments`.
+    **others
+        Arguments of `Coverage`, and of `StereoSlam/DriveGaze-v0` as in `arguments`.
     """
     unpaid = dict.fromkeys(("progress_weight", "tracking_weight", "goal_weight", "effort_weight"), 0.0)
     defaults = {"render_mode": render_mode, "route": "random-loop", "time_weight": 0.05, **unpaid}
-    inside = inner_environment("StereoSlam/DriveGaze-v0", level, of_world(arguments, world), many, **defaults)
-    inside = BeliefPanorama(BeliefObservation(inside, filter=filter, options=filter_options))
-    inside = RouteByEstimate(inside)
-    weights = {"coverage_weight": coverage_weight, "path_weight": path_weight}
-    paid = Coverage(inside, accuracy=accuracy, goal=goal, **weights)
+    pay, world = arguments_of(Coverage, others), of_world(arguments, others)
+    inside = inner_environment("StereoSlam/DriveGaze-v0", level, world, many, filter, filter_options, **defaults)
+    paid = Coverage(RouteByEstimate(inside), **pay)
     return SelectedKeys(paid if choices is None else DriveChoices(paid, **choices), keys=KEYS)
 
 

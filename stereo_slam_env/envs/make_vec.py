@@ -264,14 +264,29 @@ def of_world(arguments: Mapping[str, Any] | None, others: Mapping[str, Any]) -> 
     return {**world_arguments, **others}
 
 
-def inner_environment(
-    name: str, level: str, given: Mapping[str, Any], many: Mapping[str, Any] | None, **own: Any
-) -> gym.Env[Any, Any] | Rows:
-    """The environment `name` inside a task: its own arguments, those of the level, and those given; the last ones win.
+def arguments_of(wrapper: Any, given: dict[str, Any]) -> dict[str, Any]:
+    """Arguments of a wrapper, taken out of those that are given to a task."""
+    return {name: given.pop(name) for name in wrapper.__signature__.parameters if name in given}
 
-    Rows of such where `many` has their number, see `rows_of`.
+
+def inner_environment(
+    name: str,
+    level: str,
+    given: Mapping[str, Any],
+    many: Mapping[str, Any] | None,
+    filter: str,
+    filter_options: Mapping[str, Any] | None,
+    **own: Any,
+) -> Any:
+    """The environment `name` inside a task, with a filter in the loop and a panorama of its belief.
+
+    Its arguments are those of the task (`own`), of the level, and those given; the last ones win. Rows of such where
+    `many` has their number, see `rows_of`.
     """
     arguments = {**own, **of_level(level, scripted=name == "StereoSlam/Gaze-v0"), **given}
-    if many is not None:
-        return rows_of(name, options=arguments, **many)
-    return gym.make(name, max_episode_steps=-1, disable_env_checker=True, **arguments)
+    inside: Any
+    if many is None:
+        inside = gym.make(name, max_episode_steps=-1, disable_env_checker=True, **arguments)
+    else:
+        inside = rows_of(name, options=arguments, **many)
+    return BeliefPanorama(BeliefObservation(inside, filter=filter, options=filter_options))

@@ -12,9 +12,7 @@ from gymnasium import spaces
 from filters.contract.validation import positive, whole_number
 from filters.geometry.arrays import BoolArray, FloatArray
 from stereo_slam_env.envs.active_gaze import GAZE_FILTER
-from stereo_slam_env.envs.belief_observation import BeliefObservation
-from stereo_slam_env.envs.belief_panorama import BeliefPanorama
-from stereo_slam_env.envs.make_vec import inner_environment, of_world, vector_of
+from stereo_slam_env.envs.make_vec import arguments_of, inner_environment, of_world, vector_of
 from stereo_slam_env.envs.rewards import InformationGain
 from stereo_slam_env.envs.row_wrapper import RowsWrapper, SelectedKeys
 from stereo_slam_env.envs.rows import Arrays, Seeds, Step
@@ -177,11 +175,8 @@ def revisit(
     arguments: Mapping[str, Any] | None = None,
     filter: str = "shared-anchor",
     filter_options: Mapping[str, Any] = GAZE_FILTER,
-    begin: Sequence[float] = (0.5, 0.95),
-    dearest: float | None = None,
-    hold: int = 10,
     many: Mapping[str, Any] | None = None,
-    **world: Any,
+    **others: Any,
 ) -> Any:
     """`StereoSlam/Revisit-v0`: drive on to see the first landmarks again, or save the metres.
 
@@ -204,22 +199,17 @@ def revisit(
         Name of the filter in the loop.
     filter_options : mapping
         Its options; one that drops what is out of view cannot close a loop.
-    begin, hold
-        Of `LoopClosure`.
-    dearest : float, optional
-        Of `LoopClosure`; None: that of the level in `DEAREST`.
     many : mapping, optional
         `num_envs`, `scenes` and `threads`: that many in rows, instead of one environment.
-    **world
-        Arguments of `StereoSlam/Gaze-v0`, as in `arguments`.
+    **others
+        Arguments of `LoopClosure`, whose `dearest` is that of the level in `DEAREST` unless given, and of
+        `StereoSlam/Gaze-v0` as in `arguments`.
     """
     defaults = {"render_mode": render_mode, "route": "random-loop"}
-    given = {**_ODOMETRY, **of_world(arguments, world)}
-    inside = inner_environment("StereoSlam/Gaze-v0", level, given, many, **defaults)
-    dearest = DEAREST[level] if dearest is None else dearest
-    inside = BeliefPanorama(BeliefObservation(inside, filter=filter, options=filter_options))
+    pay, world = arguments_of(LoopClosure, others), {**_ODOMETRY, **of_world(arguments, others)}
+    inside = inner_environment("StereoSlam/Gaze-v0", level, world, many, filter, filter_options, **defaults)
     paid = InformationGain(inside, of="pose", resolution=(0.01, 0.001))
-    return SelectedKeys(LoopClosure(paid, begin=begin, dearest=dearest, hold=hold), keys=KEYS)
+    return SelectedKeys(LoopClosure(paid, **{"dearest": DEAREST[level], **pay}), keys=KEYS)
 
 
 revisit_vector = vector_of(revisit)

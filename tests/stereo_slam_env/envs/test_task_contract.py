@@ -14,10 +14,11 @@ from .replayed import assert_the_second_rests
 from .test_tasks import QUICK, made
 
 DEFAULTS = {
-    branches.branches: {"roads": 12, "accuracy": 1.0, "weight": 100.0, "goal": 0.2, "filter": "shared-anchor"},
-    explore.explore: {"accuracy": 0.8, "goal": 0.6, "coverage_weight": 20.0, "path_weight": 0.01},
-    revisit.revisit: {"begin": (0.5, 0.95), "dearest": None, "hold": 10},
-    closed_loop.closed_loop: {"filter": "right-invariant", "latency": None},
+    branches.branches: {"filter": "shared-anchor"},
+    branches.BranchChoice: {"roads": 12, "accuracy": 1.0, "weight": 100.0, "goal": 0.2},
+    explore.Coverage: {"accuracy": 0.8, "goal": 0.6, "coverage_weight": 20.0, "path_weight": 0.01},
+    revisit.LoopClosure: {"begin": (0.5, 0.95), "dearest": 0.4, "hold": 10},
+    closed_loop.closed_loop: {"filter": "right-invariant"},
 }
 BOUNDS = {
     "StereoSlam/Branches-v0": {

@@ -199,6 +199,12 @@ def test_a_module_before_the_id_is_imported_where_it_is_typed_and_nowhere_else(t
     assert "--environment must name a module to import, got 'nowhere:Some-v0'" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("name", ["CartPole-v1", "Pendulum-v1", "FrozenLake-v1"])
+def test_what_no_network_here_can_read_is_refused_in_a_line(name):
+    with pytest.raises(ValueError, match=f"environment must show a Dict of Boxes, '{name}' shows .*: wrap it"):
+        RegisteredTask(name)
+
+
 def test_the_words_of_a_progress_bar_have_the_score_of_the_task_as_it_is():
     assert RegisteredTask("StereoSlam/Drive-v0").words(EpisodeOutcome(31.4, 1.0, 300.0)) == (
         f"return 31.40, success 100%, score {float(normalised_score('StereoSlam/Drive-v0', 31.4)):.0f}"
