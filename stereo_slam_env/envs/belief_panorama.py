@@ -71,8 +71,6 @@ class BeliefPanorama(RowsWrapper):
         `sectors` is not an integer of at least 3, `reach` is not positive, or there is no filter in the loop.
     """
 
-    changes = ("_last_seen", "_in_view", "_times")
-
     def __init__(self, env: Any, sectors: int = 12, reach: float | None = None) -> None:
         super().__init__(env)
         self._sectors = whole_number("sectors", sectors, 3)

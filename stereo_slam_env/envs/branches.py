@@ -68,7 +68,6 @@ class BranchChoice(RowsWrapper):
         An argument is impossible, or the route does not lead through streets.
     """
 
-    changes = ("_places", "_driven", "_sigmas", "_choices", "_credit", "_claimed", "_gained")
     training: ClassVar[Mapping[str, Any]] = {**FEW_DECISIONS, "decisions": 8_192, "evaluate_every": 4_096}
 
     def __init__(

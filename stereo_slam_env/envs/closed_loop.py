@@ -146,7 +146,6 @@ class RouteByEstimate(RowsWrapper):
         Frames.
     """
 
-    changes = ("_poses", "_nearest", "_progress")
     training: ClassVar[Mapping[str, Any]] = {**STEERING, "decisions": 393_216}
 
     def __init__(self, env: Any, latency: int = 0) -> None:

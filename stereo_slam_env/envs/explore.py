@@ -57,7 +57,6 @@ class Coverage(RowsWrapper):
         Price of each metre.
     """
 
-    changes = ("_in_reach", "_mapped", "_claimed", "_shown", "_now", "_terms")
     training: ClassVar[Mapping[str, Any]] = {
         **FEW_DECISIONS,
         "arguments": {"choices": {}},

@@ -60,7 +60,6 @@ class LoopClosure(RowsWrapper):
         An argument is impossible, or the route does not come back to its start.
     """
 
-    changes = ("_closing", "_steps", "_price", "_driven", "_total", "_learnt", "_path")
     training: ClassVar[Mapping[str, Any]] = {
         "decisions": 20_480,
         "environments": 64,

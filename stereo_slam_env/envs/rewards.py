@@ -84,7 +84,6 @@ class InformationGain(RowsWrapper):
     """
 
     shared = ("reference",)
-    changes = ("_recent", "references", "_potentials", "_gains", "_credited", "_gain")
 
     def __init__(
         self,
@@ -229,8 +228,6 @@ class TrueError(RowsWrapper):
     ValueError
         There is no filter in the loop, or the weight is not finite.
     """
-
-    changes = ("_squares",)
 
     def __init__(self, env: Any, weight: float = 1.0, keep_reward: bool = False) -> None:
         super().__init__(env)

@@ -20,6 +20,8 @@ from stereo_slam_env.simulator.state import Kept, State
 from stereo_slam_env.world.vehicle import Head
 
 _ALL = np.ones(1, dtype=np.bool_)
+_NO_STATE = (Kept, gym.Space)
+"""Types of attributes that the wrapper itself does not change."""
 
 
 class _OneClass(ABCMeta):
@@ -118,7 +120,7 @@ class RowsWrapper(Rows, metaclass=_OneClass):
 
     `MyWrapper(env, ...)` around one environment is one of Gymnasium's wrappers, around a native vector a vector, and
     around rows rows. The first parameter of `__init__` is called `env`, and is rows there; the others are JSON-able.
-    `changes` names the attributes that a step or a reset changes: a snapshot keeps them.
+    All that it keeps is in its snapshots, but for spaces, functions and what belongs to another wrapper.
     """
 
     shared: ClassVar[tuple[str, ...]] = ()
@@ -143,6 +145,12 @@ class RowsWrapper(Rows, metaclass=_OneClass):
 
     def select_keys(self, keys: Collection[str]) -> None:
         self.rows.select_keys(keys)
+
+    def _state_names(self) -> Collection[str]:
+        """Attributes of its own; objects that keep a state themselves are among them where `changes` names them."""
+        foreign = ("rows", "world", "arguments")
+        own = (name for name, value in vars(self).items() if name not in foreign and not isinstance(value, _NO_STATE))
+        return {name for name in own if not callable(getattr(self, name))} | {*self.changes}
 
     def snapshot(self) -> State:
         """State of a row, that of the rows inside included."""

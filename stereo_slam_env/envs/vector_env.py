@@ -188,8 +188,6 @@ class RowsVectorEnv(gym.vector.VectorEnv[Arrays, NDArray[Any], NDArray[Any]], Ke
 class TimeLimit(RowsWrapper):
     """Rows whose episodes are truncated after so many steps."""
 
-    changes = ("_steps",)
-
     def __init__(self, env: Any, max_episode_steps: int) -> None:
         super().__init__(env)
         self.max_episode_steps = max_episode_steps

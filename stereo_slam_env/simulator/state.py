@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from copy import deepcopy
 from typing import Any, ClassVar, NamedTuple
 
@@ -350,12 +350,15 @@ class Kept:
 
     def snapshot(self) -> State:
         """The state, a copy that can be pickled; what nobody changes, as scenes, is shared."""
-        return {name: _copied(getattr(self, name)) for name in self.changes}
+        return {name: _copied(getattr(self, name)) for name in self._state_names()}
 
     def restore(self, state: Mapping[str, Any]) -> None:
         """Go back to a state, which stays as it is."""
-        for name in self.changes:
+        for name in self._state_names():
             setattr(self, name, _restored(getattr(self, name), state[name]))
+
+    def _state_names(self) -> Collection[str]:
+        return self.changes
 
 
 class _GeneratorState(NamedTuple):

@@ -49,7 +49,7 @@ def test_one_and_many_give_the_same_bits_and_it_does_what_it_says():
     np.testing.assert_allclose(paid[:, 0], without - 0.2 * steps, atol=1e-6)
 
 
-def test_a_snapshot_keeps_what_it_says_changes():
+def test_a_snapshot_keeps_its_attributes_without_being_told():
     env, actions = SteadyHead(gym.make(ID)), actions_of(0)
     env.reset(seed=SEED)
     rewards_of(env, actions[:5])

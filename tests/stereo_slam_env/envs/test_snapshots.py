@@ -3,6 +3,7 @@
 import copy
 import pickle
 from contextlib import closing
+from zlib import crc32
 
 import gymnasium as gym
 import numpy as np
@@ -65,9 +66,10 @@ def single(name, **arguments):
 @pytest.mark.parametrize("name", IDS)
 def test_every_id_goes_on_from_a_snapshot(name):
     arguments = SMALL.get(kind_of(name), {})
-    many = 60 if kind_of(name) in ("Drive", "DriveGaze") else 5  # over crashes, so scenes and generators count
-    assert_goes_on_again(lambda: single(name, **arguments), after=many)
-    assert_goes_on_again(lambda: gym.make_vec(name, num_envs=3, **arguments), after=many)
+    many = {"Drive": 60, "DriveGaze": 60, "Branches": 5, "Revisit": 5}.get(kind_of(name), 50)  # over crashes, too
+    before = 1 + crc32(name.encode()) % 9
+    assert_goes_on_again(lambda: single(name, **arguments), before, many)
+    assert_goes_on_again(lambda: gym.make_vec(name, num_envs=3, **arguments), before, many)
 
 
 @pytest.mark.parametrize(
