@@ -20,7 +20,7 @@ from stereo_slam_env.envs import (
     TrueError,
 )
 from stereo_slam_env.envs.information import CRITERIA, Criterion
-from stereo_slam_env.envs.make_vec import of_level, of_world, rows_of, vector_of
+from stereo_slam_env.envs.make_vec import arguments_of, of_level, of_world, rows_of, vector_of
 from stereo_slam_env.envs.rewards import BeliefOf
 from stereo_slam_env.envs.row_wrapper import directions, moving_head
 from stereo_slam_env.envs.rows import Rows
@@ -94,8 +94,7 @@ class GazeTask:
     def make_for_learning(self) -> gym.Env[Any, Any]:
         """`make_held`, with the number of one of `choices` for an action if there are any."""
         env: Any = self.make_held()
-        chosen: gym.Env[Any, Any] = env if self.pans is None else cast(Any, DirectionOfGaze(env, self.pans))
-        return chosen
+        return cast("gym.Env[Any, Any]", env if self.pans is None else DirectionOfGaze(env, self.pans))
 
     def make_rows(self, num_envs: int, scenes: int | None = None, threads: int = 1) -> Rows:
         """So many times `make_for_learning` as rows; see `envs.make_vec.stereo_vector`."""
@@ -178,7 +177,8 @@ def active_gaze(
         Arguments of `GazeTask.make_rows`: that many in rows, instead of one environment.
     **task
         Others of `GazeTask`: `filter`, `filter_options`, `reward`, `criterion`, `belief`, `nees_gate`, `resolution`,
-        `hold`, `pans`; and arguments of `StereoSlam/Gaze-v0`, as in `arguments`. JSON-able.
+        `hold`, `pans`; `observation` and `keys` of `SelectedKeys`; and arguments of `StereoSlam/Gaze-v0`, as in
+        `arguments`. JSON-able.
 
     Raises
     ------
@@ -186,9 +186,11 @@ def active_gaze(
         There is no argument of that name.
     """
     bare = {"render_mode": render_mode, "max_episode_steps": -1, "disable_env_checker": True}  # the task has its own
+    selection = arguments_of(SelectedKeys, task)
     gaze = gaze_task(level, arguments, **task)
     gaze = replace(gaze, arguments={**bare, **gaze.arguments})
-    return gaze.make_for_learning() if many is None else gaze.make_rows(**many)
+    task_env: Any = gaze.make_for_learning() if many is None else gaze.make_rows(**many)
+    return SelectedKeys(task_env, **{"keys": POLICY_KEYS, **selection}) if selection else task_env
 
 
 def gaze_task(level: str = "normal", arguments: Mapping[str, Any] | None = None, **task: Any) -> GazeTask:

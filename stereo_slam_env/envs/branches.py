@@ -239,12 +239,14 @@ def branches(
     many : mapping, optional
         `num_envs`, `scenes` and `threads`: that many in rows, instead of one environment.
     **others
-        Arguments of `BranchChoice`, and of `StereoSlam/Drive-v0` as in `arguments`.
+        Arguments of `BranchChoice`, `observation` and `keys` of `SelectedKeys`, and those of `StereoSlam/Drive-v0` as
+        in `arguments`.
     """
     defaults = {"render_mode": render_mode, **_WORLD, **_UNPAID}
-    pay, world = arguments_of(BranchChoice, others), of_world(arguments, others)
+    pay, selection = arguments_of(BranchChoice, others), arguments_of(SelectedKeys, others)
+    world = of_world(arguments, others)
     inside = inner_environment("StereoSlam/Drive-v0", level, world, many, filter, filter_options, **defaults)
-    return SelectedKeys(BranchChoice(inside, **pay), keys=KEYS)
+    return SelectedKeys(BranchChoice(inside, **pay), **{"keys": KEYS, **selection})
 
 
 branches_vector = vector_of(branches)

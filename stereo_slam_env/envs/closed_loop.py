@@ -234,14 +234,15 @@ def closed_loop(
     many : mapping, optional
         `num_envs`, `scenes` and `threads`: that many in rows, instead of one environment.
     **others
-        Arguments of `RouteByEstimate`, whose `latency` is that of the level in `LATENCIES` unless given, and of
-        `StereoSlam/Drive-v0` as in `arguments`.
+        Arguments of `RouteByEstimate`, whose `latency` is that of the level in `LATENCIES` unless given, `observation`
+        and `keys` of `SelectedKeys`, and those of `StereoSlam/Drive-v0` as in `arguments`.
     """
     odometry = {"odometry_sigma_linear": 0.2, "odometry_sigma_angular": 0.02}
     defaults = {"render_mode": render_mode, "max_landmarks": 40, "tracking_weight": 0.0, **odometry}
-    late, world = arguments_of(RouteByEstimate, others), of_world(arguments, others)
+    late, selection = arguments_of(RouteByEstimate, others), arguments_of(SelectedKeys, others)
+    world = of_world(arguments, others)
     inside = inner_environment("StereoSlam/Drive-v0", level, world, many, filter, filter_options, **defaults)
-    return SelectedKeys(RouteByEstimate(inside, **{"latency": LATENCIES[level], **late}), keys=KEYS)
+    return SelectedKeys(RouteByEstimate(inside, **{"latency": LATENCIES[level], **late}), **{"keys": KEYS, **selection})
 
 
 closed_loop_vector = vector_of(closed_loop)

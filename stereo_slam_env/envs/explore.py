@@ -186,14 +186,16 @@ def explore(
     many : mapping, optional
         `num_envs`, `scenes` and `threads`: that many in rows, instead of one environment.
     **others
-        Arguments of `Coverage`, and of `StereoSlam/DriveGaze-v0` as in `arguments`.
+        Arguments of `Coverage`, `observation` and `keys` of `SelectedKeys`, and those of `StereoSlam/DriveGaze-v0` as
+        in `arguments`.
     """
     unpaid = dict.fromkeys(("progress_weight", "tracking_weight", "goal_weight", "effort_weight"), 0.0)
     defaults = {"render_mode": render_mode, "route": "random-loop", "time_weight": 0.05, **unpaid}
-    pay, world = arguments_of(Coverage, others), of_world(arguments, others)
+    pay, selection = arguments_of(Coverage, others), arguments_of(SelectedKeys, others)
+    world = of_world(arguments, others)
     inside = inner_environment("StereoSlam/DriveGaze-v0", level, world, many, filter, filter_options, **defaults)
     paid = Coverage(RouteByEstimate(inside), **pay)
-    return SelectedKeys(paid if choices is None else DriveChoices(paid, **choices), keys=KEYS)
+    return SelectedKeys(paid if choices is None else DriveChoices(paid, **choices), **{"keys": KEYS, **selection})
 
 
 explore_vector = vector_of(explore)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Literal
 
 import gymnasium as gym
 from gymnasium.vector import AutoresetMode
@@ -45,6 +45,7 @@ def stereo_vector(
     information: Mapping[str, Any] | None = None,
     error: Mapping[str, Any] | None = None,
     keys: Sequence[str] | None = None,
+    observation: Literal["dict", "flat"] = "dict",
     pans: int | None = None,
     **options: Any,
 ) -> RowsVectorEnv:
@@ -71,6 +72,8 @@ def stereo_vector(
         Arguments of `BeliefPanorama`, of `InformationGain`, of the pose unless it says otherwise, and of `TrueError`.
     keys : sequence of str, optional
         The keys of the observation; None: all. What is not asked for is not computed.
+    observation : {"dict", "flat"}
+        "flat": one Box of these keys, see `SelectedKeys`.
     pans : int, optional
         The action is the number of one of so many directions, see `DirectionOfGaze`.
     **options
@@ -96,8 +99,8 @@ def stereo_vector(
         rows = TrueError(rows, **error)
     if pans is not None:
         rows = DirectionOfGaze(rows, pans=pans)
-    if keys is not None:
-        rows = SelectedKeys(rows, keys=keys)
+    if keys is not None or observation != "dict":
+        rows = SelectedKeys(rows, keys=list(rows.observation_space) if keys is None else keys, observation=observation)
     return RowsVectorEnv(rows, autoreset_mode)
 
 

@@ -201,14 +201,15 @@ def revisit(
     many : mapping, optional
         `num_envs`, `scenes` and `threads`: that many in rows, instead of one environment.
     **others
-        Arguments of `LoopClosure`, whose `dearest` is that of the level in `DEAREST` unless given, and of
-        `StereoSlam/Gaze-v0` as in `arguments`.
+        Arguments of `LoopClosure`, whose `dearest` is that of the level in `DEAREST` unless given, `observation` and
+        `keys` of `SelectedKeys`, and those of `StereoSlam/Gaze-v0` as in `arguments`.
     """
     defaults = {"render_mode": render_mode, "route": "random-loop"}
-    pay, world = arguments_of(LoopClosure, others), {**_ODOMETRY, **of_world(arguments, others)}
+    pay, selection = arguments_of(LoopClosure, others), arguments_of(SelectedKeys, others)
+    world = {**_ODOMETRY, **of_world(arguments, others)}
     inside = inner_environment("StereoSlam/Gaze-v0", level, world, many, filter, filter_options, **defaults)
     paid = InformationGain(inside, of="pose", resolution=(0.01, 0.001))
-    return SelectedKeys(LoopClosure(paid, **{"dearest": DEAREST[level], **pay}), keys=KEYS)
+    return SelectedKeys(LoopClosure(paid, **{"dearest": DEAREST[level], **pay}), **{"keys": KEYS, **selection})
 
 
 revisit_vector = vector_of(revisit)

@@ -5,14 +5,14 @@ from __future__ import annotations
 from abc import ABCMeta
 from collections.abc import Collection, Mapping, Sequence
 from inspect import Signature, signature
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 from gymnasium.utils import RecordConstructorArgs
 
-from filters.contract.validation import require_known, whole_number
+from filters.contract.validation import one_of, require_known, whole_number
 from filters.geometry.arrays import BoolArray, FloatArray
 from stereo_slam_env.envs.rows import Arrays, OneRow, Rows, Seeds, Step, checked_actions
 from stereo_slam_env.envs.stereo_env import row_of
@@ -149,8 +149,8 @@ class RowsWrapper(Rows, metaclass=_OneClass):
     def _state_names(self) -> Collection[str]:
         """Attributes of its own; objects that keep a state themselves are among them where `changes` names them."""
         foreign = ("rows", "world", "arguments")
-        own = (name for name, value in vars(self).items() if name not in foreign and not isinstance(value, _NO_STATE))
-        return {name for name in own if not callable(getattr(self, name))} | {*self.changes}
+        values = {name: value for name, value in vars(self).items() if name not in foreign and not callable(value)}
+        return {name for name, value in values.items() if not isinstance(value, _NO_STATE)} | {*self.changes}
 
     def snapshot(self) -> State:
         """State of a row, that of the rows inside included."""
@@ -190,31 +190,43 @@ class RowsWrapper(Rows, metaclass=_OneClass):
 
 
 class SelectedKeys(RowsWrapper):
-    """Some keys of the Dict observation. Unlike `gymnasium.wrappers.FilterObservation` it can be pickled.
+    """Some keys of the Dict observation, or the one array of them all. What is left out is not computed.
 
     Parameters
     ----------
     env : gymnasium.Env
         With a Dict observation.
     keys : sequence of str
-        Those that stay.
+        Those that stay, in their order.
+    observation : {"dict", "flat"}
+        "flat": one 1-D Box, the keys one after the other as `gymnasium.spaces.flatten` has them, for policies and
+        wrappers that know no Dict (`MlpPolicy`, `NormalizeObservation`).
 
     Raises
     ------
     ValueError
-        The observation is no Dict, or is without one of the keys.
+        The observation is no Dict, or is without one of the keys; or one of them cannot be in a flat Box.
     """
 
-    def __init__(self, env: Any, keys: Sequence[str]) -> None:
+    def __init__(self, env: Any, keys: Sequence[str], observation: Literal["dict", "flat"] = "dict") -> None:
         super().__init__(env)
         inner = self.dict_space()
         require_known("the observation has no key", keys, inner)
-        self.observation_space, self._keys = spaces.Dict({key: inner[key] for key in keys}), list(keys)
-        env.select_keys(self._keys)
+        one_of("observation", observation, ("dict", "flat"))
+        self._flat = observation == "flat"
+        selected = spaces.Dict({key: inner[key] for key in keys})
+        self.observation_space = spaces.flatten_space(selected) if self._flat else selected
+        if not isinstance(self.observation_space, (spaces.Dict, spaces.Box)):
+            raise ValueError(f"observation must be 'dict' with these keys, which are no Boxes: {', '.join(keys)}")
+        self._keys = list(selected)
+        self.rows.select_keys(self._keys)
 
-    def observe(self) -> tuple[Arrays, Arrays]:
+    def observe(self) -> tuple[Any, Arrays]:
         observation, info = self.rows.observe()
-        return {key: observation[key] for key in self._keys}, info
+        if not self._flat:
+            return {key: observation[key] for key in self._keys}, info
+        parts = [np.reshape(observation[key], (self.num_envs, -1)) for key in self._keys]
+        return np.concatenate(parts, axis=1).astype(self.observation_space.dtype), info
 
 
 class DirectionOfGaze(RowsWrapper):

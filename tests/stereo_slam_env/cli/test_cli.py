@@ -365,7 +365,7 @@ def test_what_replay_writes_is_read_by_evaluate_with_the_same_nees(command, tmp_
     ours, theirs, truth = (folder / f"{name}.square" for name in ("inverse-depth", "right-invariant", "truth"))
     code, out, _ = command("evaluate", ours, truth, "--against", theirs, "--out", tmp_path / "score")
     assert code == 0
-    assert "Log score of the pose" in out
+    assert "Its log score of the pose differs by" in out
     for score in json.loads((tmp_path / "score" / "score.json").read_text())["scores"]:
         row = figures[score["estimate"]]
         assert score["frames"] == row["frames"] == 20
