@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from copy import deepcopy
-from typing import Any, ClassVar, NamedTuple
+from typing import Annotated, Any, ClassVar, NamedTuple, TypeVar, get_args, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,7 @@ ODOMETRY_SIGMAS = (0.1, 0.01)
 """Usual standard deviations of the odometry, each axis, m/s and rad/s."""
 
 
+Record = TypeVar("Record")
 RIDE_STEPS, RIDE_WAVES = 20, 7
 """Steps of a smooth ride in a frame, which are samples of an inertial unit, and waves of the road."""
 
@@ -80,103 +81,114 @@ class Rules(NamedTuple):
 
 
 class Fleet(NamedTuple):
-    """State of B rows; landmarks, solids, moving bodies and routes have room for the largest scene."""
+    """State of B rows, with the axes of each array: L landmarks, K frames of the route, M moving bodies.
 
-    body: FloatArray
-    """Position and orientation of the camera as if it looked straight ahead, (B, 7)."""
-    pose: FloatArray
-    """Of the camera, (B, 7)."""
-    velocity: FloatArray
-    """Linear and angular velocity of the camera over the last step, (B, 6)."""
-    angles: FloatArray
-    """Of the head, (B, 2)."""
-    sway: FloatArray
-    """Disturbance of a scripted drive, (B, 6)."""
-    car: FloatArray
-    """Speed, steering angle and heading, (B, 3)."""
-    ride: FloatArray
-    """State of a smooth ride, see `ride`; (B, 31)."""
-    step: IntArray
-    nearest: IntArray
-    """Nearest frame of the route, (B,)."""
-    farthest: FloatArray
+    Solids (S, their tree T) and parts of moving bodies (P) have C numbers. There is room for the largest scene.
+    """
+
+    body: Annotated[FloatArray, "B 7"]
+    """Position and orientation of the camera as if it looked straight ahead."""
+    pose: Annotated[FloatArray, "B 7"]
+    """Position and orientation of the camera."""
+    velocity: Annotated[FloatArray, "B 6"]
+    """Linear and angular velocity of the camera over the last step."""
+    angles: Annotated[FloatArray, "B 2"]
+    """Pan and tilt of the head, rad."""
+    sway: Annotated[FloatArray, "B 6"]
+    """Disturbance of a scripted drive."""
+    car: Annotated[FloatArray, "B 3"]
+    """Speed, steering angle and heading."""
+    ride: Annotated[FloatArray, "B R"]
+    """State of a smooth ride, see `ride`."""
+    step: Annotated[IntArray, "B"]
+    """Number of the frame."""
+    nearest: Annotated[IntArray, "B"]
+    """Nearest frame of the route."""
+    farthest: Annotated[FloatArray, "B"]
     """How much of the route has been driven, m."""
-    distance: FloatArray
-    turned: FloatArray
-    """By how much the head has turned in the last step, rad; (B, 2)."""
-    lost: BoolArray
-    """Landmarks that have been tracked and are not to be again, (B, L)."""
-    inside: NDArray[np.uint8]
-    """Landmarks within range and inside both images, (B, L)."""
-    seen: BoolArray
-    """Landmarks that nothing hides, where the rules are not exact; (B, L)."""
-    touching: BoolArray
-    """Whether the car touches something, where the rules are not exact; (B,)."""
-    positions: FloatArray
-    """Of the route, (B, K, 3)."""
-    arc_length: FloatArray
-    """(B, K)."""
-    speeds: FloatArray
-    """Of the steps, (B, K), the last one unused, as those of `yaw_rates` and `travel`."""
-    yaw_rates: FloatArray
-    """(B, K)."""
-    travel: FloatArray
-    """Of the directions of the steps, (B, K, 9)."""
-    attitudes: FloatArray
-    """(B, K, 9)."""
-    landmarks: FloatArray
-    """In W, (B, 3, L)."""
-    sizes: IntArray
-    """Landmarks of a scene, nodes of the tree of its solids, moving bodies, frames of the route; (B, 4)."""
-    solids: FloatArray
-    bounds: NDArray[np.float32]
-    links: IntArray
-    """See `rays.Obstacles`."""
-    tracks: FloatArray
-    """Of moving bodies at each frame: place (x, y, z) in S, m, cosine and sine of the yaw; (B, M, K, 5)."""
-    shares: IntArray
-    """First part of each moving body, one past its last one, and its frames K; (B, M, 3)."""
-    balls: FloatArray
-    """Around each moving body: the ball in the frame of the body, then its centre now in S; (B, M, 7)."""
-    parts: FloatArray
-    """Solids of the moving bodies, in their frames, (B, P, 10)."""
-    parts_now: FloatArray
+    distance: Annotated[FloatArray, "B"]
+    """Way driven, m."""
+    turned: Annotated[FloatArray, "B 2"]
+    """By how much the head has turned in the last step, rad."""
+    lost: Annotated[BoolArray, "B L"]
+    """Landmarks that have been tracked and are not to be again."""
+    inside: Annotated[NDArray[np.uint8], "B L"]
+    """Landmarks within range and inside both images."""
+    seen: Annotated[BoolArray, "B L"]
+    """Landmarks that nothing hides, where the rules are not exact."""
+    touching: Annotated[BoolArray, "B"]
+    """Whether the car touches something, where the rules are not exact."""
+    positions: Annotated[FloatArray, "B K 3"]
+    """Positions of the route, m."""
+    arc_length: Annotated[FloatArray, "B K"]
+    """Distance along the route, m."""
+    speeds: Annotated[FloatArray, "B K"]
+    """Speeds of the steps of the route, m/s; the last one is unused, as those of `yaw_rates` and `travel`."""
+    yaw_rates: Annotated[FloatArray, "B K"]
+    """Yaw rates of the steps of the route, rad/s."""
+    travel: Annotated[FloatArray, "B K 9"]
+    """Rotation matrices to the directions of the steps."""
+    attitudes: Annotated[FloatArray, "B K 9"]
+    """Rotation matrices of the poses of the route."""
+    landmarks: Annotated[FloatArray, "B 3 L"]
+    """Landmarks in W, m."""
+    sizes: Annotated[IntArray, "B 4"]
+    """Landmarks of a scene, nodes of the tree of its solids, moving bodies, frames of the route."""
+    solids: Annotated[FloatArray, "B S C"]
+    """Solids of the scene, see `rays.Obstacles`, as the next two."""
+    bounds: Annotated[NDArray[np.float32], "B T 6 8"]
+    """Bounds of the nodes of their tree."""
+    links: Annotated[IntArray, "B T 8"]
+    """Children of the nodes."""
+    tracks: Annotated[FloatArray, "B M K 5"]
+    """Moving bodies at each frame: place (x, y, z) in S, m, cosine and sine of the yaw."""
+    shares: Annotated[IntArray, "B M 3"]
+    """First part of each moving body, one past its last one, and its frames K."""
+    balls: Annotated[FloatArray, "B M 7"]
+    """Around each moving body: the ball in the frame of the body, then its centre now in S."""
+    parts: Annotated[FloatArray, "B P C"]
+    """Solids of the moving bodies, in their frames."""
+    parts_now: Annotated[FloatArray, "B P C"]
     """The same in S, now."""
-    lasting: FloatArray
-    """Errors that last of each landmark, over their standard deviation: u, v left, u, v right; (B, L, 4).
-    (B, L, 0) where the rules have none."""
-    measured_at: IntArray
-    """Frame in which each landmark was last measured, -1 where it never was; (B, L)."""
-    normals: FloatArray
-    """Random numbers of the three streams of motion, odometry and noise, (B, 3, n)."""
-    exponentials: FloatArray
-    """Those of the choice of landmarks, (B, m)."""
-    used: IntArray
-    """How many of each have been used, (B, 4)."""
+    lasting: Annotated[FloatArray, "B L E"]
+    """Errors that last of each landmark, over their standard deviation: u, v left, u, v right; E = 0: none."""
+    measured_at: Annotated[IntArray, "B L"]
+    """Frame in which each landmark was last measured, -1 where it never was."""
+    normals: Annotated[FloatArray, "B 3 n"]
+    """Random numbers of the three streams of motion, odometry and noise."""
+    exponentials: Annotated[FloatArray, "B m"]
+    """Those of the choice of landmarks."""
+    used: Annotated[IntArray, "B 4"]
+    """How many of each have been used."""
 
 
 class Sensed(NamedTuple):
-    """Frame of B rows, in full precision."""
+    """Frame of B rows, in full precision, with the axes of each array."""
 
-    ids: IntArray
-    """Landmarks that are tracked, ascending; (B, N), -1 in padding."""
-    uvd: FloatArray
-    v_right: FloatArray
-    number: IntArray
-    """Of landmarks, (B,)."""
-    odometry: FloatArray
-    """(B, 6)."""
-    inertial: FloatArray
-    """Angular rates and specific forces in the frame of the inertial unit, over the step; (B, n, 6), n = 0 without a
-    smooth ride."""
-    terms: FloatArray
-    """Of the reward, with weights, (6, B)."""
-    reward: FloatArray
-    beside: FloatArray
-    """Distance of a car that is steered from its route, to the side, m; (B,)."""
-    collision: BoolArray
-    failed: BoolArray
-    success: BoolArray
+    ids: Annotated[IntArray, "B N"]
+    """Landmarks that are tracked, ascending; -1 in padding."""
+    uvd: Annotated[FloatArray, "B N 3"]
+    """Their measurements, px."""
+    v_right: Annotated[FloatArray, "B N"]
+    """Their rows in the right image, px."""
+    number: Annotated[IntArray, "B"]
+    """Number of landmarks."""
+    odometry: Annotated[FloatArray, "B 6"]
+    """Linear and angular velocity by the odometry, m/s and rad/s."""
+    inertial: Annotated[FloatArray, "B n 6"]
+    """Angular rates and specific forces in the frame of the inertial unit, over the step; of a smooth ride only."""
+    terms: Annotated[FloatArray, "W B"]
+    """Terms of the reward, with weights."""
+    reward: Annotated[FloatArray, "B"]
+    """Sum of these."""
+    beside: Annotated[FloatArray, "B"]
+    """Distance of a car that is steered from its route, to the side, m."""
+    collision: Annotated[BoolArray, "B"]
+    """Whether the car has hit something."""
+    failed: Annotated[BoolArray, "B"]
+    """Whether the episode has failed."""
+    success: Annotated[BoolArray, "B"]
+    """Whether it has succeeded."""
 
 
 def make_rules(
@@ -281,63 +293,25 @@ def empty_fleet(count: int, normals: int, *, lasting: bool) -> Fleet:
 
     `lasting` says whether there are errors that last.
     """
-    return Fleet(
-        body=np.zeros((count, 7)),
-        pose=np.zeros((count, 7)),
-        velocity=np.zeros((count, 6)),
-        angles=np.zeros((count, 2)),
-        sway=np.zeros((count, 6)),
-        car=np.zeros((count, 3)),
-        ride=np.zeros((count, 24 + RIDE_WAVES)),
-        step=np.zeros(count, dtype=np.int64),
-        nearest=np.zeros(count, dtype=np.int64),
-        farthest=np.zeros(count),
-        distance=np.zeros(count),
-        turned=np.zeros((count, 2)),
-        lost=np.zeros((count, 0), dtype=np.bool_),
-        inside=np.zeros((count, 0), dtype=np.uint8),
-        seen=np.zeros((count, 0), dtype=np.bool_),
-        touching=np.zeros(count, dtype=np.bool_),
-        positions=np.zeros((count, 0, 3)),
-        arc_length=np.zeros((count, 0)),
-        speeds=np.zeros((count, 0)),
-        yaw_rates=np.zeros((count, 0)),
-        travel=np.zeros((count, 0, 9)),
-        attitudes=np.zeros((count, 0, 9)),
-        landmarks=np.zeros((count, 3, 0)),
-        sizes=np.zeros((count, 4), dtype=np.int64),
-        solids=np.zeros((count, 0, COLUMNS)),
-        bounds=np.zeros((count, 0, 6, 8), dtype=np.float32),
-        links=np.zeros((count, 0, 8), dtype=np.int64),
-        tracks=np.zeros((count, 0, 0, 5)),
-        shares=np.zeros((count, 0, 3), dtype=np.int64),
-        balls=np.zeros((count, 0, 7)),
-        parts=np.zeros((count, 0, COLUMNS)),
-        parts_now=np.zeros((count, 0, COLUMNS)),
-        lasting=np.zeros((count, 0, 4 if lasting else 0)),
-        measured_at=np.zeros((count, 0), dtype=np.int64),
-        normals=np.zeros((count, 3, normals)),
-        exponentials=np.zeros((count, 0)),
-        used=np.zeros((count, 4), dtype=np.int64),
-    )
+    return _empty(Fleet, B=count, n=normals, C=COLUMNS, R=24 + RIDE_WAVES, E=4 if lasting else 0)
 
 
 def empty_sensed(count: int, most: int, samples: int = 0) -> Sensed:
     """A frame that has brought nothing, with room for so many landmarks and inertial samples."""
-    return Sensed(
-        ids=np.full((count, most), -1),
-        uvd=np.zeros((count, most, 3)),
-        v_right=np.zeros((count, most)),
-        number=np.zeros(count, dtype=np.int64),
-        odometry=np.zeros((count, 6)),
-        inertial=np.zeros((count, samples, 6)),
-        terms=np.zeros((len(WEIGHTS), count)),
-        reward=np.zeros(count),
-        beside=np.zeros(count),
-        collision=np.zeros(count, dtype=np.bool_),
-        failed=np.zeros(count, dtype=np.bool_),
-        success=np.zeros(count, dtype=np.bool_),
-    )
+    sensed = _empty(Sensed, B=count, N=most, n=samples, W=len(WEIGHTS))
+    sensed.ids[...] = -1
+    return sensed
+
+
+def _empty(kind: Callable[..., Record], **sizes: int) -> Record:
+    """Record of zeros, whose annotations say the type and the axes of each array; an axis without a size is empty."""
+    arrays = {}
+    for name, hint in get_type_hints(kind, include_extras=True).items():
+        array, axes = get_args(hint)
+        shape = [int(axis) if axis.isdigit() else sizes.get(axis, 0) for axis in axes.split()]
+        (scalar,) = get_args(get_args(array)[1])
+        arrays[name] = np.zeros(shape, dtype=scalar)
+    return kind(**arrays)
 
 
 State = dict[str, Any]
