@@ -53,7 +53,7 @@ class CoreRows(Rows):
     threads : int
         Threads over which they are spread.
     pool : int, optional
-        Take the scenes of all episodes from a pool of so many, which each `begin` with a seed builds anew.
+        Take the scenes of all episodes from a pool of so many, which each `reset` with a seed builds anew.
     draws : bool
         Whether pictures will be asked for beyond those that the options need.
     """
