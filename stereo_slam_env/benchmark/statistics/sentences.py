@@ -50,7 +50,7 @@ def _templates() -> Any:
         "percent": percent_words,
         "signed": signed,
         "quoted": repr,
-        "begin": lambda words: re.sub("^(the|on|one) ", lambda match: match[0].capitalize(), words),
+        "begin": lambda words: re.sub("^(the|on|one|no) ", lambda match: match[0].capitalize(), words),
         "capital": lambda words: words[:1].upper() + words[1:],
     }
     environment.globals |= {

@@ -202,6 +202,14 @@ def test_all_may_be_held_against_a_baseline():
         compare_all(*scored(runs), baseline="dual")
 
 
+def test_a_filter_without_a_common_run_is_told_in_a_sentence_of_its_own():
+    runs = make_runs(THREE[:2], seeds=range(8), frames=60)
+    apart = [run for run in runs if (run.filter_name == THREE[0].name) == (run.seed < 4)]
+    verdict = judge(*scored(apart))
+    (other,) = verdict.comparisons
+    assert f" No run to compare with {other}." in verdict.answers["best"]
+
+
 def test_near_equals_are_called_so():
     runs = make_runs(THREE[:2], seeds=range(8), frames=120)
     assert "difference from" in judge(*scored(runs)).headline
