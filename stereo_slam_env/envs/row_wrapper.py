@@ -50,9 +50,8 @@ class _OneClass(ABCMeta):
         return super().__call__(inside, **settings) if isinstance(inside, Rows) else cls.Single(inside, settings)
 
     def __instancecheck__(cls, instance: object) -> bool:
-        return super().__instancecheck__(
-            getattr(instance, "rows", None) if isinstance(instance, RowWrapper) else instance
-        )
+        inside = getattr(instance, "rows", None) if isinstance(instance, RowWrapper) else instance
+        return super().__instancecheck__(inside)
 
 
 class RowWrapper(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs, Kept):

@@ -179,8 +179,7 @@ def show_cells(console: Console, results: Sequence[CellResult]) -> None:
 def _headline(result: CellResult) -> str:
     scenario = result.cell.scenario
     if not scenario.policies:
-        found = judge(result.summaries, result.figures)
-        return "\n".join(found.answers.values()) or found.headline
+        return "\n".join(judge(result.summaries, result.figures).lines)
     verdict = judge_policies(result.summaries, result.figures, baseline=baseline_of(scenario.competitors))
     return "\n".join([verdict.headline, *(f"- {comparison.words}" for comparison in verdict.comparisons.values())])
 

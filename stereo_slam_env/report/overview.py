@@ -171,8 +171,7 @@ def overview(summaries: Sequence[FilterSummary], verdict: Verdict) -> Markup:
         (Column("What does it cost?", "median time a frame"), lambda s: _cost(s, summaries)),
     ]
     answers = answers_table("Filter", questions, summaries)
-    said = list(verdict.answers.values()) or [verdict.headline]
-    return Markup("\n").join([part("items", said, "headline"), answers])
+    return Markup("\n").join([part("items", verdict.lines, "headline"), answers])
 
 
 # ---- accuracy -------------------------------------------------------------------------------------------------------

@@ -116,7 +116,8 @@ def filter_cell(name: str, colours: Mapping[str, str], link: str = "") -> TableC
 
 def show_table(console: Console, table: Table) -> None:
     """Print a table on the screen: as many columns at once as it is wide, each lot beside the names of the rows."""
-    rows = [[cell.words for cell in row] for row in table.cells]
+    cells = table.cells
+    rows = [[cell.words for cell in row] for row in cells]
     headings = [", ".join(filter(None, (column.heading, column.unit))) for column in table.columns]
     least, most = [], []
     for k, (column, heading) in enumerate(zip(table.columns, headings, strict=True)):
@@ -141,7 +142,7 @@ def show_table(console: Console, table: Table) -> None:
         for number_of_row, row in enumerate(rows):
             if table.block and number_of_row and number_of_row % table.block == 0:
                 printed.add_row()
-            tones = [_SCREEN_TONES.get(cell.tone, "default") for cell in table.cells[number_of_row]]
+            tones = [_SCREEN_TONES.get(cell.tone, "default") for cell in cells[number_of_row]]
             printed.add_row(*(Text(row[k], tones[k]) for k in placed))
         console.print(printed, highlight=False)
         if columns_left:

@@ -33,13 +33,12 @@ def summary_table(summaries: Sequence[FilterSummary], *, claims: bool = False) -
         figures = [f for f in figures if (f.name in _CLAIMS_MATTER_MOST if claims else "brief" in f.places)]
     figures = [f for f in figures if _is_known(f, summaries)]
     figures = [f for f in figures if brief or not all(_counts_nothing(f, s) for s in summaries)]
-    rows = {_title(figure, summaries): [_screen_cell(figure, s) for s in summaries] for figure in figures}
-    if EFFICIENCY in figures and not brief:
-        limits = map(limit_reached, summaries)
-        rows["95 % interval of that"] = [number(None) if of is None else TableCell(of.sureness) for of in limits]
-        places = list(rows)
-        places.insert(places.index(EFFICIENCY.title) + 1, places.pop())
-        rows = {title: rows[title] for title in places}
+    rows = {}
+    for figure in figures:
+        rows[_title(figure, summaries)] = [_screen_cell(figure, s) for s in summaries]
+        if figure is EFFICIENCY and not brief:
+            limits = map(limit_reached, summaries)
+            rows["95 % interval of that"] = [number(None) if of is None else TableCell(of.sureness) for of in limits]
     by_figure: list[list[TableCell | str]] = [[title, *cells] for title, cells in rows.items()]
     names = [summary.filter_name for summary in summaries]
     if not brief:

@@ -65,6 +65,7 @@ def serve(descriptor: int, *preloaded: str) -> None:
         with suppress(ImportError):  # an extra that is not installed
             modules.append(importlib.import_module(name))
     _ask_linux(_ADOPT_ORPHANS, 1)
+    _limit_resources()
     wake_up, woken_by = os.pipe()
     for end in (wake_up, woken_by):
         os.set_blocking(end, False)
@@ -164,7 +165,7 @@ def _write(pipe: int, number: int) -> None:
 
 
 def _limit_resources() -> None:
-    """Let this process take no more memory than the machine has, and write no file without end: it gets an error."""
+    """Let each process from here on take no more memory than the machine has, and write no file without end."""
     import resource
 
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
@@ -185,7 +186,6 @@ def _work(connection: Connection, server: int) -> NoReturn:
     """Take the work, do it, send the answer, and leave without any clean-up."""
     os.setsid()
     _ask_linux(_SET_DEATH_SIGNAL, signal.SIGKILL)
-    _limit_resources()
     if os.getppid() != server:  # it ended meanwhile
         os._exit(1)
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)

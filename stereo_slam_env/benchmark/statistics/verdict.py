@@ -42,7 +42,6 @@ class Missing(Enum):
 class FilterComparison:
     """The best filter against another one, on the recordings that both completed."""
 
-    best: str
     other: str
     summary: FilterSummary  # of the other one
     difference: Difference  # by which the position error of the other one is larger
@@ -64,6 +63,13 @@ class FilterComparison:
         return Finding.WORSE in (self.difference.finding, self.divergences.finding)
 
     @property
+    def gives_interval(self) -> bool:
+        """Whether its words give an interval: not those of a tie, nor of divergences that are no chance."""
+        d, is_chance = self.difference, self.divergences.finding is not Finding.WORSE
+        is_worded = not self.summary.diverged or (is_chance and d.finding is Finding.WORSE)
+        return is_worded and d.interval is not None and not d.tied
+
+    @property
     def words(self) -> str:
         """The conclusion, a clause."""
         return sentence("rival", self)
@@ -79,17 +85,21 @@ class Verdict:
     summaries: Sequence[FilterSummary]  # of all filters, in the order of the scenario
     missing: Missing | None = None  # why there is no best one
     frames: int = 0  # with ground truth, where they are too few
-    fewest_frames: int = FEWEST_FRAMES  # that are needed
 
     def _repr_html_(self) -> str:
         from stereo_slam_env.recording.notebook_html import paragraph
 
-        return "".join(map(paragraph, self.answers.values() or [self.headline]))
+        return "".join(map(paragraph, self.lines))
 
     @property
     def headline(self) -> str:
         """The verdict in a few sentences."""
-        return sentence("none_best", self) if self.best is None else " ".join(self.answers.values())
+        return " ".join(self.lines)
+
+    @property
+    def lines(self) -> list[str]:
+        """The headline, an answer a line."""
+        return list(self.answers.values()) if self.best is not None else [sentence("none_best", self, FEWEST_FRAMES)]
 
     @cached_property
     def answers(self) -> Mapping[str, str]:
@@ -100,9 +110,8 @@ class Verdict:
         """
         if self.best is None:
             return {}
-        templates = {"lost": "first_lost"}
-        questions = ("lost", "best", "consistent", "limit", "cost")
-        answers = {question: sentence(templates.get(question, question), self) for question in questions}
+        templates = {"lost": "first_lost", "best": "best", "consistent": "consistent", "limit": "limit", "cost": "cost"}
+        answers = {question: sentence(template, self) for question, template in templates.items()}
         return {question: answer for question, answer in answers.items() if answer}
 
     @property
@@ -140,7 +149,7 @@ class Verdict:
     @property
     def shared_evidence(self) -> int | None:
         """Number of paired runs behind all intervals, where it is the same; None where it is not."""
-        counts = {c.difference.count for c in self.comparisons.values() if c.difference.interval is not None}
+        counts = {c.difference.count for c in self.comparisons.values() if c.gives_interval}
         return counts.pop() if len(counts) == 1 else None
 
     @property
@@ -179,25 +188,22 @@ def judge(summaries: Sequence[FilterSummary], figures: Figures) -> Verdict:
     best = min(steady, key=lambda s: float(s.position_rmse_m or 0.0))
     rivals = [s for s in summaries if s is not best]
     comparisons = {
-        s.filter_name: against_best(best, s, figures[best.filter_name], figures[s.filter_name], len(rivals))
-        for s in rivals
+        s.filter_name: against_best(s, figures[best.filter_name], figures[s.filter_name], len(rivals)) for s in rivals
     }
     return Verdict(best.filter_name, comparisons, summaries)
 
 
 def against_best(
-    best: FilterSummary, other: FilterSummary, best_figures: RunFigures, other_figures: RunFigures, comparisons: int = 1
+    other: FilterSummary, best_figures: RunFigures, other_figures: RunFigures, comparisons: int = 1
 ) -> FilterComparison:
     """Compare another filter with the best one, by position error, on the recordings that both completed."""
     keys = common_keys(best_figures, other_figures)
+    lost = other_figures.diverged(keys), best_figures.diverged(keys)
     return FilterComparison(
-        best=best.filter_name,
         other=other.filter_name,
         summary=other,
         difference=difference_between(other_figures, best_figures, POSITION, comparisons),
-        divergences=share_difference(
-            other_figures.diverged(keys), best_figures.diverged(keys), comparisons=comparisons
-        ),
+        divergences=share_difference(*lost, comparisons=comparisons),
     )
 
 

@@ -28,7 +28,7 @@ def compared(ours, theirs, comparisons=1, **about_other):
         RunFigures({("drive", i): {"position_rmse_m": e, "diverged": np.isnan(e)} for i, e in enumerate(values)})
         for values in (ours, theirs)
     )
-    return against_best(replace(summary(), filter_name="best"), summary(**about_other), ours, theirs, comparisons)
+    return against_best(summary(**about_other), ours, theirs, comparisons)
 
 
 HARDNESS = np.exp(np.random.default_rng(1).standard_normal(10))
@@ -171,6 +171,20 @@ def test_too_few_runs_for_many_rivals_are_called_that_and_not_a_result(seeds, wo
     behaviours = [Behaviour("sharp", 0.02), *(Behaviour(f"blunt-{k}", 1.0) for k in range(5))]
     best = judge(*scored(make_runs(behaviours, seeds=range(seeds), frames=60))).answers["best"]
     assert words in best
+
+
+def test_too_few_runs_are_those_of_the_rivals_that_have_so_few():
+    """Two rivals with 3 runs beside one with 8: 3 are too few, not 8."""
+    errors = {"best": 0.1, "near": 0.105, "brief-0": 0.3, "brief-1": 0.3}
+    behaviours = [Behaviour(name, error) for name, error in errors.items()]
+    runs = make_runs(behaviours, seeds=range(8), frames=60)
+    runs = [run for run in runs if not run.filter_name.startswith("brief") or run.seed < 3]
+    verdict = judge(*scored(runs))
+    best = verdict.answers["best"]
+    assert {c.difference.count for c in verdict.undecided} == {3, 8}
+    assert "3 runs are too few for a comparison" in best
+    assert "8 runs are too few" not in best
+    assert best.endswith(": at 95 % confidence, 8 paired runs.")
 
 
 def test_each_filter_is_held_against_each_other_one_by_every_question():
