@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any, Literal, cast, get_args
 
 import gymnasium as gym
+import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from filters.contract.validation import one_of, positive, whole_number
@@ -21,6 +22,7 @@ from stereo_slam_env.envs import (
 )
 from stereo_slam_env.envs.information import CRITERIA, Criterion
 from stereo_slam_env.envs.make_vec import arguments_of, of_level, of_world, rows_of, vector_of
+from stereo_slam_env.envs.mixed_rows import MixedRows
 from stereo_slam_env.envs.rewards import BeliefOf
 from stereo_slam_env.envs.row_wrapper import directions, moving_head
 from stereo_slam_env.envs.rows import Rows
@@ -49,6 +51,9 @@ class GazeTask:
     """An id with a head."""
     arguments: Mapping[str, Any] = field(default_factory=dict)
     """Of the environment."""
+    worlds: tuple[Mapping[str, Any], ...] = ()
+    """Arguments of further environments, over those of the first: rows are spread over all of them, so that a network
+    is learnt in all worlds at once."""
     filter: str = "shared-anchor"
     """Name of the filter in the loop."""
     filter_options: Mapping[str, Any] = field(default_factory=lambda: dict(GAZE_FILTER))
@@ -71,6 +76,7 @@ class GazeTask:
     the mean of a continuous action ends up between them."""
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "worlds", tuple(self.worlds))
         one_of("reward", self.reward, get_args(Reward))
         one_of("criterion", self.criterion, CRITERIA)
         one_of("belief", self.belief, get_args(BeliefOf))
@@ -97,7 +103,11 @@ class GazeTask:
         return cast("gym.Env[Any, Any]", env if self.pans is None else DirectionOfGaze(env, self.pans))
 
     def make_rows(self, num_envs: int, scenes: int | None = None, threads: int = 1) -> Rows:
-        """So many times `make_for_learning` as rows; see `envs.make_vec.stereo_vector`."""
+        """So many times `make_for_learning` as rows, spread over the worlds; see `envs.make_vec.stereo_vector`."""
+        if self.worlds:
+            counts = [num_envs * (k + 1) // len(self.each_world) for k in range(-1, len(self.each_world))]
+            shares = zip(self.each_world, np.diff(counts).tolist(), strict=True)
+            return MixedRows([task.make_rows(count, scenes, threads) for task, count in shares if count])
         arguments = dict(self.arguments)
         limit = arguments.pop("max_episode_steps", gym.spec(self.environment).max_episode_steps)
         arguments.pop("disable_env_checker", None)
@@ -105,6 +115,12 @@ class GazeTask:
         held = self._held(limited(rows, limit))
         gaze_rows: Rows = held if self.pans is None else DirectionOfGaze(held, pans=self.pans)
         return gaze_rows
+
+    @property
+    def each_world(self) -> tuple[GazeTask, ...]:
+        """The task in each of its worlds."""
+        further = ({**self.arguments, **world} for world in self.worlds)
+        return tuple(replace(self, arguments=arguments, worlds=()) for arguments in (self.arguments, *further))
 
     def make_vector(
         self,

@@ -159,6 +159,7 @@ class DriveOptions(StereoOptions):
     route: str | None = None  # type: ignore[assignment]
     policy: DrivenBy = "agent"
     lane: float = 2.0
+    slowest: float = 6.0
     vehicle: Vehicle = "kinematic"
     roughness: float = 1.0
     imu: str | None = None
@@ -166,12 +167,14 @@ class DriveOptions(StereoOptions):
     collision_weight: float = 10.0
     goal_weight: float = 10.0
     time_weight: float = 0.4
+    jerk_weight: float = 0.05
 
     def __post_init__(self) -> None:
         if self.route is None:
             object.__setattr__(self, "route", "random-town" if self.policy == "agent" else "town")
         super().__post_init__()
         positive("lane", self.lane)
+        positive("slowest", self.slowest, allow_zero=True)
         positive("roughness", self.roughness, allow_zero=True)
         if self.imu is not None:
             require_known("imu has no data sheet", [self.imu], DATA_SHEETS)

@@ -17,12 +17,12 @@ from stereo_slam_env.envs.make_vec import arguments_of, inner_environment, of_wo
 from stereo_slam_env.envs.row_wrapper import RowsWrapper, SelectedKeys
 from stereo_slam_env.envs.rows import Arrays, Rows, Seeds, Step
 from stereo_slam_env.world.routes import through_streets
-from stereo_slam_env.world.street_grid import LEFT, RIGHT, STRAIGHT, Place, StreetGrid
+from stereo_slam_env.world.street_grid import BACK, LEFT, RIGHT, STRAIGHT, Place, StreetGrid
 
 KEYS = ("belief_sigmas", "branches", "roads_left", "mapped")
 EXISTS, DRIVEN, TO_NEW, TO_START, SIGMA = range(5)
 """Columns of the key `branches`."""
-_MOST = np.array([1.0, 1.0, 24.0, 24.0, 100.0], dtype=np.float32)
+_MOST = np.array([1.0, 1.0, 60.0, 60.0, 100.0], dtype=np.float32)
 """Of each column."""
 _MOST_ROADS = 1000.0
 _WORLD: Mapping[str, Any] = {
@@ -175,12 +175,11 @@ class BranchChoice(RowsWrapper):
         assert place is not None
         branch_features, start = np.zeros((3, len(_MOST)), dtype=np.float32), np.zeros(streets.count, dtype=np.bool_)
         start[streets.road(streets.start)] = True
-        for choice in (LEFT, STRAIGHT, RIGHT):
-            place_beyond = streets.beyond(place, choice)
-            if place_beyond is not None:
-                road = streets.road(place_beyond)
+        for choice, beyond in streets.ways(place).items():
+            if choice != BACK:
+                road = streets.road(beyond)
                 sigma = self._sigmas[b][road] if driven[road] else self._sigma(b)
-                ways = streets.roads_to(place_beyond, ~driven), streets.roads_to(place_beyond, start)
+                ways = streets.roads_to(beyond, ~driven), streets.roads_to(beyond, start)
                 branch_features[choice] = 1.0, driven[road], *ways, sigma
         clipped: FloatArray = np.minimum(branch_features, _MOST)
         return clipped
@@ -192,8 +191,9 @@ class BranchChoice(RowsWrapper):
         for b in np.flatnonzero(which).tolist():
             mine, truth = slice(*maps.offsets[b : b + 2]), self.world.landmark_truth(b).positions
             errors = np.linalg.norm(maps.positions[mine] - truth[maps.ids[mine]], axis=1)
+            whole = len(truth) * min(self._roads / self._streets(b).count, 1.0)
             for share, each in ((self._credit, errors), (self._claimed, sigmas[mine])):
-                share[b] = np.maximum(1.0 - (each / self._accuracy) ** 2, 0.0).sum() / len(truth)
+                share[b] = np.maximum(1.0 - (each / self._accuracy) ** 2, 0.0).sum() / whole
 
 
 def streets_of(rows: Rows) -> StreetGrid:
@@ -268,5 +268,5 @@ def to_new_roads(observation: Mapping[str, Any]) -> int:
 def _nearest(observation: Mapping[str, Any], by: list[int]) -> int:
     """The road that is the nearest by columns of `branches`; of equal ones straight on, then right."""
     branch_rows = np.asarray(observation["branches"])
-    existing = [choice for choice in (STRAIGHT, RIGHT, LEFT) if branch_rows[choice, EXISTS]]
+    existing = [choice for choice in (STRAIGHT, RIGHT, LEFT) if branch_rows[choice, EXISTS]] or [STRAIGHT]
     return min(existing, key=lambda choice: tuple(branch_rows[choice, by]))

@@ -85,6 +85,7 @@ class CoreRows(Rows):
             perturbation=options.perturbation,
             steered=drive is not None and drive.policy == "agent",
             lane=np.inf if drive is None else drive.lane,
+            slowest=0.0 if drive is None else drive.slowest,
             smooth=drive is not None and drive.vehicle == "smooth",
             roughness=1.0 if drive is None else drive.roughness,
             head=self.head,

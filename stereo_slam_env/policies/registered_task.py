@@ -227,6 +227,9 @@ _MEANS = (
 )
 
 
+_SIZES = ("final_position_sigma_m", "position_rmse_m", "final_position_error_m", "final_position_nees")
+
+
 @dataclass(frozen=True)
 class PolicyEvaluation:
     """Means over episodes."""
@@ -250,10 +253,22 @@ def evaluate(
 ) -> Any:
     """Means over an episode for each seed, all in lock-step; without a network the action is 0: straight ahead.
 
-    Those of a `GazeTask` are a `PolicyEvaluation`, those of a `RegisteredTask` an `EpisodeOutcome`.
+    Those of a `GazeTask` are a `PolicyEvaluation`, in several worlds the geometric means of errors and arithmetic ones
+    of the others, with the seeds spread over them; those of a `RegisteredTask` are an `EpisodeOutcome`.
     """
     if not isinstance(task, GazeTask):
         return task.evaluate(network, seeds, threads)
+    worlds = task.each_world
+    each = [_looks(network, world, seeds[k :: len(worlds)], threads) for k, world in enumerate(worlds)]
+    combined = {}
+    for name in (*_MEANS, "validation_return"):
+        values = np.array([getattr(figures, name) for figures in each])
+        combined[name] = float(np.exp(np.log(values).mean()) if name in _SIZES else values.mean())
+    return PolicyEvaluation(**combined)
+
+
+def _looks(network: Network | None, task: GazeTask, seeds: Sequence[int], threads: int) -> PolicyEvaluation:
+    """Means over the episodes in one world."""
     vector = replace(task, pans=None).make_vector(len(seeds), threads=threads)
     actions = np.zeros(vector.action_space.shape or (), dtype=np.float32)
 

@@ -30,6 +30,8 @@ WAIT, FIRST, STEP = 0, 1, 2
 """What a row does in a frame: nothing, the first frame of an episode, or a step."""
 MOVE, SENSE, JUDGE = 1, 2, 4
 """Parts of a frame, which may be asked for one by one: what is between them is then somebody else's."""
+_JERK = 10.0
+"""A jerk that costs its weight a second, m/s^3: that of an emergency braking."""
 
 
 @kernel
@@ -42,7 +44,8 @@ def _begin(rules: Rules, fleet: Fleet, b: int) -> None:
     fleet.step[b], fleet.nearest[b], fleet.farthest[b], fleet.distance[b] = 0, 0, 0.0, 0.0
     fleet.lost[b, :], fleet.measured_at[b, :] = False, -1
     if rules.steered:
-        fleet.car[b, 0], fleet.car[b, 1], fleet.car[b, 2] = fleet.speeds[b, 0], 0.0, 0.0
+        fleet.car[b, :] = 0.0
+        fleet.car[b, 0] = fleet.speeds[b, 0]
         velocity[2] = fleet.speeds[b, 0]
     else:
         used = fleet.used[b, MOTION]
@@ -90,16 +93,19 @@ def _judge(rules: Rules, fleet: Fleet, sensed: Sensed, waiting: IntArray, b: int
         R = fleet.attitudes[b, nearest]
         beside = abs(R[0] * x + R[3] * y + R[6] * z)
         sensed.beside[b] = beside
-        failed = failed or beside > rules.lane
+        is_late = fleet.step[b] * rules.dt * rules.slowest > arc_length[end]
+        failed = failed or beside > rules.lane or is_late
         paid *= max(1.0 - (beside / rules.lane) ** 2, 0.0)
     last = nearest == end if rules.steered else fleet.step[b] >= end
     sensed.collision[b], sensed.failed[b], sensed.success[b] = collision, failed, last and not failed
     terms[0, b], terms[1, b] = paid, paid * (sensed.number[b] / rules.most)
     terms[2, b], terms[3, b], terms[4, b] = -1.0 * failed, 1.0 * sensed.success[b], -rules.dt
+    if rules.steered:
+        terms[5, b] = -rules.dt * fleet.car[b, 5] / _JERK**2
     if rules.has_head:
         pan = fleet.turned[b, 0] / (rules.head[1, 0] * rules.dt)
         tilt = fleet.turned[b, 1] / (rules.head[1, 1] * rules.dt)
-        terms[5, b] = -0.5 * (pan * pan + tilt * tilt)
+        terms[6, b] = -0.5 * (pan * pan + tilt * tilt)
     total = 0.0
     for k in range(len(terms)):
         terms[k, b] *= rules.weights[k]

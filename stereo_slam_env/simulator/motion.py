@@ -162,7 +162,7 @@ def route_velocity(rules: Rules, fleet: Fleet, b: int, step: int) -> None:
 
 @kernel
 def agent_velocity(rules: Rules, car: FloatArray, acceleration: float, steering: float, velocity: FloatArray) -> None:
-    """Mean velocity of a step of the kinematic bicycle; `car` (3,) is speed, steering angle and heading."""
+    """Mean velocity of a step of the kinematic bicycle, whose state is `car` (6,), see `Fleet.car`."""
     wheelbase, forward, max_speed, max_acceleration, max_steering, max_rate, grip = rules.car
     dt, before = rules.dt, car[0]
     car[0] = min(max(before + acceleration * max_acceleration * dt, 0.0), max_speed)
@@ -180,6 +180,9 @@ def agent_velocity(rules: Rules, car: FloatArray, acceleration: float, steering:
     velocity[2] = (chord * math.cos(middle) + forward * (math.cos(new) - math.cos(old))) / dt
     velocity[3], velocity[4], velocity[5] = 0.0, turn / dt, 0.0
     car[2] = new
+    along, across = (car[0] - before) / dt, distance * turn / (dt * dt)
+    car[5] = ((along - car[3]) ** 2 + (across - car[4]) ** 2) / (dt * dt)
+    car[3], car[4] = along, across
 
 
 @kernel

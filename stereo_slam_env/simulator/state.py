@@ -23,7 +23,7 @@ from stereo_slam_env.world.vehicle import Car, Head, Sway
 NOISE_KINDS = {"pixels": 0, "quantised": 1, "uvd": 2}
 """Noise models that the kernels have; others are drawn one row after the other."""
 NO_NOISE = 3
-WEIGHTS = ("progress", "tracking", "collision", "goal", "time", "effort")
+WEIGHTS = ("progress", "tracking", "collision", "goal", "time", "jerk", "effort")
 """Terms of the reward, in the order of their columns."""
 ARENA = 60.0
 """m from the route: what is farther away has left the arena."""
@@ -63,6 +63,8 @@ class Rules(NamedTuple):
     """Wheelbase, camera forward, largest speed, acceleration, steering angle, steering rate, lateral acceleration."""
     lane: float
     """How far beside the route a car that is steered may be, m."""
+    slowest: float
+    """Mean speed below which a car that is steered arrives too late, m/s."""
     body: FloatArray
     """Half the size of the car's body, and its centre in the camera frame; (2, 3)."""
     smooth: bool
@@ -77,7 +79,7 @@ class Rules(NamedTuple):
     head: FloatArray
     """Largest angles and largest rates; (2, 2)."""
     weights: FloatArray
-    """Of `WEIGHTS`, (6,)."""
+    """Of `WEIGHTS`, (7,)."""
 
 
 class Fleet(NamedTuple):
@@ -96,8 +98,8 @@ class Fleet(NamedTuple):
     """Pan and tilt of the head, rad."""
     sway: Annotated[FloatArray, "B 6"]
     """Disturbance of a scripted drive."""
-    car: Annotated[FloatArray, "B 3"]
-    """Speed, steering angle and heading."""
+    car: Annotated[FloatArray, "B 6"]
+    """Speed, steering angle and heading; accelerations forward and to the side; squared jerk of the last step."""
     ride: Annotated[FloatArray, "B R"]
     """State of a smooth ride, see `ride`."""
     step: Annotated[IntArray, "B"]
@@ -203,6 +205,7 @@ def make_rules(
     perturbation: float = 1.0,
     steered: bool = False,
     lane: float = math.inf,
+    slowest: float = 0.0,
     head: Head | None = None,
     weights: Mapping[str, float] | None = None,
     exact: bool = True,
@@ -232,6 +235,8 @@ def make_rules(
         Whether commands drive the car, and not a script.
     lane : float
         How far beside the route a car that is steered may be, m.
+    slowest : float
+        Mean speed below which a car that is steered arrives too late, m/s.
     head : Head, optional
         What carries the cameras; None: they are fixed to the car.
     weights : mapping, optional
@@ -273,6 +278,7 @@ def make_rules(
             "max_lateral_acceleration",
         ),
         lane=float(lane),
+        slowest=float(slowest),
         body=np.array([[0.5 * side for side in car.size], car.body_c]),
         smooth=smooth,
         roughness=float(roughness),

@@ -18,9 +18,7 @@ from stereo_slam_env.world.scene import BOX, CYLINDER
 X, Y, COS, SIN, LENGTH, WIDTH, RADIUS = range(7)
 """Columns of a table of rectangles on the ground: centre, direction, size, radius of the circle around it."""
 _RUN = 16
-_UNKNOWN, _MANY, _SCANNED, _FEW = 0, -1, -1, 128
-"""Of a cell: not looked at yet; too many points, or two stretches of road, are about as near; all are compared."""
-_LOWEST = 0.15
+LOWEST = 0.15
 """m above the ground; what is lower is no landmark."""
 _TOLERANCE = 1e-6
 
@@ -94,8 +92,8 @@ def claim(
 ) -> bool:
     """Whether a rectangle has room off the roads and between the first `count` in `taken`; it becomes the next row.
 
-    `place` is x, y, yaw; points and circles of the roads are those of `nearest`. What counts is a grid of points about
-    1.5 m apart that covers the rectangle: none less than `clearance` from a road, none within `room` of another
+    `place` is x, y, yaw; points and circles of the roads are those of `RoadNetwork`. What counts is a grid of points,
+    some 1.5 m apart, that covers the rectangle: none less than `clearance` from a road, none within `room` of another
     rectangle; and no centre of another within `room` of this one.
     """
     claimed_cell = taken[count]
@@ -196,48 +194,6 @@ def sample(shapes: FloatArray, counts: IntArray, rng: np.random.Generator) -> tu
     return points, normals
 
 
-@entry
-def sample_facing(
-    shapes: FloatArray,
-    counts: IntArray,
-    points: FloatArray,
-    circles: FloatArray,
-    cells: IntArray,
-    corner: tuple[float, float, float],
-    highest: float,
-    rng: np.random.Generator,
-) -> FloatArray:
-    """Points of `sample` that are below `highest` and turned to the nearest point of a road; (M, 3).
-
-    `points` and `circles` of the roads are those of `nearest`, `cells` with their `corner` those of `RoadNetwork`.
-    """
-    outer, turned, number, at = circles_around(circles), np.empty((counts.sum(), 3)), 0, 0
-    limits, size = _convex_limits(points), corner[2]
-    most = counts.max()
-    samples, normals = np.empty((most, 3)), np.empty((most, 3))
-    for shape, count in zip(shapes, counts):  # noqa: B905 (Numba knows no `strict`)
-        _sample(shape, rng, samples[:count], normals[:count])
-        for i in range(count):
-            if _LOWEST < samples[i, 2] < highest:
-                x, y = samples[i, X], samples[i, Y]
-                column, row = math.floor((x - corner[X]) / size), math.floor((y - corner[Y]) / size)
-                inside_grid = 0 <= column < cells.shape[0] and 0 <= row < cells.shape[1]
-                if inside_grid and cells[column, row, 1] == _UNKNOWN:
-                    middle_x, middle_y = corner[X] + (column + 0.5) * size, corner[Y] + (row + 0.5) * size
-                    _look_around(points, circles, outer, limits, cells[column, row], middle_x, middle_y, size, at)
-                if not inside_grid or cells[column, row, 1] == _MANY:
-                    at = _nearest(points, circles, outer, x, y, at)
-                elif cells[column, row, 2] == _SCANNED:
-                    at = _nearest_of_few(points, cells[column, row, 0], cells[column, row, 1], x, y)
-                else:
-                    at = _descended(points, cells[column, row, 0], cells[column, row, 1], cells[column, row, 2], x, y)
-                x, y = points[at, X] - x, points[at, Y] - y
-                if normals[i, X] * x + normals[i, Y] * y > 0.2 * math.sqrt(x * x + y * y):
-                    turned[number] = samples[i]
-                    number += 1
-    return turned[:number].copy()
-
-
 @kernel
 def _sample(shape: FloatArray, rng: np.random.Generator, points: FloatArray, normals: FloatArray) -> None:
     if shape[0] == BOX:
@@ -246,91 +202,6 @@ def _sample(shape: FloatArray, rng: np.random.Generator, points: FloatArray, nor
         _sample_cylinder(shape, rng, points, normals)
     else:
         _sample_ball(shape, rng, points, normals)
-
-
-@kernel
-def _convex_limits(points: FloatArray) -> FloatArray:
-    """Distance of each point up to which the squares of distances are convex along its neighbours, m.
-
-    The second difference of |p - q_k|^2 is |q_k+1 - q_k|^2 + |q_k - q_k-1|^2 - 2 (p - q_k) . (q_k+1 - 2 q_k + q_k-1).
-    """
-    limits = np.zeros(len(points))
-    for k in range(1, len(points) - 1):
-        bend = math.hypot(
-            points[k + 1, X] - 2.0 * points[k, X] + points[k - 1, X],
-            points[k + 1, Y] - 2.0 * points[k, Y] + points[k - 1, Y],
-        )
-        steps = _square(points, k, points[k + 1, X], points[k + 1, Y])
-        steps += _square(points, k, points[k - 1, X], points[k - 1, Y])
-        limits[k] = 0.45 * steps / max(bend, 1e-12)  # 0.5 but for rounding
-    return limits
-
-
-@kernel
-def _nearest_of_few(points: FloatArray, first: int, last: int, x: float, y: float) -> int:
-    """Index of the nearest of the points from `first` until `last`."""
-    at, least = first, np.inf
-    for k in range(first, last):
-        if _square(points, k, x, y) < least:
-            at, least = k, _square(points, k, x, y)
-    return at
-
-
-@kernel
-def _look_around(
-    points: FloatArray,
-    circles: FloatArray,
-    outer: FloatArray,
-    limits: FloatArray,
-    cell: IntArray,
-    x: float,
-    y: float,
-    size: float,
-    at: int,
-) -> None:
-    """Fill a cell with the middle (x, y): its first point, one more than its last, and where a descent starts."""
-    at = _nearest(points, circles, outer, x, y, at)
-    reach = math.sqrt(_square(points, at, x, y)) + 1.4143 * size  # the diagonal
-    first, last = at, at
-    for o in range(len(outer)):
-        if _square(outer, o, x, y) < (reach + outer[o, 2]) ** 2:
-            for c in range(o * _RUN, min((o + 1) * _RUN, len(circles))):
-                if _square(circles, c, x, y) < (reach + circles[c, 2]) ** 2:
-                    for k in range(c * _RUN, min((c + 1) * _RUN, len(points))):
-                        if _square(points, k, x, y) < reach**2:
-                            first, last = min(first, k), max(last, k)
-    cell[0], cell[1], cell[2] = first, _MANY, at
-    if last - first < _FEW:
-        cell[1] = last + 1
-        for k in range(first + 1, last):
-            if math.sqrt(_square(points, k, x, y)) + size > limits[k]:
-                cell[2] = _SCANNED
-
-
-@kernel
-def _descended(points: FloatArray, first: int, last: int, start: int, x: float, y: float) -> int:
-    """Index of the nearest of the points from `first` until `last`, along which squares of distances are convex."""
-    at = start
-    for _ in range(2):
-        k = min(max(at, first + 1), last - 2)
-        if k <= first:
-            break
-        along_x, along_y = points[k + 1, X] - points[k - 1, X], points[k + 1, Y] - points[k - 1, Y]
-        steps = (x - points[k, X]) * along_x + (y - points[k, Y]) * along_y
-        at = k + math.floor(2.0 * steps / (along_x * along_x + along_y * along_y) + 0.5)
-        at = min(max(at, first), last - 1)
-    least = _square(points, at, x, y)
-    while at > first:
-        away = _square(points, at - 1, x, y)
-        if away > least:
-            break
-        at, least = at - 1, away
-    while at < last - 1:
-        away = _square(points, at + 1, x, y)
-        if away >= least:
-            break
-        at, least = at + 1, away
-    return at
 
 
 @kernel

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -119,14 +120,10 @@ def fence(at: Placed, rng: np.random.Generator) -> list[Primitive]:
 
 CLEARANCE = 5.0
 """Nothing stands nearer to a centreline, m."""
-OFFSETS = (10.0, 18.0)
-"""From the path of the camera to the middle of a group, m."""
 SPREAD = 3.0
 """How far a group reaches from its middle, along the lane and across, m."""
-SPACING, _STRETCH, _JITTER = 15.0, (0.7, 1.3), 4.0
-"""Mean distance from group to group along the lane and how it varies, m; what each group is off its place, m."""
-_OTHER_SIDE = 0.7
-"""How likely the next group is on the other side."""
+_STRETCH, _JITTER = (0.7, 1.3), 4.0
+"""How the distance from group to group varies; what each group is off its place, m."""
 PER_GROUP = (10, 14)
 """Landmarks, fewest and most."""
 HIGHEST = 4.0
@@ -139,11 +136,42 @@ _TALL: tuple[_Prop, ...] = (tree, tree, hut, woodpile, bales)
 _LOW: tuple[_Prop, ...] = (boulder, bush, milestone, signpost, fence)
 
 
+@dataclass(frozen=True)
+class Groups:
+    """Pattern of groups along a road."""
+
+    spacing: float = 15.0
+    """Mean distance from group to group along the lane, m."""
+    offsets: tuple[float, float] = (10.0, 18.0)
+    """Least and largest distance from the path of the camera to the middle of a group, m."""
+    other_side: float = 0.7
+    """Probability that the next group is on the other side."""
+    run: tuple[float, float] = (np.inf, np.inf)
+    """Shortest and longest stretch after which the side changes, m."""
+
+
+GROVES = Groups()
+
+
 def build_groves(route: Route, rng: np.random.Generator) -> Scene:
     """Groups of trees, huts, woodpiles, boulders, signs, ... along `route`, mostly left and right in turn.
 
     Each has about 12 landmarks, on surfaces that face the road; nothing stands within 5 m of the centreline.
     """
+    return _groups_along(route, rng, GROVES)
+
+
+def build_copses(route: Route, rng: np.random.Generator) -> Scene:
+    """The same groups, in stretches of 30 to 110 m on one side of `route` and then on the other.
+
+    How densely they stand (12 to 24 m), how far aside (8.5 m to between 11 and 18 m) and which side comes first are
+    drawn for each scene: no schedule of looking is right in all of them.
+    """
+    spacing, farthest = float(rng.uniform(12.0, 24.0)), float(rng.uniform(11.0, 18.0))
+    return _groups_along(route, rng, Groups(spacing, (8.5, farthest), other_side=0.0, run=(30.0, 110.0)))
+
+
+def _groups_along(route: Route, rng: np.random.Generator, pattern: Groups) -> Scene:
     road, network = road_along(route), network_along(route)
     layout = Layout(network)
     points: list[FloatArray] = []
@@ -158,20 +186,25 @@ def build_groves(route: Route, rng: np.random.Generator) -> Scene:
     for piece in road.fresh_stretches:
         station, end = float(road.stations[piece.start]), min(float(road.stations[piece.stop - 1]), last)
         side = float(rng.choice([-1.0, 1.0]))
-        station += float(rng.uniform(0.0, SPACING))
+        station += float(rng.uniform(0.0, pattern.spacing))
+        turn = station + (np.inf if pattern.run == GROVES.run else float(rng.uniform(*pattern.run)))
         while station < end:
-            side = _place(layout, road, station, side, group, rng)
-            station += SPACING * float(rng.uniform(*_STRETCH))
+            if station > turn:
+                side, turn = -side, station + float(rng.uniform(*pattern.run))
+            side = _place(layout, road, station, side, pattern, group, rng)
+            station += pattern.spacing * float(rng.uniform(*_STRETCH))
     landmarks = np.concatenate(points)
     return Scene(network.ground(320.0, MEADOW), tuple(layout.primitives), lane_along(route), landmarks)
 
 
-def _place(layout: Layout, road: Road, station: float, side: float, group: Make, rng: np.random.Generator) -> float:
-    """Put a group near `station` where there is room, most likely not on `side`; return its side (1 is left)."""
+def _place(
+    layout: Layout, road: Road, station: float, side: float, pattern: Groups, group: Make, rng: np.random.Generator
+) -> float:
+    """Put a group near `station` where there is room, and return its side (1 is left)."""
     for _ in range(_TRIES):
-        side = -side if rng.random() < _OTHER_SIDE else side
+        side = -side if rng.random() < pattern.other_side else side
         xy, yaw = road.place(
-            station + float(rng.uniform(-_JITTER, _JITTER)), side * float(rng.uniform(*OFFSETS)) - LANE_OFFSET
+            station + float(rng.uniform(-_JITTER, _JITTER)), side * float(rng.uniform(*pattern.offsets)) - LANE_OFFSET
         )
         size = (2 * SPREAD, 2 * SPREAD)
         if layout.claim(xy, yaw if side > 0 else yaw + np.pi, size, _ROOM, CLEARANCE, group):

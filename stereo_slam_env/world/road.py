@@ -29,7 +29,6 @@ _FOLD = 0.2
 _SAME_PLACE, _OTHER_PASS = 0.9, 30.0
 """A stretch this near to another of its road, but that far from it along the road, is the same street again, m."""
 _SAME_DIRECTION = 0.3
-_BESIDE, _CELL, _MOST_CELLS = 64.0, 6.0, 1e6
 _LIFTS = 0.011
 """m between the lowest and the highest piece of paving."""
 
@@ -107,9 +106,13 @@ class Road:
         fresh = np.ones(len(self.points), dtype=bool)
         for other in others:
             fresh &= ~self._repeats(other, -np.inf)
-        fresh &= ~self._repeats(self, _OTHER_PASS)
+        fresh &= ~self._repeated
         edges = np.flatnonzero(np.diff(np.concatenate([[False], fresh, [False]]).astype(int))).reshape(-1, 2)
         return [slice(max(a - 1, 0), min(b + 1, len(fresh))) for a, b in edges if b - a > 1]
+
+    @cached_property
+    def _repeated(self) -> BoolArray:
+        return self._repeats(self, _OTHER_PASS)
 
     @cached_property
     def fresh_stretches(self) -> list[slice]:
@@ -119,16 +122,11 @@ class Road:
     def _repeats(self, other: Road, gap: float) -> BoolArray:
         """Mask of points along `other`, on what is more than `gap` m before them."""
         repeated = np.zeros(len(self.points), dtype=bool)
-        near = other.tree.query_ball_point(self.points, _SAME_PLACE)
-        rows = np.repeat(np.arange(len(near)), [len(rows_near) for rows_near in near])
-        if rows.size:
-            rows_near = np.concatenate([indices for indices in near if indices]).astype(int)
-            across = (
-                self.tangents[rows, 0] * other.tangents[rows_near, 1]
-                - self.tangents[rows, 1] * other.tangents[rows_near, 0]
-            )
-            again = (self.stations[rows] - other.stations[rows_near] > gap) & (np.abs(across) < _SAME_DIRECTION)
-            repeated[rows[again]] = True
+        near = self.tree.sparse_distance_matrix(other.tree, _SAME_PLACE, output_type="ndarray")
+        here, there = near["i"], near["j"]
+        across = self.tangents[here, 0] * other.tangents[there, 1] - self.tangents[here, 1] * other.tangents[there, 0]
+        again = (self.stations[here] - other.stations[there] > gap) & (np.abs(across) < _SAME_DIRECTION)
+        repeated[here[again]] = True
         return repeated
 
     @cached_property
@@ -193,22 +191,10 @@ class RoadNetwork:
 
     @cached_property
     def circles(self) -> FloatArray:
-        """Circles around the points, as `compiled.nearest` takes them."""
+        """Circles around runs of the points, see `compiled.circles_around`."""
         from stereo_slam_env.world import compiled
 
         return np.asarray(compiled.circles_around(self.points))
-
-    @cached_property
-    def cells(self) -> tuple[IntArray, tuple[float, float, float]]:
-        """Squares of ground with the points that may be nearest there; `compiled.sample_facing` fills them as it goes.
-
-        Of each the first point, one more than the last, and where to start; and the lowest x and y and the side of a
-        square, m.
-        """
-        low, extent = self.points.min(axis=0) - _BESIDE, np.ptp(self.points, axis=0) + 2 * _BESIDE
-        side = max(_CELL, float(np.sqrt(extent.prod() / _MOST_CELLS)))
-        columns, rows = np.ceil(extent / side).astype(int)
-        return np.zeros((columns, rows, 3), dtype=np.int32), (float(low[0]), float(low[1]), side)
 
     def distance(self, xy: FloatArray) -> FloatArray:
         """Distance of each point to the nearest centreline, m; (..., 2) -> (...)."""

@@ -3,27 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from scipy.optimize import brentq
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
-from filters.geometry.arrays import BoolArray, FloatArray
+from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 
-LEFT, STRAIGHT, RIGHT = 0, 1, 2
-"""What a driver may do at a junction."""
-_FALL_BACK = (STRAIGHT, RIGHT, LEFT)
-"""Where the chosen road does not exist, the first of these that does is taken; at every junction one does."""
+LEFT, STRAIGHT, RIGHT, BACK = 0, 1, 2, 3
+"""Ways on from a junction; back, by a turn round, only where there is no other."""
+_PREFERENCE = (STRAIGHT, RIGHT, LEFT)
+"""Where the chosen road does not exist, the first of these that does is taken."""
 _STRIDE = 0.5
 """Of a step, m, about: a street is driven in a whole number of them."""
-_TURN_STEPS = 40
 _LANE = 1.75
 """Of the path that is driven, right of the middle of the street, m."""
-_JUNCTIONS = 4
-"""In each row and in each column."""
+_JUNCTIONS = (3, 6)
+"""Fewest and most in a row, and in a column."""
 _BLOCK = (38.0, 54.0)
 """Shortest and longest side of a block, m."""
+_MISSING = 0.3
+"""Largest share of the roads that is not built."""
 
 
 class Place(NamedTuple):
@@ -43,37 +47,52 @@ class StreetGrid:
     rows: FloatArray
     """Forward positions z of those along x, m, ascending."""
     start: Place
+    missing: frozenset[int] = frozenset()
+    """Numbers of roads of the grid, see `slot`, that are not built; all others are connected."""
 
     def __deepcopy__(self, memo: dict[int, object]) -> StreetGrid:
         return self  # nobody changes it
 
     @property
-    def count(self) -> int:
-        """Number of roads, each from one junction to the next."""
+    def slots(self) -> int:
+        """Number of roads from each junction to the next, those that are not built included."""
         return 2 * len(self.columns) * len(self.rows) - len(self.columns) - len(self.rows)
 
-    def beyond(self, place: Place, choice: int) -> Place | None:
-        """Road that a choice leads to; None where there is no such road."""
-        heading = (place.heading + choice - STRAIGHT) % 4
-        column, row = place.column + (0, 1, 0, -1)[heading], place.row + (1, 0, -1, 0)[heading]
-        inside = 0 <= column < len(self.columns) and 0 <= row < len(self.rows)
-        return Place(column, row, heading) if inside else None
+    @property
+    def count(self) -> int:
+        """Number of roads."""
+        return self.slots - len(self.missing)
 
-    def taken(self, place: Place, choice: int) -> tuple[int, Place]:
-        """The choice that is driven where `choice` is asked for, and where it leads."""
-        for possible in (choice, *_FALL_BACK):
-            beyond = self.beyond(place, possible)
-            if beyond is not None:
-                return possible, beyond
-        raise ValueError(f"there must be a road on from every junction, got columns {self.columns}, rows {self.rows}")
-
-    def road(self, place: Place) -> int:
-        """Number of the road, whichever its direction."""
+    def slot(self, place: Place) -> int:
+        """Number of the road of the grid, built or not, whichever its direction."""
         column, row, heading = place
         if heading % 2 == 0:
             return column * (len(self.rows) - 1) + row - (heading == 0)
         along_z = len(self.columns) * (len(self.rows) - 1)
         return along_z + row * (len(self.columns) - 1) + column - (heading == 1)
+
+    def road(self, place: Place) -> int:
+        """Number of the road among those that are built, whichever its direction."""
+        return self._numbers[self.slot(place)]
+
+    @cached_property
+    def _numbers(self) -> list[int]:
+        """Number of the road in each slot."""
+        built = np.array([slot not in self.missing for slot in range(self.slots)])
+        numbers: list[int] = (np.cumsum(built) - 1).tolist()
+        return numbers
+
+    def ways(self, place: Place) -> dict[int, Place]:
+        """Choices at the junction ahead and the roads that they lead to; at a dead end the only one is back."""
+        ways = {choice: self._beyond(place, choice) for choice in _PREFERENCE}
+        on = {choice: beyond for choice, beyond in ways.items() if self._is_built(beyond)}
+        return on or {BACK: self._beyond(place, BACK)}
+
+    def taken(self, place: Place, choice: int) -> tuple[int, Place]:
+        """The choice that is driven where `choice` is asked for, and where it leads."""
+        ways = self.ways(place)
+        possible = choice if choice in ways else next(iter(ways))
+        return possible, ways[possible]
 
     def length(self, place: Place) -> float:
         """Length of the road, from junction to junction, m."""
@@ -87,16 +106,16 @@ class StreetGrid:
         while near:
             if any(wanted[self.road(each)] for each in near):
                 return count
-            further = (self.beyond(each, choice) for each in near for choice in _FALL_BACK)
-            near = list({beyond: None for beyond in further if beyond is not None and beyond not in visited})
+            further = (beyond for each in near for beyond in self.ways(each).values())
+            near = [beyond for beyond in dict.fromkeys(further) if beyond not in visited]
             visited.update(near)
             count += 1
         return self.count
 
     def to_new(self, place: Place, driven: BoolArray) -> int:
         """The choice that leads to a road that has not been driven (R,) in the fewest roads."""
-        open_ways = [choice for choice in _FALL_BACK if self.beyond(place, choice) is not None]
-        return min(open_ways, key=lambda choice: self.roads_to(self.taken(place, choice)[1], ~driven))
+        ways = self.ways(place)
+        return min(ways, key=lambda choice: self.roads_to(ways[choice], ~driven))
 
     @cached_property
     def tour(self) -> list[int]:
@@ -114,34 +133,92 @@ class StreetGrid:
         place, metres, turns = self.start, [], []
         for choice in choices:
             possible, next_place = self.taken(place, choice)
-            for far, turning in ((self.length(place), 0), (self.length(next_place), 1)):
-                straight = 0.5 * far if possible == STRAIGHT else 0.5 * far - _REACH + (STRAIGHT - possible) * _LANE
+            turn, reach = _TURNS[possible], _REACHES[possible]
+            for far, turning in ((self.length(place), turn), (self.length(next_place), turn[:0])):
+                straight = 0.5 * far - reach
                 count = max(round(straight / _STRIDE), 1)
-                metres.append(np.full(count, straight / count))
-                turns.append(np.zeros(count))
-                if turning == 0 and possible != STRAIGHT:
-                    metres.append(np.full(_TURN_STEPS, _STRIDE))
-                    turns.append((possible - STRAIGHT) * _TURN)
+                metres += [np.full(count, straight / count), np.full(len(turning), _STRIDE)]
+                turns += [np.zeros(count), turning]
             place = next_place
         return np.concatenate([*metres, [_STRIDE]]), np.concatenate([*turns, [0.0]])
 
+    def _beyond(self, place: Place, choice: int) -> Place:
+        """Place that a choice leads to, on the grid or beyond its edge."""
+        heading = (place.heading + choice - STRAIGHT) % 4
+        return Place(place.column + (0, 1, 0, -1)[heading], place.row + (1, 0, -1, 0)[heading], heading)
+
+    def _is_built(self, place: Place) -> bool:
+        inside = 0 <= place.column < len(self.columns) and 0 <= place.row < len(self.rows)
+        return inside and self.slot(place) not in self.missing
+
 
 def random_streets(rng: np.random.Generator) -> StreetGrid:
-    """Blocks of random sides; the start is on a street in the middle, between the first two that cross it."""
-    columns, rows = (np.concatenate([[0.0], np.cumsum(rng.uniform(*_BLOCK, _JUNCTIONS - 1))]) for _ in range(2))
-    column = int(rng.integers(1, _JUNCTIONS - 1))
-    middle = 0.5 * (rows[0] + rows[1])
-    return StreetGrid(columns - columns[column] - _LANE, rows - middle, Place(column, 1, 0))
+    """Draw a grid of 3 to 6 by 3 to 6 junctions, blocks of random sides, without up to 30 % of its roads.
+
+    Some roads end at the last junction. The start is on any road.
+    """
+    counts = rng.integers(_JUNCTIONS[0], _JUNCTIONS[1] + 1, 2)
+    columns, rows = (np.concatenate([[0.0], np.cumsum(rng.uniform(*_BLOCK, count - 1))]) for count in counts)
+    column, row = int(rng.integers(len(columns))), int(rng.integers(1, len(rows)))
+    middle = 0.5 * (rows[row - 1] + rows[row])
+    whole = StreetGrid(columns - columns[column] - _LANE, rows - middle, Place(column, row, 0))
+    ends = _junctions(whole)
+    kept = list(range(whole.slots))
+    for slot in rng.permutation(whole.slots)[: round(float(rng.uniform(0.0, _MISSING)) * whole.slots)].tolist():
+        fewer = [each for each in kept if each != slot]
+        if slot != whole.slot(whole.start) and _are_connected(ends[fewer]):
+            kept = fewer
+    return replace(whole, missing=frozenset(range(whole.slots)) - frozenset(kept))
 
 
-def _quarter() -> FloatArray:
-    """Rad in each step of a turn to the right."""
-    steps = np.arange(_TURN_STEPS) + 0.5
-    shape = np.minimum(np.minimum(steps, steps[::-1]) / (_TURN_STEPS / 3), 1.0)
-    turn: FloatArray = 0.5 * np.pi * shape / shape.sum()
+def _junctions(streets: StreetGrid) -> IntArray:
+    """Numbers of the two junctions of each road of a grid; (slots, 2)."""
+    ends = np.zeros((streets.slots, 2), dtype=np.int64)
+    for column in range(len(streets.columns)):
+        for row in range(len(streets.rows)):
+            at = column * len(streets.rows) + row
+            for place, behind in ((Place(column, row, 0), at - 1), (Place(column, row, 1), at - len(streets.rows))):
+                if (row if place.heading == 0 else column) > 0:
+                    ends[streets.slot(place)] = at, behind
+    return ends
+
+
+def _are_connected(ends: IntArray) -> bool:
+    """Whether roads between junctions (R, 2) lead from each of them to each other."""
+    size = int(ends.max()) + 1
+    roads = coo_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(size, size))
+    labels = connected_components(roads, directed=False)[1]
+    return bool(np.ptp(labels[ends]) == 0)
+
+
+def _turned(steps: int, angle: float) -> FloatArray:
+    """Rad in each step of a smooth turn by `angle`."""
+    at = np.arange(steps) + 0.5
+    shape = np.minimum(np.minimum(at, at[::-1]) / (steps / 3), 1.0)
+    turn: FloatArray = angle * shape / shape.sum()
     return turn
 
 
-_TURN = _quarter()
-_REACH = float((_STRIDE * np.cos(np.cumsum(_TURN) - 0.5 * _TURN)).sum())
-"""How far a turn begins before the point at which the old and the new path cross, and ends behind it, m."""
+def _offset(turn: FloatArray) -> tuple[float, float]:
+    """How far forward, and to the right, a turn ends from where it begins, m."""
+    yaw = np.cumsum(turn) - 0.5 * turn
+    return float((_STRIDE * np.cos(yaw)).sum()), float((_STRIDE * np.sin(yaw)).sum())
+
+
+def _turn_round(aside: float) -> FloatArray:
+    """Rad in each step of a turn round to the left that begins with one to the right by `aside` rad."""
+    begin = _turned(20, aside)
+    return np.concatenate([begin, _turned(70, -np.pi - 2.0 * aside), begin])
+
+
+_QUARTER = _turned(40, 0.5 * np.pi)
+_ASIDE = float(brentq(lambda aside: _offset(_turn_round(aside))[1] + 2.0 * _LANE, 0.0, 1.5))
+"""So that the car comes back in the other lane."""
+_TURNS = {LEFT: -_QUARTER, STRAIGHT: _QUARTER[:0], RIGHT: _QUARTER, BACK: _turn_round(_ASIDE)}
+_REACHES = {
+    LEFT: _offset(_QUARTER)[0] + _LANE * -1.0,
+    STRAIGHT: 0.0,
+    RIGHT: _offset(_QUARTER)[0] + _LANE,
+    BACK: 10.0,
+}
+"""How far before the junction a turn begins, and behind it ends, m."""

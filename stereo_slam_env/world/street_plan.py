@@ -42,7 +42,7 @@ def plan(
 ) -> FloatArray:
     """Houses, then towers, then what stands in the parking strips and on the pavements; (N, `NUMBERS`).
 
-    `points` and `circles` of the roads are those of `compiled.nearest`; `places` has x, y, the unit vector to the left
+    `points` and `circles` of the roads are those of `RoadNetwork`; `places` has x, y, the unit vector to the left
     and the yaw of each point, those of road r from row `firsts[r]` on.
     """
     most = 64 + 2 * len(places)

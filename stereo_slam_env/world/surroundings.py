@@ -37,6 +37,9 @@ _SURROUNDINGS: dict[str, Surroundings] = {
     "groves": Surroundings(
         "open country, small groups of things 7 to 21 m aside", open_country.build_groves, open_country.WALKWAY
     ),
+    "copses": Surroundings(
+        "the same groups on one side for a while, then on the other", open_country.build_copses, open_country.WALKWAY
+    ),
 }
 SURROUNDINGS: Mapping[str, Surroundings] = MappingProxyType(_SURROUNDINGS)
 """Registered scenes by name; read-only, see `register_scene`. Each works along any route."""
