@@ -195,14 +195,6 @@ def random_town(rng: np.random.Generator) -> Route:
     return _turning("random-town", legs, angles, rng.uniform(4.0, 6.0), rng.uniform(9.0, 14.0, len(angles)))
 
 
-def random_bends(rng: np.random.Generator) -> Route:
-    """A drive of 100 to 170 m with one or two bends to either side, at 4 to 6 m/s between them."""
-    angles = rng.uniform(0.4, 1.5, rng.integers(1, 3))
-    angles *= rng.choice([-1.0, 1.0], len(angles))
-    legs = rng.uniform(30.0, 60.0, len(angles) + 1)
-    return _turning("random-bends", legs, angles, rng.uniform(4.0, 6.0), rng.uniform(9.0, 14.0, len(angles)))
-
-
 def random_loop(rng: np.random.Generator) -> Route:
     """Round a block with sides of 45 to 80 m, to the left or to the right, and 24 m further."""
     first, second = rng.uniform(45.0, 80.0, 2)
@@ -254,7 +246,7 @@ _FARTHEST_ROUND = 2.0
 _BEYOND = 24.0
 """m: how far a random loop goes on beyond its start."""
 RANDOM_ROUTES: Mapping[str, Callable[[np.random.Generator], Route]] = MappingProxyType(
-    {"random-town": random_town, "random-bends": random_bends, "random-loop": random_loop, "random-grid": random_grid}
+    {"random-town": random_town, "random-loop": random_loop, "random-grid": random_grid}
 )
 """Routes that are drawn anew for each episode, by name."""
 

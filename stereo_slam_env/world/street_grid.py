@@ -208,7 +208,7 @@ def _offset(turn: FloatArray) -> tuple[float, float]:
 def _turn_round(aside: float) -> FloatArray:
     """Rad in each step of a turn round to the left that begins with one to the right by `aside` rad."""
     begin = _turned(20, aside)
-    return np.concatenate([begin, _turned(70, -np.pi - 2.0 * aside), begin])
+    return np.concatenate([begin, _turned(110, -np.pi - 2.0 * aside), begin])
 
 
 _QUARTER = _turned(40, 0.5 * np.pi)

@@ -4,21 +4,33 @@ import numpy as np
 import pytest
 
 from stereo_slam_env.world.routes import random_grid, through_streets
-from stereo_slam_env.world.street_grid import LEFT, RIGHT, STRAIGHT, Place, StreetGrid, random_streets
+from stereo_slam_env.world.street_grid import BACK, LEFT, RIGHT, STRAIGHT, Place, StreetGrid, random_streets
 
 SEEDS = range(8)
+LINES = np.array([0.0, 40.0, 85.0, 130.0])
+START = Place(1, 2, 0)
 
 
 def streets_of(seed):
     return random_streets(np.random.default_rng(seed))
 
 
+def grid(missing=frozenset(), start=START):
+    """Four by four junctions, the start in the middle."""
+    middle = 0.5 * (LINES[start.row - 1] + LINES[start.row])
+    return StreetGrid(LINES - LINES[start.column] - 1.75, LINES - middle, start, missing)
+
+
+def without(*places):
+    """The grid without some roads."""
+    return grid(frozenset(grid().slot(place) for place in places))
+
+
 @pytest.mark.parametrize("turn", [LEFT, RIGHT])
 def test_four_turns_lead_round_a_block_to_the_start_pose(turn):
-    for seed in SEEDS:
-        route = through_streets(streets_of(seed), [turn] * 4)
-        np.testing.assert_allclose(route.positions[-2], 0.0, atol=1e-9)  # the last step is one beyond
-        assert abs(route.headings[-1]) == pytest.approx(2 * np.pi)
+    route = through_streets(grid(), [turn] * 4)
+    np.testing.assert_allclose(route.positions[-2], 0.0, atol=1e-9)  # the last step is one beyond
+    assert abs(route.headings[-1]) == pytest.approx(2 * np.pi)
 
 
 def test_who_comes_back_on_the_same_road_drives_in_the_other_lane():
@@ -28,6 +40,18 @@ def test_who_comes_back_on_the_same_road_drives_in_the_other_lane():
     assert streets.road(back) == streets.road(streets.start)
     assert way[:, 0].min() == pytest.approx(0.0, abs=1e-9)  # 1.75 m to the right of the middle of the street
     assert way[:, 2].max() == pytest.approx(20.0 - 1.75)
+
+
+def test_at_a_dead_end_the_car_turns_round_and_comes_back_in_the_other_lane():
+    ahead = [Place(1, 3, 0), Place(2, 2, 1), Place(0, 2, 3)]
+    streets = without(*ahead)
+    assert list(streets.ways(START)) == [BACK]
+    choice, place = streets.taken(START, STRAIGHT)
+    assert (choice, streets.road(place)) == (BACK, streets.road(START))
+    route = through_streets(streets, [LEFT])
+    np.testing.assert_allclose(route.positions[-2], [-3.5, 0.0, 0.0], atol=1e-9)
+    assert route.headings[-1] == pytest.approx(-np.pi)
+    assert np.abs(route.speeds * route.yaw_rates).max() < 3.0
 
 
 def test_what_has_been_driven_stays_when_the_next_road_is_chosen():
@@ -42,25 +66,39 @@ def test_what_has_been_driven_stays_when_the_next_road_is_chosen():
 
 def test_the_tour_drives_every_road_and_no_road_has_two_numbers():
     for seed in SEEDS:
-        streets, place = random_grid(np.random.default_rng(seed)).streets, None
+        streets = random_grid(np.random.default_rng(seed)).streets
         place, driven = streets.start, {streets.road(streets.start)}
         for choice in streets.tour:
-            place = streets.beyond(place, choice)
+            place = streets.ways(place)[choice]
             driven.add(streets.road(place))
-        assert driven == set(range(streets.count)) == set(range(24))
+        assert driven == set(range(streets.count))
+
+
+def test_grids_are_drawn_with_other_sizes_missing_roads_dead_ends_and_starts():
+    drawn = [streets_of(seed) for seed in range(100)]
+    sizes = {(len(streets.columns), len(streets.rows)) for streets in drawn}
+    assert {3, 4, 5, 6} == {size for pair in sizes for size in pair}
+    shares = [len(streets.missing) / streets.slots for streets in drawn]
+    assert min(shares) < 0.05 < 0.2 < max(shares) <= 0.3
+    dead_ends = [BACK in streets.tour for streets in drawn]
+    assert 0.2 < np.mean(dead_ends) < 0.9
+    assert len({streets.start for streets in drawn}) > 15
+    for streets in drawn:
+        assert streets.slot(streets.start) not in streets.missing
 
 
 def test_a_road_that_does_not_exist_is_replaced_by_one_that_does():
-    streets = streets_of(0)
     corner = Place(0, 3, 0)  # the last junction of the first street
-    assert [streets.beyond(corner, choice) is None for choice in (LEFT, STRAIGHT, RIGHT)] == [True, True, False]
-    assert [streets.taken(corner, choice)[0] for choice in (LEFT, STRAIGHT, RIGHT)] == [RIGHT] * 3
+    assert list(grid().ways(corner)) == [RIGHT]
+    assert [grid().taken(corner, choice)[0] for choice in (LEFT, STRAIGHT, RIGHT)] == [RIGHT] * 3
+    streets = without(Place(1, 3, 0))
+    assert list(streets.ways(START)) == [RIGHT, LEFT]
+    assert streets.taken(START, STRAIGHT)[0] == RIGHT
 
 
 def test_the_way_to_a_road_is_counted_in_roads():
-    streets = streets_of(0)
-    wanted = np.zeros(24, dtype=bool)
-    wanted[streets.road(streets.start)] = True
-    assert streets.roads_to(streets.start, wanted) == 0
-    right = streets.beyond(streets.start, RIGHT)
-    assert streets.roads_to(right, wanted) == 3  # round the block
+    streets = grid()
+    wanted = np.zeros(streets.count, dtype=bool)
+    wanted[streets.road(START)] = True
+    assert streets.roads_to(START, wanted) == 0
+    assert streets.roads_to(streets.ways(START)[RIGHT], wanted) == 3  # round the block

@@ -44,7 +44,7 @@ def test_the_nominal_drive_hits_nothing(surroundings, route):
 def test_landmarks_lie_on_what_stands_there(surroundings):
     route = ROUTES["right-turn"]()
     scene = build_scene(surroundings, route, rng())
-    assert len(scene.landmark_points) > (50 if surroundings == "groves" else 300)
+    assert len(scene.landmark_points) > (50 if surroundings in ("groves", "copses") else 300)
     standing = scene.landmark_points[scene.landmark_points[:, 2] > 0.1]
     for point in standing[:: len(standing) // 25]:
         assert min(distance_to(shape, point) for shape in scene.primitives) < 1e-6
