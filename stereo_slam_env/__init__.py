@@ -54,16 +54,16 @@ def _register(
 _register("StereoSlam/Drive-v0", "drive", "StereoDriveEnv", 1200, 32.7)
 _register("StereoSlam/Gaze-v0", "gaze", "StereoGazeEnv", 3000)
 _register("StereoSlam/DriveGaze-v0", "drive_gaze", "StereoDriveGazeEnv", 1200)
-for _task, _made, _most, _best in (
+for _task, _module, _most, _best in (
     ("ActiveGaze", "active_gaze", 600, -0.69),
     ("Explore", "explore", 1200, 8.36),
     ("Revisit", "revisit", 100, 8.29),
     ("ClosedLoop", "closed_loop", 1200, 21.5),
     ("Branches", "branches", 1000, 22.1),
 ):
-    _register(f"StereoSlam/{_task}-v0", _made, _made, _most, _best)
+    _register(f"StereoSlam/{_task}-v0", _module, _task, _most, _best)
     for _level in ("easy", "hard"):
-        _register(f"StereoSlam/{_task}-{_level}-v0", _made, _made, _most, level=_level)
+        _register(f"StereoSlam/{_task}-{_level}-v0", _module, _task, _most, level=_level)
 
 _load, __dir__, __all__ = _lazy_loader.attach_stub(__name__, __file__)
 

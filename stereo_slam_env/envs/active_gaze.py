@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, Literal, cast, get_args
+from types import MappingProxyType
+from typing import Any, Literal, get_args
 
 import gymnasium as gym
 import numpy as np
@@ -12,31 +13,20 @@ from gymnasium.vector import AutoresetMode
 
 from filters.contract.validation import one_of, positive, whole_number
 from filters.geometry.arrays import FloatArray
-from stereo_slam_env.envs import (
-    BeliefObservation,
-    BeliefPanorama,
-    DirectionOfGaze,
-    InformationGain,
-    SelectedKeys,
-    TrueError,
-)
+from stereo_slam_env.envs.arguments import HeadOptions
+from stereo_slam_env.envs.belief_observation import BeliefObservation
+from stereo_slam_env.envs.belief_panorama import BeliefPanorama
 from stereo_slam_env.envs.information import CRITERIA, Criterion
-from stereo_slam_env.envs.make_vec import arguments_of, of_level, of_world, rows_of, vector_of
+from stereo_slam_env.envs.make_vec import kind_of
 from stereo_slam_env.envs.mixed_rows import MixedRows
-from stereo_slam_env.envs.rewards import BeliefOf
-from stereo_slam_env.envs.row_wrapper import directions, moving_head
+from stereo_slam_env.envs.rewards import BeliefOf, InformationGain, TrueError
+from stereo_slam_env.envs.row_wrapper import DirectionOfGaze, SelectedKeys, directions, moving_head
 from stereo_slam_env.envs.rows import Rows
-from stereo_slam_env.envs.vector_env import RowsVectorEnv, limited
+from stereo_slam_env.envs.task_env import GAZE_FILTER, Make, TaskEnv, arguments_of, of_level, of_world
+from stereo_slam_env.envs.vector_env import RowsVectorEnv, core_rows, limited
 
-GAZE_FILTER: Mapping[str, Any] = {
-    "drop_unseen": False,
-    "motion": "velocity-driven",
-    "iterations": 2,
-    "relinearise_above": 1.0,
-}
-"""Options of a filter for a head that turns: it keeps what is out of view, believes the odometry, and linearises a
-second time what its first tangent misses by more than its noise: landmarks that come back into view correct it by a lot
-at once, and all others, relinearised, would stretch the way."""
+WORLD: Mapping[str, Any] = MappingProxyType({"surroundings": "copses", "pan_rate": 0.6})
+"""Arguments of the environment under those that are given: what can be seen is on one side, and the head is slow."""
 POLICY_KEYS = ("belief_sigmas", "head", "panorama")
 """Keys of the observation that a network decides by, in their order."""
 Reward = Literal["information", "error"]
@@ -50,7 +40,7 @@ class GazeTask:
     environment: str = "StereoSlam/Gaze-v0"
     """An id with a head."""
     arguments: Mapping[str, Any] = field(default_factory=dict)
-    """Of the environment."""
+    """Of the environment, over those of `WORLD`."""
     worlds: tuple[Mapping[str, Any], ...] = ()
     """Arguments of further environments, over those of the first: rows are spread over all of them, so that a network
     is learnt in all worlds at once."""
@@ -76,6 +66,8 @@ class GazeTask:
     the mean of a continuous action ends up between them."""
 
     def __post_init__(self) -> None:
+        if not issubclass(kind_of(self.environment), HeadOptions):
+            moving_head(None)
         object.__setattr__(self, "worlds", tuple(self.worlds))
         one_of("reward", self.reward, get_args(Reward))
         one_of("criterion", self.criterion, CRITERIA)
@@ -85,42 +77,50 @@ class GazeTask:
             whole_number("pans", self.pans, 2)
         object.__setattr__(self, "resolution", tuple(positive("resolution", value) for value in self.resolution))
 
-    def make(self, hold: int = 1) -> gym.Env[Any, Any]:
-        """The environment for rules and planners: with the belief in the observation; actions hold for some steps."""
-        env = gym.make(self.environment, **self.arguments)
-        moving_head(env.get_wrapper_attr("head"))
-        believing: gym.Env[Any, Any] = self._believing(env, hold)
-        return believing
-
-    def make_held(self) -> gym.Env[Any, Any]:
-        """The environment for networks: `POLICY_KEYS` alone, decisions hold, the reward is that of the task."""
-        held: gym.Env[Any, Any] = self._held(gym.make(self.environment, **self.arguments))
-        return held
-
-    def make_for_learning(self) -> gym.Env[Any, Any]:
-        """`make_held`, with the number of one of `choices` for an action if there are any."""
-        env: Any = self.make_held()
-        return cast("gym.Env[Any, Any]", env if self.pans is None else DirectionOfGaze(env, self.pans))
-
-    def make_rows(self, num_envs: int, scenes: int | None = None, threads: int = 1) -> Rows:
-        """So many times `make_for_learning` as rows, spread over the worlds; see `envs.make_vec.stereo_vector`."""
-        if self.worlds:
-            counts = [num_envs * (k + 1) // len(self.each_world) for k in range(-1, len(self.each_world))]
-            shares = zip(self.each_world, np.diff(counts).tolist(), strict=True)
-            return MixedRows([task.make_rows(count, scenes, threads) for task, count in shares if count])
-        arguments = dict(self.arguments)
-        limit = arguments.pop("max_episode_steps", gym.spec(self.environment).max_episode_steps)
-        arguments.pop("disable_env_checker", None)
-        rows = rows_of(self.environment, num_envs, arguments, scenes=scenes, threads=threads)
-        held = self._held(limited(rows, limit))
-        gaze_rows: Rows = held if self.pans is None else DirectionOfGaze(held, pans=self.pans)
-        return gaze_rows
+    @property
+    def world(self) -> dict[str, Any]:
+        """Arguments of the environment, those of the task included."""
+        return {**WORLD, **self.arguments}
 
     @property
     def each_world(self) -> tuple[GazeTask, ...]:
         """The task in each of its worlds."""
         further = ({**self.arguments, **world} for world in self.worlds)
         return tuple(replace(self, arguments=arguments, worlds=()) for arguments in (self.arguments, *further))
+
+    def make(self, hold: int = 1) -> gym.Env[Any, Any]:
+        """The environment for rules and planners: with the belief in the observation; actions hold for some steps."""
+        believing: gym.Env[Any, Any] = self._believing(gym.make(self.environment, **self.world), hold)
+        return believing
+
+    def around(self, inside: gym.Env[Any, Any] | Rows) -> Any:
+        """The task on an environment, or on rows: `POLICY_KEYS` alone, decisions that hold, its reward and choices."""
+        paid: Any = self._believing(inside, self.hold)
+        if self.reward == "error":
+            paid = TrueError(paid)
+        else:
+            paid = InformationGain(
+                paid,
+                criterion=self.criterion,
+                of="pose",
+                resolution=self.resolution,
+                belief=self.belief,
+                nees_gate=self.nees_gate,
+            )
+        held = SelectedKeys(paid, keys=POLICY_KEYS)
+        return held if self.pans is None else DirectionOfGaze(held, pans=self.pans)
+
+    def make_rows(self, num_envs: int, scenes: int | None = None, threads: int = 1) -> Rows:
+        """So many of the task as rows, spread over its worlds; see `envs.make_vec.stereo_vector`."""
+        if self.worlds:
+            counts = [num_envs * (k + 1) // len(self.each_world) for k in range(-1, len(self.each_world))]
+            shares = zip(self.each_world, np.diff(counts).tolist(), strict=True)
+            return MixedRows([task.make_rows(count, scenes, threads) for task, count in shares if count])
+        arguments = self.world
+        limit = arguments.pop("max_episode_steps", gym.spec(self.environment).max_episode_steps)
+        inside = core_rows(kind_of(self.environment), arguments, num_envs=num_envs, scenes=scenes, threads=threads)
+        gaze_rows: Rows = self.around(limited(inside, limit))
+        return gaze_rows
 
     def make_vector(
         self,
@@ -134,29 +134,7 @@ class GazeTask:
         return RowsVectorEnv(self.make_rows(count, scenes, threads), autoreset_mode)
 
     def _believing(self, inside: gym.Env[Any, Any] | Rows, hold: int) -> Any:
-        believing = BeliefObservation(inside, filter=self.filter, options=self.filter_options, hold=hold)
-        return BeliefPanorama(believing)
-
-    def _held(self, inside: gym.Env[Any, Any] | Rows) -> Any:
-        believing = self._believing(inside, self.hold)
-        paid: Any
-        if self.reward == "error":
-            paid = TrueError(believing)
-        else:
-            paid = InformationGain(
-                believing,
-                criterion=self.criterion,
-                of="pose",
-                resolution=self.resolution,
-                belief=self.belief,
-                nees_gate=self.nees_gate,
-            )
-        return SelectedKeys(paid, keys=POLICY_KEYS)
-
-    @property
-    def training(self) -> Mapping[str, Any]:
-        """Settings that the task states: the defaults of `PPOSettings` are its own."""
-        return {}
+        return BeliefPanorama(BeliefObservation(inside, filter=self.filter, options=self.filter_options, hold=hold))
 
     @property
     def choices(self) -> FloatArray | None:
@@ -164,55 +142,39 @@ class GazeTask:
         return None if self.pans is None else directions(self.pans)
 
 
-def active_gaze(
-    render_mode: str | None = None,
-    *,
-    level: str = "normal",
-    arguments: Mapping[str, Any] | None = None,
-    many: Mapping[str, Any] | None = None,
-    **task: Any,
-) -> Any:
+class ActiveGaze(TaskEnv):
     """`StereoSlam/ActiveGaze-v0`: decide where to look so that the estimate of the pose is as true as it can be.
 
     The head of `StereoSlam/Gaze-v0` is turned to one of nine directions (`Discrete(9)`, from the farthest left to the
-    farthest right), for five steps. The observation has `belief_sigmas` (6,), `head` (2,) and `panorama` (12, 6), the
-    landmarks of the filter's map around the car, see `BeliefPanorama`; the reward is minus the squared true error of
-    the position after the decision (`TrueError`), or with `reward="information"` the decrease of the log determinant of
-    the covariance of the pose (`InformationGain`). `info` is that of `StereoSlam/Gaze-v0` and of these
-    wrappers.
+    farthest right), for five steps. There are things to see on one side of the road for a while, then on the other,
+    in fog, and the head turns slowly: no fixed schedule of looking is right. The observation has `belief_sigmas` (6,),
+    `head` (2,) and `panorama` (12, 6), the landmarks of the filter's map around the car, see `BeliefPanorama`; the
+    reward is minus the squared true error of the position after the decision (`TrueError`), or with
+    `reward="information"` the decrease of the log determinant of the covariance of the pose (`InformationGain`). `info`
+    is that of `StereoSlam/Gaze-v0` and of these wrappers.
 
     Parameters
     ----------
-    render_mode : str, optional
-        That of `StereoSlam/Gaze-v0`.
-    level : {"easy", "normal", "hard"}
-        Difficulty, see `LEVELS`.
-    arguments : mapping, optional
-        Of `StereoSlam/Gaze-v0`; JSON-able.
-    many : mapping, optional
-        Arguments of `GazeTask.make_rows`: that many in rows, instead of one environment.
     **task
-        Others of `GazeTask`: `filter`, `filter_options`, `reward`, `criterion`, `belief`, `nees_gate`, `resolution`,
-        `hold`, `pans`; `observation` and `keys` of `SelectedKeys`; and arguments of `StereoSlam/Gaze-v0`, as in
-        `arguments`. JSON-able.
-
-    Raises
-    ------
-    TypeError
-        There is no argument of that name.
+        Arguments of `GazeTask` (`filter`, `filter_options`, `reward`, `criterion`, `belief`, `nees_gate`, `resolution`,
+        `hold`, `pans`), those of every task, see `TaskEnv`, and those of `StereoSlam/Gaze-v0`.
     """
-    bare = {"render_mode": render_mode, "max_episode_steps": -1, "disable_env_checker": True}  # the task has its own
-    selection = arguments_of(SelectedKeys, task)
-    gaze = gaze_task(level, arguments, **task)
-    gaze = replace(gaze, arguments={**bare, **gaze.arguments})
-    task_env: Any = gaze.make_for_learning() if many is None else gaze.make_rows(**many)
-    return SelectedKeys(task_env, **{"keys": POLICY_KEYS, **selection}) if selection else task_env
+
+    world = "StereoSlam/Gaze-v0"
+    keys = POLICY_KEYS
+
+    @classmethod
+    def make_rows(cls, make: Make, **task: Any) -> Rows:
+        selection = arguments_of(SelectedKeys, task)
+        gaze = gaze_task(**task)
+        rows: Rows = gaze.around(make(kind_of(gaze.environment), gaze.world))
+        return SelectedKeys(rows, **{"keys": POLICY_KEYS, **selection}) if selection else rows
 
 
 def gaze_task(level: str = "normal", arguments: Mapping[str, Any] | None = None, **task: Any) -> GazeTask:
-    """The task of `active_gaze`, with its arguments."""
+    """The task of `ActiveGaze`, with its arguments."""
     task_arguments = {name: task.pop(name) for name in [field.name for field in fields(GazeTask)] if name in task}
     return GazeTask(arguments={**of_level(level, scripted=True), **of_world(arguments, task)}, **task_arguments)
 
 
-active_gaze_vector = vector_of(active_gaze)
+active_gaze_vector = ActiveGaze.vector

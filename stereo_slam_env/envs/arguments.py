@@ -1,10 +1,9 @@
-"""Keyword arguments of the environments, checked, and settings with which environments are best learnt."""
+"""Keyword arguments of the environments, checked."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin, get_type_hints
 
 import numpy as np
@@ -235,16 +234,3 @@ class DriveGazeOptions(HeadOptions, DriveOptions):
 def _number(name: str, value: Any, low: float, high: float) -> None:
     if positive(name, value, allow_zero=True) > high or float(value) < low:
         raise ValueError(f"{name} must be a number from {low:g} to {high:g}, got {value!r}")
-
-
-STEERING: Mapping[str, Any] = MappingProxyType(
-    {
-        **{"environments": 64, "rollout": 4096, "minibatch": 512, "evaluate_every": 65_536, "validation": 32},
-        **{"learning_rate": 1e-3, "discount": 0.995, "entropy": 0.002},
-        **{"initial_log_std": -1.2, "initial_bias": [0.3, 0.0]},
-    }
-)
-"""Steering: a car that drives, and hardly swerves, from the beginning. One that stands, or leaves the lane at once,
-sees no road."""
-FEW_DECISIONS: Mapping[str, int] = MappingProxyType({"rollout": 512, "minibatch": 64, "validation": 32})
-"""Tasks in which a decision takes a second of driving or more."""

@@ -3,44 +3,39 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from gymnasium import spaces
 
 from filters.contract.validation import positive, whole_number
 from filters.geometry.arrays import BoolArray, FloatArray
-from stereo_slam_env.envs.active_gaze import GAZE_FILTER
-from stereo_slam_env.envs.arguments import FEW_DECISIONS
 from stereo_slam_env.envs.filter_rows import FilterRows
-from stereo_slam_env.envs.make_vec import arguments_of, inner_environment, of_world, vector_of
-from stereo_slam_env.envs.row_wrapper import RowsWrapper, SelectedKeys
+from stereo_slam_env.envs.row_wrapper import PaidRows
 from stereo_slam_env.envs.rows import Arrays, Rows, Seeds, Step
+from stereo_slam_env.envs.task_env import TaskEnv
+from stereo_slam_env.simulator.state import WEIGHTS
 from stereo_slam_env.world.routes import through_streets
 from stereo_slam_env.world.street_grid import BACK, LEFT, RIGHT, STRAIGHT, Place, StreetGrid
 
-KEYS = ("belief_sigmas", "branches", "roads_left", "mapped")
 EXISTS, DRIVEN, TO_NEW, TO_START, SIGMA = range(5)
 """Columns of the key `branches`."""
 _MOST = np.array([1.0, 1.0, 60.0, 60.0, 100.0], dtype=np.float32)
 """Of each column."""
 _MOST_ROADS = 1000.0
-_WORLD: Mapping[str, Any] = {
-    **{"route": "random-grid", "policy": "route", "surroundings": "groves", "visibility": 30.0, "rig": "vga"},
-    **{"max_landmarks": 16, "revisit": True},
-}
-_UNPAID = {f"{term}_weight": 0.0 for term in ("progress", "tracking", "collision", "goal", "time")}
 
 
-class BranchChoice(RowsWrapper):
+class BranchChoice(PaidRows):
     """The agent chooses at each junction which road is driven, and is paid for a map that is true.
 
     The action is `Discrete(3)`: left, straight on, right; where there is no such road, the first that exists of
-    straight on, right, left is taken. A script drives it to its middle, where the next choice is made; the episode ends
-    after `roads` choices. A landmark of the filter's map counts 1 - (true error / `accuracy`)^2, not less than 0; the
-    share of the map is the sum of that over the number of all landmarks along all roads. The reward of a choice is
-    `weight` times what that share has gained: by new landmarks, by a loop that is closed, which puts right where all
-    others are, or less than 0 by an estimate that goes astray.
+    straight on, right, left is taken, and at a dead end the car turns round. A script drives the road to its middle,
+    where the next choice is made; the episode ends after `roads` choices. A landmark of the filter's map counts
+    1 - (true error / `accuracy`)^2, not less than 0; the share of the map is the sum of that over the number of all
+    landmarks that stand along so many roads. The reward of a choice is `weight` times what that share has gained: by
+    new landmarks, by a loop that is closed, which puts right where all others are, or less than 0 by an estimate that
+    goes astray.
 
     The observation gains `branches` (3, 5), for left, straight on and right: whether there is such a road, whether it
     has been driven, how many roads further on the nearest is that has not been driven, and that of the start, and the
@@ -68,17 +63,15 @@ class BranchChoice(RowsWrapper):
         An argument is impossible, or the route does not lead through streets.
     """
 
-    training: ClassVar[Mapping[str, Any]] = {**FEW_DECISIONS, "decisions": 8_192, "evaluate_every": 4_096}
-
     def __init__(
         self,
         env: Any,
         roads: int = 12,
         accuracy: float = 1.0,
         weight: float = 100.0,
-        goal: float = 0.2,
+        goal: float = 0.25,
     ) -> None:
-        super().__init__(env)
+        super().__init__(env, ["map"])
         self._beliefs: FilterRows = self.needed("beliefs")
         streets_of(env)  # refused before the first episode
         self._roads, self._accuracy = whole_number("roads", roads, 1, int(_MOST_ROADS)), positive("accuracy", accuracy)
@@ -96,19 +89,18 @@ class BranchChoice(RowsWrapper):
         self._driven: list[BoolArray] = [np.zeros(0, dtype=np.bool_)] * self.num_envs
         self._sigmas: list[FloatArray] = [np.zeros(0)] * self.num_envs
         """Of each road the claimed position sigma when it was first driven, m."""
-        self._credit, self._claimed, self._gained = np.zeros((3, self.num_envs))
-        """Share of the map, the same as the filter claims it, and what the first has brought in the last decision."""
+        self._credit, self._claimed = np.zeros((2, self.num_envs))
+        """Share of the map, by the truth and as the filter claims it."""
 
     def reset(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
         """The car stands in the middle of its first road."""
-        self.rows.reset(chosen, seeds, options)
+        super().reset(chosen, seeds, options)
         for b in np.flatnonzero(chosen).tolist():
             streets = self._streets(b)
             self._choices[b] = []
             self._driven[b], self._sigmas[b] = np.zeros(streets.count, dtype=np.bool_), np.zeros(streets.count)
             self._arrive(b, streets.start)
         self._map(chosen)
-        self._gained[chosen] = 0.0
 
     def step(self, actions: Any, going: BoolArray) -> Step:
         """Drive on to the middle of the road that is chosen."""
@@ -129,17 +121,20 @@ class BranchChoice(RowsWrapper):
             self._arrive(b, there[b])
         before = self._credit.copy()
         self._map(going)
-        self._gained[going] = self._weight * (self._credit - before)[going]
         over = going & (failed | (self._left == 0))
-        return np.where(going, self._gained, 0.0), over, np.zeros(self.num_envs, dtype=np.bool_)
+        return (
+            self.paid(going, {"map": self._weight * (self._credit - before)}),
+            over,
+            np.zeros(self.num_envs, dtype=np.bool_),
+        )
 
     def observe(self) -> tuple[Arrays, Arrays]:
-        observation, info = self.rows.observe()
+        observation, info = super().observe()
         credit, roads = self._credit.copy(), np.array([int(driven.sum()) for driven in self._driven])
         added = {"branches": np.stack([self._ahead(b) for b in range(self.num_envs)])}
         shown = {"roads_left": self._left, "mapped": self._claimed}
         added |= {key: values[:, None].astype(np.float32) for key, values in shown.items()}
-        extras = {"mapped": credit, "roads": roads, "reward_map": self._gained.copy()}
+        extras = {"mapped": credit, "roads": roads}
         success = (credit >= self._goal) & ~np.asarray(info["failed"])
         return {**observation, **added}, {**info, **extras, "is_success": success}
 
@@ -205,51 +200,36 @@ def streets_of(rows: Rows) -> StreetGrid:
     return streets
 
 
-def branches(
-    render_mode: str | None = None,
-    *,
-    level: str = "normal",
-    arguments: Mapping[str, Any] | None = None,
-    filter: str = "shared-anchor",
-    filter_options: Mapping[str, Any] = GAZE_FILTER,
-    many: Mapping[str, Any] | None = None,
-    **others: Any,
-) -> Any:
+class Branches(TaskEnv):
     """`StereoSlam/Branches-v0`: drive through a grid of streets so that much of it is on the map, and true.
 
     The action is `Discrete(3)`: left, straight on or right at the next junction. The observation has `belief_sigmas`
     (6,), `branches` (3, 5), `roads_left` (1,) and `mapped` (1,), see `BranchChoice`. The reward is 100 times what the
     share of the landmarks has gained that are on the map and where they are, by the truth. The episode ends after 12
     choices. New roads bring new landmarks, but the farther from known ones the car is, the less true is their place,
-    until a loop is closed.
+    until a loop is closed. The grid is another one in each episode: 3 to 6 by 3 to 6 junctions, without up to 30 % of
+    its roads, so that some streets are dead ends; the car may start on any road.
 
     Parameters
     ----------
-    render_mode : str, optional
-        That of `StereoSlam/Drive-v0`.
-    level : {"easy", "normal", "hard"}
-        Difficulty, see `LEVELS`.
-    arguments : mapping, optional
-        Of `StereoSlam/Drive-v0`; JSON-able. Unless given here, the route is "random-grid", driven by a script, through
-        groves in fog, as in `StereoSlam/Gaze-v0`, with 16 landmarks at most.
-    filter : str
-        Name of the filter in the loop.
-    filter_options : mapping
-        Its options; one that drops what is out of view has no map.
-    many : mapping, optional
-        `num_envs`, `scenes` and `threads`: that many in rows, instead of one environment.
-    **others
-        Arguments of `BranchChoice`, `observation` and `keys` of `SelectedKeys`, and those of `StereoSlam/Drive-v0` as
-        in `arguments`.
+    **arguments
+        Those of `BranchChoice`, of every task, see `TaskEnv`, and of `StereoSlam/Drive-v0`: the route is "random-grid",
+        driven by a script, through groves in fog, as in `StereoSlam/Gaze-v0`, with 16 landmarks at most.
     """
-    defaults = {"render_mode": render_mode, **_WORLD, **_UNPAID}
-    pay, selection = arguments_of(BranchChoice, others), arguments_of(SelectedKeys, others)
-    world = of_world(arguments, others)
-    inside = inner_environment("StereoSlam/Drive-v0", level, world, many, filter, filter_options, **defaults)
-    return SelectedKeys(BranchChoice(inside, **pay), **{"keys": KEYS, **selection})
+
+    world = "StereoSlam/Drive-v0"
+    settings = MappingProxyType(
+        {
+            **{"route": "random-grid", "policy": "route", "surroundings": "groves", "visibility": 30.0, "rig": "vga"},
+            **{"max_landmarks": 16, "revisit": True},
+            **dict.fromkeys((f"{name}_weight" for name in WEIGHTS if name != "effort"), 0.0),
+        }
+    )
+    parts = ((BranchChoice, {}),)
+    keys = ("belief_sigmas", "branches", "roads_left", "mapped")
 
 
-branches_vector = vector_of(branches)
+branches_vector = Branches.vector
 
 
 def explore_and_close(observation: Mapping[str, Any]) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import partial
 from types import MappingProxyType
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from gymnasium import spaces
@@ -14,11 +14,10 @@ from numpy.typing import NDArray
 from filters.contract.validation import positive, whole_number
 from filters.geometry.arrays import BoolArray, FloatArray
 from filters.geometry.poses import Pose
-from stereo_slam_env.envs.arguments import STEERING
 from stereo_slam_env.envs.filter_rows import FilterRows
-from stereo_slam_env.envs.make_vec import arguments_of, inner_environment, of_world, vector_of
-from stereo_slam_env.envs.row_wrapper import RowsWrapper, SelectedKeys
+from stereo_slam_env.envs.row_wrapper import RowsWrapper
 from stereo_slam_env.envs.rows import Arrays, Seeds, Step
+from stereo_slam_env.envs.task_env import TaskEnv
 from stereo_slam_env.simulator.motion import nearest_frames, routes_ahead
 from stereo_slam_env.simulator.state import ARENA
 from stereo_slam_env.world.routes import FRAME_PERIOD
@@ -124,7 +123,6 @@ class DriveChoices(RowsWrapper):
         return total, going & over & ~late, late
 
 
-KEYS = ("belief_sigmas", "car", "odometry", "progress", "route")
 LATENCIES: Mapping[str, int] = MappingProxyType({"easy": 1, "normal": 3, "hard": 4})
 """Age of the estimate at each level, frames: the later it is, the slower one has to drive."""
 _SLOW = 5.0
@@ -145,8 +143,6 @@ class RouteByEstimate(RowsWrapper):
     latency : int
         Frames.
     """
-
-    training: ClassVar[Mapping[str, Any]] = {**STEERING, "decisions": 393_216}
 
     def __init__(self, env: Any, latency: int = 0) -> None:
         super().__init__(env)
@@ -200,52 +196,36 @@ class RouteByEstimate(RowsWrapper):
         return np.array(ahead)
 
 
-def closed_loop(
-    render_mode: str | None = None,
-    *,
-    level: str = "normal",
-    arguments: Mapping[str, Any] | None = None,
-    filter: str = "right-invariant",
-    filter_options: Mapping[str, Any] | None = None,
-    many: Mapping[str, Any] | None = None,
-    **others: Any,
-) -> Any:
+class ClosedLoop(TaskEnv):
     """`StereoSlam/ClosedLoop-v0`: come to the end of a route that is only known relative to an estimate.
 
     The action is that of `StereoSlam/Drive-v0`, `Box(-1, 1, (2,))`: acceleration and steering. The observation has
     `route` (5, 2) and `progress` (1,) by the estimate of 0.3 s ago (`RouteByEstimate`), `car` (2,), `odometry` (6,) and
     `belief_sigmas` (6,). The reward is that of `StereoSlam/Drive-v0` without the one for tracked landmarks: 0.1 for
-    each metre, less beside the route, 10 for its end, minus 10 for a collision or for more than 2 m beside it, minus
-    0.4 for each second. At most 1200 steps.
+    each metre, less beside the route, 10 for its end, minus 10 for a collision, for more than 2 m beside it, or for a
+    mean speed below 6 m/s, minus 0.4 for each second, and a price of jerks. At most 1200 steps.
 
     Parameters
     ----------
-    render_mode : str, optional
-        That of `StereoSlam/Drive-v0`.
-    level : {"easy", "normal", "hard"}
-        Difficulty, see `LEVELS`.
-    arguments : mapping, optional
-        Of `StereoSlam/Drive-v0`; JSON-able. Unless given here, there are 40 landmarks at most, and the odometry is that
-        of a car: 0.2 m/s and 0.02 rad/s.
-    filter : str
-        Name of the filter that is driven by.
-    filter_options : mapping, optional
-        Its options.
-    many : mapping, optional
-        `num_envs`, `scenes` and `threads`: that many in rows, instead of one environment.
-    **others
-        Arguments of `RouteByEstimate`, whose `latency` is that of the level in `LATENCIES` unless given, `observation`
-        and `keys` of `SelectedKeys`, and those of `StereoSlam/Drive-v0` as in `arguments`.
+    **arguments
+        Those of `RouteByEstimate`, whose `latency` is 1 frame at the level easy, 3 at normal, 4 at hard, of every task,
+        see `TaskEnv`, and of `StereoSlam/Drive-v0`: there are 40 landmarks at most, and the odometry is that of a car.
     """
-    odometry = {"odometry_sigma_linear": 0.2, "odometry_sigma_angular": 0.02}
-    defaults = {"render_mode": render_mode, "max_landmarks": 40, "tracking_weight": 0.0, **odometry}
-    late, selection = arguments_of(RouteByEstimate, others), arguments_of(SelectedKeys, others)
-    world = of_world(arguments, others)
-    inside = inner_environment("StereoSlam/Drive-v0", level, world, many, filter, filter_options, **defaults)
-    return SelectedKeys(RouteByEstimate(inside, **{"latency": LATENCIES[level], **late}), **{"keys": KEYS, **selection})
+
+    world = "StereoSlam/Drive-v0"
+    settings = MappingProxyType(
+        {
+            **{"max_landmarks": 40, "tracking_weight": 0.0},
+            **{"odometry_sigma_linear": 0.2, "odometry_sigma_angular": 0.02},
+        }
+    )
+    filter, filter_options = "right-invariant", None
+    parts = ((RouteByEstimate, {}),)
+    levels = MappingProxyType({name: {"latency": frames} for name, frames in LATENCIES.items()})
+    keys = ("belief_sigmas", "car", "odometry", "progress", "route")
 
 
-closed_loop_vector = vector_of(closed_loop)
+closed_loop_vector = ClosedLoop.vector
 
 
 def drive_slowly(observation: Mapping[str, Any], actions: int = 2) -> NDArray[np.float32]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from gymnasium import spaces
@@ -37,8 +37,8 @@ _IMAGE_SLACK = 10.0
 """px beyond the image that what is measured in it never is; disparities come out below 0 by less."""
 MAX_INERTIAL: FloatArray = np.repeat([35.0, 240.0], 3)
 """Bounds of the inertial samples in the observation, rad/s and m/s^2: 2,000 degrees a second and 24 g."""
-_POOL = 7
-"""Keeps the scenes of a pool apart from those of the episodes of the same seed."""
+EPISODES_OF_A_SCENE = 10
+"""A scene of a pool makes place for a new one after so many."""
 
 
 class CoreRows(Rows):
@@ -53,13 +53,12 @@ class CoreRows(Rows):
     threads : int
         Threads over which they are spread.
     pool : int, optional
-        Take the scenes of all episodes from a pool of so many, which each `reset` with a seed builds anew.
+        Take the scenes of all episodes from a pool of so many; each is replaced after ten episodes.
     draws : bool
         Whether pictures will be asked for beyond those that the options need.
     """
 
     changes = ("generators", "simulator", "_pictures", "_image_sensors", "_seen", "_pool")
-    training: ClassVar[Mapping[str, Any]] = {}  # of `PPOSettings`, and `arguments` with which it is learnt
 
     def __init__(
         self, options: StereoOptions, count: int, *, threads: int = 1, pool: int | None = None, draws: bool = False
@@ -102,7 +101,7 @@ class CoreRows(Rows):
         self._pictures = [Pictures(options, self.camera) for _ in range(count if self.draws else 0)]
         self._image_sensors: list[ImageSensor | None] = [None] * count
         self._seen: list[StereoObservation | None] = [None] * count  # in images
-        self._pool: list[SceneArrays] = []
+        self._pool: list[tuple[SceneArrays, int]] = []  # with the number of episodes so far
         self._pool_size = pool
 
     @property
@@ -173,10 +172,15 @@ class CoreRows(Rows):
     def _scene(self, rng: np.random.Generator) -> SceneArrays:
         if self._pool_size is None:
             return self._built(rng)
-        if not self._pool:
-            of_pool = np.random.default_rng([_POOL, int(rng.integers(2**31))]).spawn(self._pool_size)
-            self._pool = [self._built(each) for each in of_pool]
-        return self._pool[int(rng.integers(len(self._pool)))]
+        if len(self._pool) < self._pool_size:
+            self._pool.append((self._built(rng), 1))
+            return self._pool[-1][0]
+        number = int(rng.integers(len(self._pool)))
+        scene, episodes = self._pool[number]
+        if episodes == EPISODES_OF_A_SCENE:
+            scene, episodes = self._built(rng), 0
+        self._pool[number] = scene, episodes + 1
+        return scene
 
     def _built(self, rng: np.random.Generator) -> SceneArrays:
         options, route = self.options, self._route

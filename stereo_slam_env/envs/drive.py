@@ -65,24 +65,28 @@ class StereoDriveEnv(StereoEnv, gym.Env[Observation, NDArray[np.float32]]):
     Scalars and arrays of fixed shape, the same keys from `reset` and `step`: `truth_position` (3,) and
     `truth_orientation` (4,) xyzw of the left camera in W; `truth_linear_velocity` (3,) in W and
     `truth_angular_velocity` (3,) in the camera frame, over the last step; `time` s; `distance` driven, m; `collision`;
-    `failed`, whether the episode has ended by that, beside the lane or outside the arena; `is_success`, whether the end
-    of the route has been reached; where the agent drives `cross_track`, the distance from the route to the side, m;
+    `failed`, whether the episode has ended by that, too late, beside the lane or outside the arena; `is_success`,
+    whether the end of the route has been reached; where the agent drives `cross_track`, the distance from the route to
+    the side, m;
     `v_right` (N,), the row in the right image, and `v_right_measured`; `R` (N, 3, 3), covariances of (u, v, d) in px^2,
     and `R_measured`; and the terms of the reward.
 
     ## Rewards
 
-    *reward = reward_progress + reward_tracking + reward_collision + reward_goal + reward_time*, each in `info`:
+    *reward = reward_progress + reward_tracking + reward_collision + reward_goal + reward_time + reward_jerk*, each in
+    `info`:
 
     - *reward_progress*: `progress_weight` for each metre of the route that is driven for the first time, times
       1 - (`cross_track` / `lane`)^2 where the agent drives;
     - *reward_tracking*: `tracking_weight` for each such metre, x tracked landmarks / `max_landmarks`: to drive where
       nothing can be seen is bad for SLAM;
-    - *reward_collision*: -`collision_weight` when the car hits something or leaves its lane;
+    - *reward_collision*: -`collision_weight` when the car hits something, leaves its lane, or is too late: an agent
+      must arrive with a mean speed of `slowest`;
     - *reward_goal*: `goal_weight` when it reaches the end of the route without that;
-    - *reward_time*: -`time_weight` for each second.
+    - *reward_time*: -`time_weight` for each second;
+    - *reward_jerk*: -`jerk_weight` for each second, x (jerk / 10 m/s^3)^2 of an agent's car.
 
-    So nothing is earned by standing still, by driving back and forth, slower than 3 m/s or in the oncoming lane.
+    So nothing is earned by standing still, by driving back and forth, slowly, jerkily, or in the oncoming lane.
     `stereo_slam_env.policies.normalised_score` puts a return on a scale from 0, actions at random, to 100, a driver
     that is shown the route.
 
@@ -94,7 +98,7 @@ class StereoDriveEnv(StereoEnv, gym.Env[Observation, NDArray[np.float32]]):
     ## Episode End
 
     - Termination: the car hits something, is more than `lane` beside the route where the agent drives (60 m in a
-      script), or reaches the end of the route. The end of
+      script), is slower than `slowest` on the whole route where the agent drives, or reaches its end. The end of
       the route ends the task itself, for a scripted drive as for an agent; it is not a limit from outside.
     - Truncation: after 1200 steps, by `TimeLimit`, more than any random route takes at its own speed. For
       other routes `gymnasium.make` takes `max_episode_steps`; -1 is no limit.
@@ -112,6 +116,7 @@ class StereoDriveEnv(StereoEnv, gym.Env[Observation, NDArray[np.float32]]):
     | `blank_from` | `None` | from then on nothing that is drawn has a texture, s; None: never |
     | `policy` | `"agent"` | `"agent"`: the action drives; `"route"`: a script does |
     | `lane` | `2.0` | how far beside the route an agent may drive, m |
+    | `slowest` | `6.0` | mean speed at which an agent must arrive, m/s; 0: whenever |
     | `vehicle` | `"kinematic"` | `"smooth"`: continuous accelerations, springs, uneven road; no head |
     | `roughness` | `1.0` | scale of the unevenness of the road of a smooth vehicle |
     | `imu` | `None` | inertial unit of a smooth vehicle: `"adis16448"`, `"bmi088"`, `"car"` |
@@ -138,6 +143,7 @@ class StereoDriveEnv(StereoEnv, gym.Env[Observation, NDArray[np.float32]]):
     | `collision_weight` | `10.0` | of the reward |
     | `goal_weight` | `10.0` | of the reward |
     | `time_weight` | `0.4` | of the reward, for each second |
+    | `jerk_weight` | `0.05` | of the reward, for each second with a jerk of 10 m/s^3 |
     | `render_mode` | `None` | `"rgb_array"`: both views with the observed landmarks; `"human"`: in a window |
 
     `route`: `"random-town"` is drawn anew for each episode (one to four turns, 60 to 370 m); where a script drives, the

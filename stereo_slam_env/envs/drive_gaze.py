@@ -48,7 +48,7 @@ class StereoDriveGazeEnv(StereoEnv, gym.Env[Observation, NDArray[np.float32]]):
 
     ## Rewards
 
-    *reward = reward_progress + reward_tracking + reward_collision + reward_goal + reward_time +
+    *reward = reward_progress + reward_tracking + reward_collision + reward_goal + reward_time + reward_jerk +
     reward_effort*, each in `info`: those of `StereoSlam/Drive-v0`, and
 
     - *reward_effort*: -`effort_weight` x the mean square of the turns of pan and tilt, as a share of the largest.

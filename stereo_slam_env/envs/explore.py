@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from gymnasium import spaces
@@ -11,16 +12,13 @@ from numpy.typing import NDArray
 
 from filters.contract.validation import positive
 from filters.geometry.arrays import BoolArray, FloatArray
-from stereo_slam_env.envs.active_gaze import GAZE_FILTER
-from stereo_slam_env.envs.arguments import FEW_DECISIONS
 from stereo_slam_env.envs.closed_loop import DriveChoices, RouteByEstimate, drive_slowly
 from stereo_slam_env.envs.filter_rows import FilterRows
-from stereo_slam_env.envs.make_vec import arguments_of, inner_environment, of_world, vector_of
-from stereo_slam_env.envs.row_wrapper import RowsWrapper, SelectedKeys
+from stereo_slam_env.envs.row_wrapper import PaidRows
 from stereo_slam_env.envs.rows import Arrays, Seeds, Step
+from stereo_slam_env.envs.task_env import TaskEnv, Wrappers
 from stereo_slam_env.world.routes import FRAME_PERIOD
 
-KEYS = ("belief_sigmas", "panorama", "head", "car", "route", "progress", "coverage")
 STOP = 2
 """Entry of the action: above `_STOP_ABOVE` the agent ends the episode."""
 _STOP_ABOVE = 0.5
@@ -30,7 +28,7 @@ _PERIOD, _PAN = 4.0, 0.7
 """Of the head in `explore_by_sweeping`: time to look to both sides, s, and how far, as a share of the farthest."""
 
 
-class Coverage(RowsWrapper):
+class Coverage(PaidRows):
     """Pays for landmarks that enter the map, and lets the agent stop.
 
     The landmarks to be mapped are those of the scene no farther from the route than the sensor sees. One is *mapped*
@@ -57,15 +55,6 @@ class Coverage(RowsWrapper):
         Price of each metre.
     """
 
-    training: ClassVar[Mapping[str, Any]] = {
-        **FEW_DECISIONS,
-        "arguments": {"choices": {}},
-        "decisions": 12_288,
-        "evaluate_every": 12_288,
-        "initial_bias": [-2.0, *[0.0] * 6],
-    }
-    """A car that does not keep its lane yet would learn to stop at once, and so does one that often stops by chance."""
-
     def __init__(
         self,
         env: Any,
@@ -74,7 +63,7 @@ class Coverage(RowsWrapper):
         coverage_weight: float = 20.0,
         path_weight: float = 0.01,
     ) -> None:
-        super().__init__(env)
+        super().__init__(env, ["coverage", "path"])
         self._beliefs: FilterRows = self.needed("beliefs")
         options = self.needed("options")
         if options.sensor != "landmarks":
@@ -82,7 +71,7 @@ class Coverage(RowsWrapper):
         self._farthest = options.tracking.farthest
         self._accuracy, self._goal = positive("accuracy", accuracy), positive("goal", goal)
         weights = positive("coverage_weight", coverage_weight), positive("path_weight", path_weight, allow_zero=True)
-        self._prices = np.array([weights[0], -weights[1]])
+        self._coverage_weight, self._path_weight = weights
         coverage = spaces.Box(0.0, 1.0, (1,), np.float32)
         self.observation_space = spaces.Dict({**self.dict_space(), "coverage": coverage})
         self.action_space = spaces.Box(-1.0, 1.0, (env.action_space.shape[0] + 1,), np.float32)
@@ -90,35 +79,33 @@ class Coverage(RowsWrapper):
         self._mapped, self._claimed = list(self._in_reach), list(self._in_reach)
         self._shown = np.zeros((self.num_envs, 1), dtype=np.float32)
         """Claimed coverage."""
-        self._now, self._terms = np.zeros((self.num_envs, 2)), np.zeros((self.num_envs, 2))
-        """Coverage and metres driven, and what they have brought in the last step."""
+        self._now = np.zeros((self.num_envs, 2))
+        """Coverage and metres driven."""
 
     def reset(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
         """Start with an empty map."""
-        self.rows.reset(chosen, seeds, options)
+        super().reset(chosen, seeds, options)
         for b in np.flatnonzero(chosen).tolist():
             places = self.world.landmark_truth(b).positions
             self._in_reach[b] = self._by_the_road(b, places)
             self._mapped[b], self._claimed[b] = np.zeros((2, len(places)), dtype=np.bool_)
         self._now[chosen] = self._looked(chosen)[chosen]
-        self._terms[chosen] = 0.0
 
     def step(self, actions: Any, going: BoolArray) -> Step:
         """Drive, look, and be paid for what is new on the map."""
         stops = going & (actions[:, STOP] > _STOP_ABOVE)
         rewards, terminated, truncated = self.rows.step(np.delete(actions, STOP, axis=1), going)
         now = self._looked(going)
-        self._terms[going] = ((now - self._now) * self._prices)[going]
+        mapped, driven = (now - self._now).T
         self._now[going] = now[going]
-        paid = np.where(going, self._terms[:, 0] + self._terms[:, 1], 0.0)
+        paid = self.paid(going, {"coverage": mapped * self._coverage_weight, "path": driven * -self._path_weight})
         return rewards + paid, terminated | stops, truncated
 
     def observe(self) -> tuple[Arrays, Arrays]:
-        observation, info = self.rows.observe()
+        observation, info = super().observe()
         coverage, driven = self._now.T
         success = (coverage >= self._goal) & ~np.asarray(info["failed"])
-        added = {"reward_coverage": self._terms[:, 0].copy(), "reward_path": self._terms[:, 1].copy()}
-        added |= {"coverage": coverage.copy(), "path_length": driven.copy(), "is_success": success}
+        added = {"coverage": coverage.copy(), "path_length": driven.copy(), "is_success": success}
         return {**observation, "coverage": self._shown.copy()}, {**info, **added}
 
     def _looked(self, which: BoolArray) -> FloatArray:
@@ -149,17 +136,7 @@ class Coverage(RowsWrapper):
         return np.asarray(away.min(axis=1, initial=np.inf) <= self._farthest)
 
 
-def explore(
-    render_mode: str | None = None,
-    *,
-    level: str = "normal",
-    arguments: Mapping[str, Any] | None = None,
-    filter: str = "shared-anchor",
-    filter_options: Mapping[str, Any] = GAZE_FILTER,
-    choices: Mapping[str, Any] | None = None,
-    many: Mapping[str, Any] | None = None,
-    **others: Any,
-) -> Any:
+class Explore(TaskEnv):
     """`StereoSlam/Explore-v0`: drive round a block and look about, until the map is worth no further metre.
 
     The action is `Box(-1, 1, (5,))`: acceleration, steering, stop (above 0.5), pan and tilt. The observation has
@@ -170,35 +147,32 @@ def explore(
 
     Parameters
     ----------
-    render_mode : str, optional
-        That of `StereoSlam/DriveGaze-v0`.
-    level : {"easy", "normal", "hard"}
-        Difficulty, see `LEVELS`.
-    arguments : mapping, optional
-        Of `StereoSlam/DriveGaze-v0`; JSON-able. The route is "random-loop" unless given here.
-    filter : str
-        Name of the filter in the loop.
-    filter_options : mapping
-        Its options; one that drops what is out of view maps little.
     choices : mapping, optional
         Arguments of `DriveChoices`: the action is then a speed and a gaze for a second, or the stop, and a script
         steers. None: it is that of above.
-    many : mapping, optional
-        `num_envs`, `scenes` and `threads`: that many in rows, instead of one environment.
-    **others
-        Arguments of `Coverage`, `observation` and `keys` of `SelectedKeys`, and those of `StereoSlam/DriveGaze-v0` as
-        in `arguments`.
+    **arguments
+        Those of `Coverage` and `RouteByEstimate`, of every task, see `TaskEnv`, and of `StereoSlam/DriveGaze-v0`: the
+        route is "random-loop".
     """
-    unpaid = dict.fromkeys(("progress_weight", "tracking_weight", "goal_weight", "effort_weight"), 0.0)
-    defaults = {"render_mode": render_mode, "route": "random-loop", "time_weight": 0.05, **unpaid}
-    pay, selection = arguments_of(Coverage, others), arguments_of(SelectedKeys, others)
-    world = of_world(arguments, others)
-    inside = inner_environment("StereoSlam/DriveGaze-v0", level, world, many, filter, filter_options, **defaults)
-    paid = Coverage(RouteByEstimate(inside), **pay)
-    return SelectedKeys(paid if choices is None else DriveChoices(paid, **choices), **{"keys": KEYS, **selection})
+
+    world = "StereoSlam/DriveGaze-v0"
+    settings = MappingProxyType(
+        {
+            **{"route": "random-loop", "time_weight": 0.05, "slowest": 0.0},
+            **dict.fromkeys((f"{name}_weight" for name in ("progress", "tracking", "goal", "jerk", "effort")), 0.0),
+        }
+    )
+    parts = ((RouteByEstimate, {}), (Coverage, {}))
+    keys = ("belief_sigmas", "panorama", "head", "car", "route", "progress", "coverage")
+
+    @classmethod
+    def wrappers(cls, level: str, given: dict[str, Any]) -> Wrappers:
+        choices = given.pop("choices", None)
+        wrappers = super().wrappers(level, given)
+        return wrappers if choices is None else [*wrappers, (DriveChoices, choices)]
 
 
-explore_vector = vector_of(explore)
+explore_vector = Explore.vector
 
 
 def explore_by_sweeping(observation: Mapping[str, Any], step: int) -> NDArray[np.float32]:

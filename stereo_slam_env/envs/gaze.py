@@ -73,9 +73,8 @@ class StereoGazeEnv(StereoEnv, gym.Env[Observation, NDArray[np.float32]]):
 
     ## Arguments
 
-    Those of `StereoSlam/Drive-v0` without `policy`, `lane`, `vehicle`, `roughness`, `imu`, `progress_weight`,
-    `collision_weight`, `goal_weight` and
-    `time_weight`, but for:
+    Those of `StereoSlam/Drive-v0` without `policy`, `lane`, `slowest`, `vehicle`, `roughness`, `imu`,
+    `progress_weight`, `collision_weight`, `goal_weight`, `time_weight` and `jerk_weight`, but for:
 
     | Argument | Default | Meaning |
     |----------|---------|---------|

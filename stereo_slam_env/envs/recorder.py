@@ -104,7 +104,7 @@ def recording_of(
 
     `frames` are its `frame` after `reset` and after each step, `about` further JSON-able entries of `source`.
     """
-    source = described(env.options, seed, env.spec.id if env.spec else DRIVE)
+    source = described(env.options, seed, env.world_id)
     about = {**source, "frames": len(frames), **(about or {})}
     return _recording(env.options, seed, frames, env.camera, env.noise, env.start, env.landmark_truth(), about)
 

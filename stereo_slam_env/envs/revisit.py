@@ -4,27 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from gymnasium import spaces
 
 from filters.contract.validation import positive, whole_number
 from filters.geometry.arrays import BoolArray, FloatArray
-from stereo_slam_env.envs.active_gaze import GAZE_FILTER
-from stereo_slam_env.envs.make_vec import arguments_of, inner_environment, of_world, vector_of
 from stereo_slam_env.envs.rewards import InformationGain
-from stereo_slam_env.envs.row_wrapper import RowsWrapper, SelectedKeys
+from stereo_slam_env.envs.row_wrapper import PaidRows
 from stereo_slam_env.envs.rows import Arrays, Seeds, Step
-from stereo_slam_env.simulator.state import ODOMETRY_SIGMAS
+from stereo_slam_env.envs.task_env import TaskEnv
 from stereo_slam_env.world.routes import Route
 
-KEYS = ("belief_sigmas", "panorama", "ahead", "price")
 STOP, GO_ON = 0, 1
 DEAREST: Mapping[str, float] = MappingProxyType({"easy": 0.2, "normal": 0.4, "hard": 0.8})
 """Highest price of a metre at each level, nats."""
-_ODOMETRY = {"odometry_sigma_linear": ODOMETRY_SIGMAS[0], "odometry_sigma_angular": ODOMETRY_SIGMAS[1]}
-"""The same at each level: the worse it is, the more there is to learn where a loop closes."""
 _FARTHEST = 1000.0
 """Bound of the key `ahead`, m."""
 _AWAY, _PAST = 30.0, 3.0
@@ -33,7 +28,7 @@ _BEYOND, _KNOWN_AGAIN = 5.0, -48.0
 """Of `close_if_it_pays`: metres beyond the start, and the sum of 2 ln(sigma) that is left there."""
 
 
-class LoopClosure(RowsWrapper):
+class LoopClosure(PaidRows):
     """The agent takes over on the way round a block, and decides every second whether to drive on or to stop.
 
     `reset` drives from the start of the route to a place somewhere between the shares `begin` of the way to the start
@@ -60,21 +55,6 @@ class LoopClosure(RowsWrapper):
         An argument is impossible, or the route does not come back to its start.
     """
 
-    training: ClassVar[Mapping[str, Any]] = {
-        "decisions": 20_480,
-        "environments": 64,
-        "minibatch": 512,
-        "epochs": 5,
-        "entropy": 0.03,
-        "gae_lambda": 1.0,
-        "discount": 1.0,
-        "initial_bias": [-3.5, 0.0],
-        "evaluate_every": 10_240,
-        "validation": 32,
-    }
-    """Whoever stops every other time never sees a loop closed. Most of the time is the way to the first decision, and
-    the more environments there are, the more drive it together."""
-
     def __init__(
         self,
         env: Any,
@@ -82,7 +62,7 @@ class LoopClosure(RowsWrapper):
         dearest: float = 0.4,
         hold: int = 10,
     ) -> None:
-        super().__init__(env)
+        super().__init__(env, ["information", "path"])
         low, high = (positive("begin", share, allow_zero=True) for share in begin)
         if not low <= high <= 1.0:
             raise ValueError(f"begin must be two shares that ascend to 1 at most, got {tuple(begin)}")
@@ -99,18 +79,17 @@ class LoopClosure(RowsWrapper):
         self.action_space = spaces.Discrete(2)
         self._steps = np.zeros(self.num_envs, dtype=np.int64)
         self._price, self._driven, self._total = (np.zeros(self.num_envs) for _ in range(3))
-        self._learnt, self._path = np.zeros(self.num_envs), np.zeros(self.num_envs)
 
     def reset(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
         """Draw a place and a price, and drive there."""
-        self.rows.reset(chosen, seeds, options)
+        super().reset(chosen, seeds, options)
         first = np.zeros(self.num_envs, dtype=np.int64)  # step of the first decision
         for b in np.flatnonzero(chosen).tolist():
             generator, route = self.world.generator(b), self.world.route_of(b)
             self._closing[b] = closing_distance(route)
             first[b] = np.searchsorted(route.arc_length, generator.uniform(*self._begin) * self._closing[b])
             self._price[b] = generator.uniform(0.0, self._dearest)
-        for numbers in (self._steps, self._total, self._learnt, self._path):
+        for numbers in (self._steps, self._total):
             numbers[chosen] = 0
         while (undecided := chosen & (self._steps < first)).any():
             self._drive(undecided)
@@ -132,17 +111,15 @@ class LoopClosure(RowsWrapper):
         driven = self.world.told("distance")
         path = np.where(still, self._price * (self._driven - driven), 0.0)
         self._driven[still] = driven[still]
-        self._total = self._total + np.where(still, learnt + path, 0.0)
-        self._learnt[going], self._path[going] = learnt[going], path[going]
-        return learnt + path, over, np.zeros(self.num_envs, dtype=np.bool_)
+        paid = self.paid(going, {"information": learnt, "path": path})
+        self._total = self._total + paid
+        return paid, over, np.zeros(self.num_envs, dtype=np.bool_)
 
     def observe(self) -> tuple[Arrays, Arrays]:
-        observation, info = self.rows.observe()
+        observation, info = super().observe()
         ahead = self._closing - self._driven_by_script()
         added = {"ahead": ahead[:, None].astype(np.float32), "price": self._price[:, None].astype(np.float32)}
-        rewards = {"reward_information": self._learnt.copy(), "reward_path": self._path.copy()}
-        success = (ahead <= 0.0) & (self._total > 0.0)
-        return {**observation, **added}, {**info, **rewards, "is_success": success}
+        return {**observation, **added}, {**info, "is_success": (ahead <= 0.0) & (self._total > 0.0)}
 
     def _driven_by_script(self) -> FloatArray:
         """Planned distances of all rows along their routes, m; (B,)."""
@@ -167,16 +144,7 @@ def closing_distance(route: Route) -> float:
     return float(route.arc_length[lap[away[lap].argmin()]])
 
 
-def revisit(
-    render_mode: str | None = None,
-    *,
-    level: str = "normal",
-    arguments: Mapping[str, Any] | None = None,
-    filter: str = "shared-anchor",
-    filter_options: Mapping[str, Any] = GAZE_FILTER,
-    many: Mapping[str, Any] | None = None,
-    **others: Any,
-) -> Any:
+class Revisit(TaskEnv):
     """`StereoSlam/Revisit-v0`: drive on to see the first landmarks again, or save the metres.
 
     A car has driven most of the way round a block, and the uncertainty of its pose has grown. Where the route passes
@@ -188,31 +156,24 @@ def revisit(
 
     Parameters
     ----------
-    render_mode : str, optional
-        That of `StereoSlam/Gaze-v0`.
-    level : {"easy", "normal", "hard"}
-        Difficulty, see `LEVELS`.
-    arguments : mapping, optional
-        Of `StereoSlam/Gaze-v0`; JSON-able. The route is "random-loop" unless given here.
-    filter : str
-        Name of the filter in the loop.
-    filter_options : mapping
-        Its options; one that drops what is out of view cannot close a loop.
-    many : mapping, optional
-        `num_envs`, `scenes` and `threads`: that many in rows, instead of one environment.
-    **others
-        Arguments of `LoopClosure`, whose `dearest` is that of the level in `DEAREST` unless given, `observation` and
-        `keys` of `SelectedKeys`, and those of `StereoSlam/Gaze-v0` as in `arguments`.
+    **arguments
+        Those of `LoopClosure`, whose `dearest` is that of the level in `DEAREST`, and of `InformationGain`, of every
+        task, see `TaskEnv`, and of `StereoSlam/Gaze-v0`: the route is "random-loop", and the odometry the same at each
+        level: the worse it is, the more there is to learn where a loop closes.
     """
-    defaults = {"render_mode": render_mode, "route": "random-loop"}
-    pay, selection = arguments_of(LoopClosure, others), arguments_of(SelectedKeys, others)
-    world = {**_ODOMETRY, **of_world(arguments, others)}
-    inside = inner_environment("StereoSlam/Gaze-v0", level, world, many, filter, filter_options, **defaults)
-    paid = InformationGain(inside, of="pose", resolution=(0.01, 0.001))
-    return SelectedKeys(LoopClosure(paid, **{"dearest": DEAREST[level], **pay}), **{"keys": KEYS, **selection})
+
+    world = "StereoSlam/Gaze-v0"
+    settings = MappingProxyType({"route": "random-loop"})
+    parts = ((InformationGain, {"of": "pose", "resolution": (0.01, 0.001)}), (LoopClosure, {}))
+    levels = MappingProxyType({name: {"dearest": dearest} for name, dearest in DEAREST.items()})
+    keys = ("belief_sigmas", "panorama", "ahead", "price")
+
+    @classmethod
+    def at_level(cls, level: str) -> Mapping[str, Any]:
+        return {name: value for name, value in super().at_level(level).items() if not name.startswith("odometry")}
 
 
-revisit_vector = vector_of(revisit)
+revisit_vector = Revisit.vector
 
 
 def close_if_it_pays(observation: Mapping[str, Any]) -> int:

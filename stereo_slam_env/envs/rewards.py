@@ -13,7 +13,7 @@ from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.motions.constant_velocity import ConstantVelocity
 from stereo_slam_env.envs.filter_rows import FilterRows
 from stereo_slam_env.envs.information import Criterion, InformationCriterion, Subject
-from stereo_slam_env.envs.row_wrapper import RowsWrapper
+from stereo_slam_env.envs.row_wrapper import PaidRows, RowsWrapper
 from stereo_slam_env.envs.rows import Arrays, Seeds, Step
 from stereo_slam_env.evaluation.bands import mean_band
 from stereo_slam_env.evaluation.cramer_rao import ReferenceBelief
@@ -206,7 +206,7 @@ class InformationGain(RowsWrapper):
         return reference
 
 
-class TrueError(RowsWrapper):
+class TrueError(PaidRows):
     """The reward of a step is minus the squared true error of the filter's position, m^2.
 
     A filter cannot earn by claiming more than it knows, as it can by `InformationGain`. The reward needs the truth,
@@ -230,27 +230,21 @@ class TrueError(RowsWrapper):
     """
 
     def __init__(self, env: Any, weight: float = 1.0, keep_reward: bool = False) -> None:
-        super().__init__(env)
+        super().__init__(env, ["error"])
         self._beliefs: FilterRows = self.needed("beliefs")
         self._weight, self._keep_reward = finite_number("weight", weight), keep_reward
-        self._squares = np.zeros(self.num_envs)
 
     def reset(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
-        self.rows.reset(chosen, seeds, options)
-        self._squares = np.where(chosen, self._now(), self._squares)
+        super().reset(chosen, seeds, options)
+        self.paid(chosen, {"error": -self._weight * self._squares()})
 
     def step(self, actions: Any, going: BoolArray) -> Step:
         """The reward is the error after the step."""
         rewards, terminated, truncated = self.rows.step(actions, going)
-        self._squares = np.where(going, self._now(), self._squares)
-        paid = np.where(going, -self._weight * self._squares, 0.0)
+        paid = self.paid(going, {"error": -self._weight * self._squares()})
         return rewards + paid if self._keep_reward else paid, terminated, truncated
 
-    def observe(self) -> tuple[Arrays, Arrays]:
-        observation, info = self.rows.observe()
-        return observation, {**info, "reward_error": -self._weight * self._squares}
-
-    def _now(self) -> FloatArray:
+    def _squares(self) -> FloatArray:
         """Squared errors of all rows, m^2; (B,)."""
         errors = self._beliefs.poses[:, :3] - self.world.true_positions()
         return np.asarray(np.einsum("bi,bi->b", errors, errors))

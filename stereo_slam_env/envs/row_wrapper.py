@@ -188,6 +188,40 @@ class RowsWrapper(Rows, metaclass=_OneClass):
         return 0
 
 
+class PaidRows(RowsWrapper):
+    """Rows with a reward of named terms, which `info` has under `reward_...`.
+
+    Parameters
+    ----------
+    env : gymnasium.Env
+        What is paid for happens inside.
+    terms : sequence of str
+        Names of the terms.
+    """
+
+    def __init__(self, env: Any, terms: Sequence[str]) -> None:
+        super().__init__(env)
+        self._terms = {name: np.zeros(self.num_envs) for name in terms}
+
+    def reset(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
+        """Start with nothing paid."""
+        self.rows.reset(chosen, seeds, options)
+        for values in self._terms.values():
+            values[chosen] = 0.0
+
+    def paid(self, going: BoolArray, terms: Mapping[str, FloatArray]) -> FloatArray:
+        """Keep the terms (B,) of the rows that go on, and return their sums; 0 for the others."""
+        total = np.zeros(self.num_envs)
+        for name, values in terms.items():
+            self._terms[name] = np.where(going, values, self._terms[name])
+            total += np.where(going, values, 0.0)
+        return total
+
+    def observe(self) -> tuple[Arrays, Arrays]:
+        observation, info = self.rows.observe()
+        return observation, {**info, **{f"reward_{name}": values.copy() for name, values in self._terms.items()}}
+
+
 class SelectedKeys(RowsWrapper):
     """Some keys of the Dict observation, or the one array of them all. What is left out is not computed.
 

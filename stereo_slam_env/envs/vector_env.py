@@ -45,7 +45,6 @@ class RowsVectorEnv(gym.vector.VectorEnv[Arrays, NDArray[Any], NDArray[Any]], Ke
         self.rows, self.num_envs = rows, rows.num_envs
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {"render_modes": ["rgb_array"], "render_fps": 10, "autoreset_mode": self.autoreset_mode}
-        self.metadata["training"] = rows.get_attr("training")
         self.render_mode = "rgb_array" if self.core.draws else None
         self.single_observation_space, self.single_action_space = rows.observation_space, rows.action_space
         self.observation_space = batch_space(rows.observation_space, self.num_envs)
@@ -210,11 +209,12 @@ def limited(rows: Rows, most: int | None) -> Rows:
 
 def core_rows(
     kind: type[StereoOptions],
-    num_envs: int,
     options: Mapping[str, Any],
     *,
+    num_envs: int,
     scenes: int | None = None,
     threads: int = 1,
+    render_mode: str | None = None,
 ) -> CoreRows:
     """Rows of environments with these arguments.
 
@@ -226,7 +226,7 @@ def core_rows(
         An argument is impossible, or only single environments have it.
     """
     world_options = dict(options)
-    mode = world_options.pop("render_mode", None)
+    mode = world_options.pop("render_mode", render_mode)
     if mode not in (None, "rgb_array"):
         raise ValueError(
             f"render_mode must be None or 'rgb_array' in a native vector environment, got {mode!r}: "

@@ -74,7 +74,7 @@ _log = logging.getLogger(__name__)
 
 def settings_for(task: Task, **given: Any) -> PPOSettings:
     """The settings that a task states, and over them those that are given; a `ValueError` names one there is not."""
-    stated = {**task.training, **given}
+    stated = {**(task.training if isinstance(task, RegisteredTask) else {}), **given}
     names = [each.name for each in fields(PPOSettings)]
     require_known("the task states what is no setting of a training", stated, names)
     return PPOSettings(**stated)
@@ -271,7 +271,9 @@ def _learner(task: Task, settings: PPOSettings, out: Path) -> Iterator[tuple[PPO
 
     from stereo_slam_env.policies.sb3 import SB3VecEnv
 
-    vector = task.make_vector(settings.environments, autoreset_mode="SameStep", threads=settings.threads)
+    vector = task.make_vector(
+        settings.environments, autoreset_mode="SameStep", scenes=settings.scenes, threads=settings.threads
+    )
     scaling = VecNormalize(VecMonitor(SB3VecEnv(vector)), clip_obs=_OBSERVATION_CLIP, gamma=settings.discount)
     try:
         scaling.seed(settings.seed)

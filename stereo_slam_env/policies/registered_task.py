@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from types import MappingProxyType
 from typing import Any
 
 import gymnasium as gym
@@ -19,6 +20,36 @@ from stereo_slam_env.envs.vector_env import RowsVectorEnv
 from stereo_slam_env.policies.named_policies import Network
 from stereo_slam_env.policies.policy_rows import REFERENCE_RETURNS, normalised_score, true_figures
 
+_STEERING: Mapping[str, Any] = {
+    **{"environments": 64, "rollout": 4096, "minibatch": 512, "evaluate_every": 65_536, "validation": 32},
+    **{"learning_rate": 1e-3, "discount": 0.995, "entropy": 0.002},
+    **{"initial_log_std": -1.2, "initial_bias": [0.3, 0.0]},
+}
+"""Steering: a car that drives, and hardly swerves, from the beginning. One that stands, or leaves the lane at once,
+sees no road."""
+_FEW_DECISIONS: Mapping[str, Any] = {"rollout": 512, "minibatch": 64, "validation": 32}
+"""Tasks in which a decision takes a second of driving or more."""
+TRAINING: Mapping[str, Mapping[str, Any]] = MappingProxyType(
+    {
+        "Drive": {**_STEERING, "decisions": 262_144, "arguments": {"keys": ["car", "progress", "route"]}},
+        "ClosedLoop": {**_STEERING, "decisions": 393_216},
+        "Branches": {**_FEW_DECISIONS, "decisions": 8_192, "evaluate_every": 4_096},
+        # A car that does not keep its lane yet would learn to stop at once, and so does one that often stops by chance.
+        "Explore": {
+            **_FEW_DECISIONS,
+            **{"arguments": {"choices": {}}, "decisions": 12_288, "evaluate_every": 12_288},
+            "initial_bias": [-2.0, *[0.0] * 6],
+        },
+        # Whoever stops every other time never sees a loop closed. Most of the time is the way to the first decision,
+        # and the more environments there are, the more drive it together.
+        "Revisit": {
+            **{"decisions": 20_480, "environments": 64, "minibatch": 512, "epochs": 5, "entropy": 0.03},
+            **{"gae_lambda": 1.0, "discount": 1.0, "initial_bias": [-3.5, 0.0]},
+            **{"evaluate_every": 10_240, "validation": 32},
+        },
+    }
+)
+"""Settings with which the ids of this package, at any level, are best learnt, and `arguments` to make them with."""
 _WITH_IDS = ("StereoSlam/Drive-v0", "StereoSlam/Gaze-v0", "StereoSlam/DriveGaze-v0")
 """Environments that show the numbers of landmarks unless they are told not to: of no use to a learner."""
 
@@ -61,7 +92,7 @@ class RegisteredTask:
 
     @cached_property
     def _stated(self) -> Mapping[str, Any]:
-        """Content of `metadata["training"]`."""
+        """Content of `metadata["training"]`, or for an id of this package its entry of `TRAINING`."""
         vector = _vector(self.environment, 1, {}, AutoresetMode.NEXT_STEP, 1)
         vector.close()
         seen, done = vector.single_observation_space, vector.single_action_space
@@ -71,7 +102,9 @@ class RegisteredTask:
             raise ValueError(
                 f"environment must take a Box or Discrete as its action, {self.environment!r} takes {done}"
             )
-        stated: Mapping[str, Any] = vector.metadata.get("training", {})
+        name = self.environment.removeprefix("StereoSlam/").split("-")[0]
+        own = TRAINING.get(name, {}) if self.environment.startswith("StereoSlam/") else {}
+        stated: Mapping[str, Any] = vector.metadata.get("training", own)
         return stated
 
     @property
@@ -84,10 +117,15 @@ class RegisteredTask:
         return {"discount": 0.999, **{name: value for name, value in self._stated.items() if name != "arguments"}}
 
     def make_vector(
-        self, count: int, *, autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP, threads: int = 1
+        self,
+        count: int,
+        *,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        scenes: int | None = None,
+        threads: int = 1,
     ) -> gym.vector.VectorEnv[Any, Any, Any]:
-        """So many environments in lock-step."""
-        return _vector(self.environment, count, self.arguments, AutoresetMode(autoreset_mode), threads)
+        """So many environments in lock-step; of this package with a pool of `scenes`."""
+        return _vector(self.environment, count, self.arguments, AutoresetMode(autoreset_mode), threads, scenes)
 
     @property
     def choices(self) -> FloatArray | None:
@@ -135,7 +173,12 @@ class RegisteredTask:
 
 
 def _vector(
-    environment: str, count: int, arguments: Mapping[str, Any], mode: AutoresetMode, threads: int
+    environment: str,
+    count: int,
+    arguments: Mapping[str, Any],
+    mode: AutoresetMode,
+    threads: int,
+    scenes: int | None = None,
 ) -> gym.vector.VectorEnv[Any, Any, Any]:
     """Many environments with an id: its native vector, or one after the other."""
     entry = gym.spec(environment.rpartition(":")[2]).vector_entry_point
@@ -143,7 +186,8 @@ def _vector(
         how: dict[str, Any] = {"vectorization_mode": "sync", "vector_kwargs": {"autoreset_mode": mode}}
     else:
         own_arguments = {"observe_ids": False} if environment in _WITH_IDS else {}
-        how = {**own_arguments, "autoreset_mode": mode, **({"threads": threads} if threads > 1 else {})}
+        spread = {"threads": threads} if threads > 1 else {}
+        how = {**own_arguments, "autoreset_mode": mode, "scenes": scenes, **spread}
     environments: gym.vector.VectorEnv[Any, Any, Any] = gym.make_vec(
         environment, num_envs=count, **{**how, **arguments}
     )
@@ -172,6 +216,8 @@ class PPOSettings:
     """How many run at once, in lock-step."""
     threads: int = 1
     """Over which the environments are spread; the result does not depend on it."""
+    scenes: int | None = 64
+    """Size of the pool that the scenes of training episodes come from, each for ten episodes; None: a new one each."""
     layers: tuple[int, ...] = (64, 64)
     """Neurons of the hidden layers, of policy and value alike."""
     rollout: int = 2048
@@ -204,6 +250,8 @@ class PPOSettings:
         object.__setattr__(self, "initial_bias", tuple(self.initial_bias))
         for name in ("decisions", "environments", "threads", "rollout", "minibatch", "epochs", "evaluate_every"):
             whole_number(name, getattr(self, name), 1)
+        if self.scenes is not None:
+            whole_number("scenes", self.scenes, 1)
         whole_number("validation", self.validation, 1, len(VALIDATION_SEEDS))
         whole_number("seed", self.seed, 0)
         for width in self.layers:

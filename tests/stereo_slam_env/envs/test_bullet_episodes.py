@@ -67,7 +67,7 @@ EPISODES = [
     ),
     Episode(
         "DriveGaze-v0",
-        {"route": "town", "lane": 1e9, "time_weight": 0.05},
+        {"route": "town", "lane": 1e9, "time_weight": 0.05, "slowest": 0.0, "jerk_weight": 0.0},
         7,
         81,
         "f4a377cda9bdb687",

@@ -42,7 +42,7 @@ def test_with_dead_reckoning_it_leaves_its_route_and_pays_for_it():
 def test_a_late_estimate_needs_a_slow_driver():
     fast, info, _ = drive(follow_route, latency=5)
     assert not info["is_success"]
-    slow, info, _ = drive(drive_slowly, latency=5, route="right-turn")
+    slow, info, _ = drive(drive_slowly, latency=5, route="right-turn", slowest=0.0)
     assert info["is_success"]
     assert slow > 0.0 > fast
 
@@ -72,6 +72,29 @@ def test_the_harder_the_level_the_later_is_the_estimate(level, latency):
     usual = seen()
     np.testing.assert_array_equal(usual, seen(latency=latency))
     assert not np.array_equal(usual, seen(latency=latency + 1))
+
+
+def test_who_drives_too_slowly_fails_and_whose_mean_speed_is_six_metres_a_second_does_not():
+    slow, info, _ = drive(drive_slowly, route="straight")
+    assert info["failed"]
+    assert not info["collision"]
+    assert info["time"] == pytest.approx(97.5 / 6.0, abs=0.2)
+    fast, info, _ = drive(lambda seen: follow_route(seen, speed=7.0), route="straight")
+    assert info["is_success"]
+    assert slow < 0.0 < 10.0 < fast
+
+
+def test_a_jerky_driver_pays_for_it():
+    smooth, *_ = drive(lambda seen: follow_route(seen, speed=8.0), route="straight")
+    side = [1.0]
+
+    def jerky(seen):
+        side[0] = -side[0]
+        return follow_route(seen, speed=8.0) + np.array([side[0], 0.0], np.float32)
+
+    rough, info, _ = drive(jerky, route="straight")
+    assert info["is_success"]
+    assert rough < smooth - 10.0
 
 
 def test_standing_still_costs_time():

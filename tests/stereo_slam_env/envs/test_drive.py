@@ -314,7 +314,7 @@ def test_visible_landmarks_are_where_the_renderer_draws_a_surface(make):
     """The depth image agrees with the true depth of the landmarks the rays call visible. About 2 s."""
     env = make(route="right-turn", render_mode="rgb_array", rig="vga")
     env.reset(seed=1)
-    depth = env._rows.images(0).depth
+    depth = env.rows.world.images(0).depth
     landmarks, observation = env.landmark_truth(), env.frame.observation
     positions = landmarks.positions[np.searchsorted(landmarks.ids, observation.ids)]
     u, v, _ = np.rint(env.camera.project(positions)).astype(int).T
@@ -364,7 +364,7 @@ def test_an_agent_that_steers_into_the_parked_cars_collides(make):
 
 
 def test_an_agent_that_keeps_its_lane_reaches_the_end(make):
-    env = make(route="straight", policy="agent", rig="qvga")
+    env = make(route="straight", policy="agent", rig="qvga", slowest=0.0)
     results = rollout(env, 0, 300)
     assert results[-1][2]
     assert not results[-1][-1]["collision"]

@@ -68,9 +68,9 @@ def test_a_map_that_is_only_claimed_does_not_count(monkeypatch):
     with gym.make("StereoSlam/Explore-v0", disable_env_checker=True) as env:
         env.reset(seed=1)
         slam = env.get_wrapper_attr("slam")
-        core, truth = env.unwrapped, env.unwrapped.landmark_truth()
+        world, truth = env.unwrapped.rows.world, env.unwrapped.landmark_truth()
         wrong = type(truth)(truth.ids, truth.positions + 5.0)  # every estimate is 5 m off
-        monkeypatch.setattr(core, "landmark_truth", lambda: wrong)
+        monkeypatch.setattr(world, "landmark_truth", lambda _: wrong)
         for _ in range(20):
             _, _, _, _, info = env.step(np.zeros(5, np.float32))
         sigmas = np.sqrt(np.einsum("nii->n", slam.landmarks.covariances))

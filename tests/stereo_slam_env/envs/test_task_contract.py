@@ -14,15 +14,14 @@ from .replayed import assert_the_second_rests
 from .test_tasks import QUICK, made
 
 DEFAULTS = {
-    branches.branches: {"filter": "shared-anchor"},
-    branches.BranchChoice: {"roads": 12, "accuracy": 1.0, "weight": 100.0, "goal": 0.2},
+    branches.BranchChoice: {"roads": 12, "accuracy": 1.0, "weight": 100.0, "goal": 0.25},
     explore.Coverage: {"accuracy": 0.8, "goal": 0.6, "coverage_weight": 20.0, "path_weight": 0.01},
     revisit.LoopClosure: {"begin": (0.5, 0.95), "dearest": 0.4, "hold": 10},
-    closed_loop.closed_loop: {"filter": "right-invariant"},
+    closed_loop.RouteByEstimate: {"latency": 0},
 }
 BOUNDS = {
     "StereoSlam/Branches-v0": {
-        "branches": (0.0, np.tile([1.0, 1.0, 24.0, 24.0, 100.0], (3, 1))),
+        "branches": (0.0, np.tile([1.0, 1.0, 60.0, 60.0, 100.0], (3, 1))),
         "roads_left": (0.0, [1000.0]),
         "mapped": (0.0, [1.0]),
         "belief_sigmas": (0.0, [1000.0] * 6),

@@ -197,10 +197,17 @@ def test_threads_do_not_change_results():
     assert_equal(run(vector_of(name, 3), name, 2), run(vector_of(name, 3, threads=8), name, 2))
 
 
-def test_a_pool_has_so_many_scenes():
-    vector = vector_of("StereoSlam/Gaze-v0", 8, scenes=2)
+def test_a_pool_has_so_many_scenes_and_each_makes_place_after_ten_episodes():
+    vector, seen = vector_of("StereoSlam/Gaze-v0", 8, scenes=2), []
     vector.reset(seed=0)
-    assert len({row.tobytes() for row in vector.unwrapped.core.simulator.fleet.landmarks}) == 2
+    for _ in range(12):
+        scenes = [scene.landmarks.tobytes() for scene in vector.unwrapped.core.simulator.scenes]
+        assert len(set(scenes)) <= 4  # two, and those that have just made place
+        seen += scenes
+        vector.reset()
+    counts = sorted(seen.count(scene) for scene in set(seen))
+    assert len(counts) == pytest.approx(96 / 10, abs=2)
+    assert counts[-1] == 10
     name = "StereoSlam/Gaze-v0"
     assert_equal(run(vector_of(name, 3, scenes=2), name, 8), run(vector_of(name, 3, scenes=2), name, 8))
 

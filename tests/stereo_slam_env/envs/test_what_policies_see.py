@@ -85,7 +85,7 @@ def test_a_turned_head_does_not_turn_the_route_that_is_shown():
     action = np.array([0.0, 0.0, 0.0, 1.0, 0.5])
     for _ in range(8):
         seen, _, _, _, info = env.step(action)
-    true = env.unwrapped._rows.observe()[0]["route"][0]
+    true = env.unwrapped.rows.world.observe()[0]["route"][0]
     assert abs(seen["head"][0]) > 0.3
     assert np.isfinite(info["truth_position"]).all()
     np.testing.assert_allclose(seen["route"], true, atol=0.2)

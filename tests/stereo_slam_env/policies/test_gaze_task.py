@@ -13,6 +13,12 @@ from gymnasium.utils.env_checker import check_env, data_equivalence
 from stereo_slam_env.benchmark import preset_study
 from stereo_slam_env.envs.active_gaze import POLICY_KEYS, GazeTask
 
+
+def single(task):
+    """One environment of a task."""
+    return task.around(gym.make(task.environment, **task.world))
+
+
 QUICK = {"route": "right-turn"}
 
 
@@ -50,7 +56,7 @@ def test_benchmark_and_training_have_the_same_filter_in_the_loop():
 
 def test_a_decision_holds_and_its_rewards_add_up_to_what_was_learnt():
     task = GazeTask(arguments=QUICK, hold=4, pans=None, reward="information")
-    env = task.make_for_learning()
+    env = single(task)
     try:
         observation, info = env.reset(seed=0)
         assert tuple(observation) == POLICY_KEYS
@@ -78,7 +84,7 @@ def test_a_decision_holds_and_its_rewards_add_up_to_what_was_learnt():
 def test_what_is_paid_for_is_the_same_for_one_and_for_many(paid):
     """Rewards of an episode in a vector are those of the single environment, bit for bit."""
     task = GazeTask(arguments=QUICK, hold=8, **paid)
-    vector, singles = task.make_vector(2), [task.make_for_learning() for _ in range(2)]
+    vector, singles = task.make_vector(2), [single(task) for _ in range(2)]
     try:
         vector.reset(seed=[3, 4])
         for seed, env in zip((3, 4), singles, strict=True):
@@ -93,7 +99,7 @@ def test_what_is_paid_for_is_the_same_for_one_and_for_many(paid):
 
 def test_the_true_error_is_paid_once_a_decision():
     """Minus the squared distance of the filter's position from the truth, after the frames of the decision."""
-    env = GazeTask(arguments=QUICK, hold=4, pans=None, reward="error").make_for_learning()
+    env = single(GazeTask(arguments=QUICK, hold=4, pans=None, reward="error"))
     try:
         env.reset(seed=0)
         for _ in range(5):
@@ -109,7 +115,7 @@ def test_the_true_error_is_paid_once_a_decision():
 def test_a_number_stands_for_a_direction(environment):
     policy = {"policy": "route"} if environment.endswith("DriveGaze-v0") else {}
     task = GazeTask(environment, {**QUICK, **policy, "pan_rate": 100.0}, hold=1, pans=5)
-    env = task.make_for_learning()
+    env = single(task)
     try:
         env.reset(seed=0)
         farthest = env.get_wrapper_attr("options").max_pan

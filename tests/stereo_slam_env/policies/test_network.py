@@ -5,6 +5,7 @@ import json
 from dataclasses import replace
 from itertools import pairwise
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
@@ -13,6 +14,11 @@ from stereo_slam_env.envs.gaze import StereoGazeEnv
 from stereo_slam_env.policies import make_policy
 from stereo_slam_env.policies.named_policies import CHECKPOINT, Network, NetworkPolicy
 from stereo_slam_env.policies.registered_task import PPOSettings
+
+
+def single(task):
+    """One environment of a task."""
+    return task.around(gym.make(task.environment, **task.world))
 
 
 def small_network(seed=0, hold=1, choices=None):
@@ -126,7 +132,7 @@ def test_an_observation_of_another_size_is_refused(tmp_path):
 
 
 def test_the_network_of_the_package_fits_what_it_is_shown():
-    env = GazeTask().make_held()
+    env = single(GazeTask(pans=None))
     observation, _ = env.reset(seed=0)
     assert NetworkPolicy().network.action(observation) in env.action_space
     env.close()

@@ -28,6 +28,12 @@ from stereo_slam_env.policies.registered_task import (
     words,
 )
 
+
+def single(task):
+    """One environment of a task."""
+    return task.around(gym.make(task.environment, **task.world))
+
+
 TASK = GazeTask(arguments={"route": "right-turn"}, hold=8)
 SETTINGS = PPOSettings(decisions=40, environments=1, rollout=20, minibatch=20, epochs=1, evaluate_every=20)
 
@@ -128,7 +134,7 @@ def test_a_resumed_training_has_the_bits_of_an_unbroken_one(tmp_path, task):
 def test_the_network_decides_as_the_model_does(tmp_path, pans):
     pytest.importorskip("stable_baselines3", reason="needs the extra rl")
     task = dataclasses.replace(TASK, pans=pans)
-    env = task.make_for_learning()
+    env = single(task)
     with ppo._learner(task, SETTINGS, tmp_path) as (model, scaling):
         model.learn(40)
         network = ppo.network_of(model, scaling, {}, task.choices)
