@@ -1,24 +1,29 @@
 """Does looking well help, by the truth? Policies in `ActiveGaze-v0`, claim beside truth and consistency.
 
-    python benchmarks/active_policies.py                                    # 500 drives, white errors
+    python benchmarks/active_policies.py                                    # 500 drives, the world of the task
+    python benchmarks/active_policies.py --world all --drives 200 --policies fixed,sweep,ppo      # where it helps
+    python benchmarks/active_policies.py --policies fixed,1-7x2,2-6x4,3-5x3            # blind schedules of directions
     python benchmarks/active_policies.py --world lasting --belief coloured-noise --options '{"landmark": "euclidean"}'
     python benchmarks/active_policies.py --policies fixed,oracle --drives 64
     python benchmarks/active_policies.py --policies fixed,sweep --level hard
 
-For each policy, in the same drives: change against `fixed` of the mean true final error, of its root mean square over
-the drive and of the claimed sigma, paired, with 95 % bootstrap intervals; mean log det of the final pose, position
-NEES / 3, score (0 is `fixed`, 100 the oracle, by the return of minus squared true error) and processor seconds. Worlds
-are those of `envs.make_vec.WORLDS`; options of the belief come on top of those of `GazeTask`. A policy is a name, or a
-checkpoint of `stereo-slam train`.
+For each policy, in the same drives: change against the first one of the mean true final error, of its root mean square
+over the drive and of the claimed sigma, paired, with 95 % bootstrap intervals; mean log det of the final pose, position
+NEES / 3, score with its paired interval (0 is `fixed`, 100 the oracle, by the return of minus squared true error) and
+processor seconds. Worlds are those of `envs.task_env.WORLDS`; options of the belief come on top of those of `GazeTask`.
+A policy is a name, a checkpoint of `stereo-slam train`, or "a-bxn": directions a and b of nine in turn, each for n
+decisions.
 """
 
 from __future__ import annotations
 
 import csv
+import re
 import time
 from collections.abc import Sequence
 from dataclasses import fields, replace
 from functools import partial
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -27,9 +32,9 @@ from scipy.stats import bootstrap
 
 from harness import arguments, show
 from stereo_slam_env.envs.active_gaze import GazeTask
-from stereo_slam_env.envs.make_vec import LEVELS, WORLDS
+from stereo_slam_env.envs.task_env import LEVELS, WORLDS
 from stereo_slam_env.policies import make_policy
-from stereo_slam_env.policies.policy_rows import Oracle, TrueFigures, normalised_score, policy_in_rows, true_figures
+from stereo_slam_env.policies.policy_rows import Oracle, TrueFigures, paired_score, policy_in_rows, true_figures
 
 SEED = 200_000
 """The first one: nothing was tuned or chosen on these."""
@@ -38,10 +43,11 @@ ID = "StereoSlam/ActiveGaze-v0"
 
 def figures_of(policy: str, task: GazeTask, seeds: Sequence[int]) -> TrueFigures:
     """The episodes of a policy, all at once; returns are those of `TrueError`."""
-    if policy == "oracle":
+    schedule = re.fullmatch(r"(\d)-(\d)x(\d+)", policy)
+    if schedule or policy == "oracle":
         vector = task.make_vector(len(seeds))
-        oracle = Oracle(vector.rows)
-        made = true_figures(vector, lambda _: lambda __, going: oracle.act(going), seeds)
+        choose: Any = partial(blind, *map(int, schedule.groups())) if schedule else partial(look_ahead, vector)
+        made = true_figures(vector, lambda _: choose(), seeds)
         vector.close()
         return made
     checkpoint = {"checkpoint": policy} if policy.endswith(".npz") else {}
@@ -51,6 +57,18 @@ def figures_of(policy: str, task: GazeTask, seeds: Sequence[int]) -> TrueFigures
     made = true_figures(vector, lambda _: policy_in_rows(vector, make, seeds), seeds)
     vector.close()
     return replace(made, returns=made.returns / task.hold)
+
+
+def blind(first: int, second: int, decisions: int) -> Any:
+    """Two directions in turn, whatever is seen."""
+    steps = count()
+    return lambda _, going: np.full(len(going), (first, second)[next(steps) // decisions % 2])
+
+
+def look_ahead(vector: Any) -> Any:
+    """The oracle of a vector."""
+    oracle = Oracle(vector.rows, depth=6)  # the head takes six seconds from side to side
+    return lambda _, going: oracle.act(going)
 
 
 def change(of: np.ndarray, against: np.ndarray) -> tuple[str, tuple[float, float, float]]:
@@ -80,13 +98,25 @@ def main() -> None:
         policies="fixed,random,sweep,greedy,lookahead,ppo",
         out=Path("active_policies.csv"),
     )
+    worlds = list(WORLDS) if given.world == "all" else [given.world]
+    kept: list[dict[str, Any]] = []
+    for world in worlds:
+        rows = rows_of(world, given, kept)
+        with given.out.open("w", newline="", encoding="utf-8") as stream:
+            writer = csv.DictWriter(stream, list(kept[0]))
+            writer.writeheader()
+            writer.writerows({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in row.items()} for row in kept)
+        show(f"{world}, {given.level}, {given.belief}, {given.drives} drives", HEADS, rows)
+
+
+def rows_of(world: str, given: Any, kept: list[dict[str, Any]]) -> list[list[str]]:
+    """Rows of the policies in a world; their figures come to those that are kept."""
     seeds = range(given.seed, given.seed + given.drives)
-    world = {**WORLDS[given.world], **LEVELS[given.level]}
-    task = GazeTask(arguments=world, filter=given.belief, reward="error")
-    task = replace(task, filter_options={**task.filter_options, **given.options})
+    own = GazeTask(arguments={**WORLDS[world], **LEVELS[given.level]}, filter=given.belief, reward="error")
+    task = replace(own, filter_options={**own.filter_options, **given.options})
     belief = " ".join([given.belief, *(f"{name}={value}" for name, value in given.options.items())])
-    about_all = f"{given.world}, {given.level}, {belief}, {given.drives} drives"
-    rows, kept, base = [], [], None
+    rows: list[list[str]] = []
+    base: TrueFigures | None = None
     for policy in given.policies.split(","):
         began = time.process_time()
         figures = figures_of(policy, task, seeds)
@@ -95,7 +125,7 @@ def main() -> None:
         changes = [change(getattr(figures, name), getattr(base, name)) for name in names]
         means = dict(zip([part.name for part in fields(figures)], figures.table.mean(axis=0), strict=True))
         label = Path(policy).parent.name if policy.endswith(".npz") else policy
-        score = normalised_score(ID, figures.returns).mean()
+        score, low, high = paired_score(ID, figures.returns, base.returns)
         rows.append(
             [
                 label,
@@ -104,20 +134,15 @@ def main() -> None:
                 f"{means['final_pose_logdet']:.1f}",
                 f"{means['final_position_nees']:.2f}",
                 f"{means['returns']:.2f}",
-                f"{score:.0f}" if task == GazeTask(arguments=dict(WORLDS["white"])) else "",
+                f"{score:.0f} [{low:.0f}, {high:.0f}]" if world == "white" and given.level == "normal" else "",
                 f"{time.process_time() - began:.0f}",
             ]
         )
         claimed = dict(zip(("claimed", "claimed_low", "claimed_high"), changes[2][1], strict=True))
         true = dict(zip(("true", "true_low", "true_high"), changes[0][1], strict=True))
-        about = {"world": given.world, "belief": belief, "policy": label, "drives": given.drives}
+        about = {"world": world, "belief": belief, "policy": label, "drives": given.drives}
         kept.append({**about, **means, **true, **claimed})
-        with given.out.open("w", newline="", encoding="utf-8") as stream:
-            writer = csv.DictWriter(stream, list(kept[0]))
-            writer.writeheader()
-            writer.writerows({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in row.items()} for row in kept)
-        show(about_all, HEADS, rows[-1:])
-    show(about_all, HEADS, rows)
+    return rows
 
 
 HEADS = (

@@ -4,10 +4,10 @@
     python benchmarks/task_scores.py --episodes 24 --only Drive   # the ids that contain this
     python benchmarks/task_scores.py --episodes 2 --only Explore  # how fast few are
 
-Mean with its standard error and score (see `policies.scores`), interquartile mean with its 95 % bootstrap interval,
-standard deviation over the scenes, share of successes, decisions, and how many of all episodes are made in a second of
-one core, with all that an episode needs. All episodes of an agent are rows of one vector. Success in hindsight is a
-return above 0.
+Mean with its standard error, score with its 95 % bootstrap interval, paired with the agent that acts at random where
+there is one, interquartile mean with its 95 % bootstrap interval, standard deviation over the scenes, share of
+successes, decisions, and how many of all episodes are made in a second of one core, with all that an episode needs. All
+episodes of an agent are rows of one vector. Success in hindsight is a return above 0.
 `ActiveGaze-v0` is scored by the truth: `benchmarks/active_policies.py`.
 """
 
@@ -27,14 +27,12 @@ import stereo_slam_env  # noqa: F401 (registers the ids)
 from harness import arguments, mean_and_error, show
 from stereo_slam_env.envs import (
     close_if_it_pays,
-    drive_slowly,
     explore_and_close,
     explore_by_sweeping,
     follow_route,
     to_new_roads,
 )
-from stereo_slam_env.policies import normalised_score
-from stereo_slam_env.policies.policy_rows import REFERENCE_RETURNS, Oracle
+from stereo_slam_env.policies.policy_rows import REFERENCE_RETURNS, Oracle, normalised_score, paired_score
 from stereo_slam_env.world.street_grid import RIGHT, STRAIGHT
 
 SEED = 20_000
@@ -62,6 +60,11 @@ def at_random(_: Any, __: int, rng: np.random.Generator, entries: int) -> Any:
     return rng.uniform(-1.0, 1.0, entries).astype(np.float32)
 
 
+def blind(turns: str) -> Choice:
+    """The same turns whatever is seen: left, straight on or right."""
+    return lambda _, step, __, ___: "LSR".index(turns[step % len(turns)])
+
+
 def oracle(*_: Any) -> Any:
     """Which `episodes` replaces by `policies.rows.Oracle`: two roads ahead, by the truth."""
     raise NotImplementedError
@@ -72,12 +75,14 @@ CARELESS = {
     "action 0": one(0, 0.0),
     "random": at_random,
     "3 m/s": driver(speed=3.0),
+    "4 m/s": driver(speed=4.0),
+    "5 m/s": driver(speed=5.0),
     "bends at 12 m/s": driver(lateral=math.inf),
     "oncoming lane": driver(beside=-3.5),
     "1.5 m beside the route": driver(beside=-1.5),
 }
 BY_A_LATE_ESTIMATE = {
-    "5 m/s": lambda seen, *_: drive_slowly(seen),
+    "7 m/s": driver(speed=7.0),
     "10 m/s, 2.5 m/s^2": driver(speed=10.0, lateral=2.5),
     "follow the route": driver(),
 }
@@ -110,6 +115,7 @@ ROWS: dict[str, dict[str, Choice]] = {
         "straight on": lambda *_: STRAIGHT,
         "round one block": lambda *_: RIGHT,
         "random": lambda _, __, rng, ___: int(rng.integers(3)),
+        **{f"always {turns}": blind(turns) for turns in ("LLLS", "RRRS", "RRRRLLLL", "SSLSRL")},
         "to new roads": lambda seen, *_: to_new_roads(seen),
         "explore and close": lambda seen, *_: explore_and_close(seen),
         "oracle": oracle,
@@ -150,13 +156,22 @@ def episodes(name: str, choose: Choice, count: int, first: int = SEED, **options
 
 
 def row(
-    short: str, agent: str, returns: np.ndarray, success: np.ndarray, steps: np.ndarray, seconds: float
+    short: str,
+    agent: str,
+    returns: np.ndarray,
+    success: np.ndarray,
+    steps: np.ndarray,
+    seconds: float,
+    at_random: np.ndarray | None,
 ) -> list[str]:
     """Of the table."""
     middle = partial(trim_mean, proportiontocut=0.25)
     low, high = bootstrap((returns,), middle, method="percentile", rng=0).confidence_interval
     name = f"StereoSlam/{short}"
     score = f"{normalised_score(name, returns).mean():.0f}" if name in REFERENCE_RETURNS else ""
+    if score and at_random is not None:
+        value, least, most = paired_score(name, returns, at_random[: len(returns)])
+        score = f"{value:.0f} [{least:.0f}, {most:.0f}]"
     interval = f"{middle(returns):.1f} [{low:.1f}, {high:.1f}]"
     spread = f"{returns.std():.1f}"
     said = [spread, f"{success.mean():.0%}", f"{steps.mean():.0f}", f"{steps.sum() / seconds:.0f}"]
@@ -168,7 +183,7 @@ def main() -> None:
     given = arguments(__doc__, episodes=50, seed=SEED, only="")
     heads = ("agent", "mean", "score", "interquartile mean", "sd of scenes", "success", "decisions", "a second")
     for short, agents in ROWS.items():
-        (ident, _, variant), rows = short.partition(" "), []
+        (ident, _, variant), made = short.partition(" "), {}
         name = f"StereoSlam/{ident}"
         if given.only not in short:
             continue
@@ -177,10 +192,11 @@ def main() -> None:
             began = time.process_time()
             returns, best, success, steps = episodes(name, choose, count, given.seed, **GIVEN.get(variant, {}))
             seconds = time.process_time() - began
-            rows.append(row(short, label, returns, success, steps, seconds))
+            made[label] = returns, success, steps, seconds
             if label in TO_BE_STOPPED:  # who knows what comes stops at the highest return; no agent can
-                rows.append(row(short, f"{label}, hindsight", best, best > 0.0, steps, seconds))
-        show(short, heads, rows)
+                made[f"{label}, hindsight"] = best, best > 0.0, steps, seconds
+        at_random = made["random"][0] if "random" in made else None
+        show(short, heads, [row(short, label, *figures, at_random) for label, figures in made.items()])
 
 
 if __name__ == "__main__":

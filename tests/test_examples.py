@@ -16,17 +16,19 @@ SMALL = {
     "cleanrl_ppo.py": ["--steps", "60", "--rollout", "30", "--environments", "2", "--route", "right-turn"],
     "compare_filters.py": ["--seeds", "2", "--frames", "8"],
     "replay_kitti.py": ["--frames", "8"],
+    "train_pixels.py": ["--steps", "16", "--renderer", "tiny"],
     "train_ppo.py": ["--decisions", "32", "--drives", "2", "--route", "right-turn"],
     "watch_live.py": ["--frames", "8", "--save", "drive.rrd"],
 }
 """Arguments with which those that take long are quick."""
 NEEDS = {
     "cleanrl_ppo.py": ("torch", "rl"),
+    "train_pixels.py": ("stable_baselines3", "rl"),
     "train_ppo.py": ("stable_baselines3", "rl"),
     "watch_live.py": ("rerun", "viewer"),
 }
 """The package without which it does not run, and the extra that brings it."""
-MOST_LINES = {"active_gaze.py": 60, "cleanrl_ppo.py": 149, "train_ppo.py": 46}
+MOST_LINES = {"active_gaze.py": 60, "cleanrl_ppo.py": 149, "train_pixels.py": 44, "train_ppo.py": 46}
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.name)

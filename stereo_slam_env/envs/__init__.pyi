@@ -18,6 +18,7 @@ from .filter_rows import Belief as Belief
 from .gaze import StereoGazeEnv as StereoGazeEnv
 from .information import InformationCriterion as InformationCriterion
 from .information import log_det as log_det
+from .landmark_map import LandmarkMap as LandmarkMap
 from .make_vec import Snapshot as Snapshot
 from .make_vec import restore as restore
 from .make_vec import snapshot as snapshot

@@ -170,10 +170,10 @@ class StereoEnv(gym.Env[Observation, NDArray[np.float32]], EzPickle, Kept):
             raise RuntimeError(f"{what}: call reset before the next step")
         space = self.action_space
         if isinstance(space, gym.spaces.Box):
-            action = finite_array("action", action, space.shape)
-        rewards, terminated, truncated = self.rows.step(
-            checked_actions("action", np.asarray(action)[None], space, 1), _ALL
-        )
+            actions = np.clip(finite_array("action", action, space.shape), -1.0, 1.0)[None]
+        else:
+            actions = checked_actions("action", np.asarray(action)[None], space, 1)
+        rewards, terminated, truncated = self.rows.step(actions, _ALL)
         self._over = bool(terminated[0])
         observation, info = self._look()
         return observation, float(rewards[0]), self._over, bool(truncated[0]), info

@@ -50,11 +50,18 @@ WORLDS: Mapping[str, Mapping[str, Any]] = MappingProxyType(
         "white": {"sigma": 1.0},
         "lasting": {"sigma": 0.714, "lasting": 0.7, "lasting_time": 2.0},
         "front-end": {"sigma": 0.036, "lasting": 0.114, "lasting_time": 1.7},
+        "heavy-tailed": {"noise": "heavy-tailed"},
+        "narrow-rig": {"rig": {"name": "vga", "baseline": 0.12}},
+        "groves": {"surroundings": "groves"},
+        "groves-clear": {"surroundings": "groves", "visibility": 150.0},
+        "street": {"surroundings": "street"},
+        "street-clear": {"surroundings": "street", "visibility": 150.0},
     }
 )
-"""Arguments of environments whose landmarks have errors of one kind: white; with the same R, half of it lasting; as the
-front end has them in rendered images (a standard deviation of 0.12 px, correlations of 0.86 after one frame and 0.68
-after five, see the page on the front end)."""
+"""Arguments of environments in which looking is not worth the same. Errors: white; with the same R, half of it lasting;
+as the front end has them in rendered images (a standard deviation of 0.12 px, correlations of 0.86 after one frame and
+0.68 after five, see the page on the front end); with rare gross ones. Another rig. Other surroundings, in the fog of
+the task and in clear air."""
 _TRAFFIC = ("moving_cars", "pedestrians")
 
 Make = Callable[[type[StereoOptions], Mapping[str, Any]], Rows]
