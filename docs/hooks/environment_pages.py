@@ -9,8 +9,9 @@ from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 
 CODE = Path(__file__).resolve().parents[2] / "stereo_slam_env" / "envs"
-ENVIRONMENTS = {"drive": "StereoSlam/Drive-v0", "gaze": "StereoSlam/Gaze-v0", "drive_gaze": "StereoSlam/DriveGaze-v0"}
-"""Module -> id."""
+MODULES = ("drive", "gaze", "drive_gaze", "active_gaze", "closed_loop", "branches")
+ENVIRONMENTS = {module: f"StereoSlam/{module.title().replace('_', '')}-v0" for module in MODULES}
+"""Module -> id, of the worlds and the benchmarks."""
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
@@ -23,10 +24,12 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 def page(module: str, name: str) -> str:
     """The Markdown page of an environment; nothing is imported for it."""
     tree = ast.parse((CODE / f"{module}.py").read_text(encoding="utf-8"))
-    (described,) = (node for node in tree.body if isinstance(node, ast.ClassDef))
-    text = ast.get_docstring(described)
-    if not text:
-        raise ValueError(f"{module}.py: class {described.name} needs a docstring, it is the page of the environment")
+    (described,) = (
+        node
+        for node in tree.body
+        if isinstance(node, ast.ClassDef) and "## Description" in (ast.get_docstring(node) or "")
+    )
+    text = ast.get_docstring(described) or ""
     made = f'import gymnasium as gym\nimport stereo_slam_env  # registers the ids\n\nenv = gym.make("{name}")'
     first, _, rest = text.partition("\n")
     return f"# {name.partition('/')[2]}\n\n{first}\n\n```python\n{made}\n```\n{rest}\n"

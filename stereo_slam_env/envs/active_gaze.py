@@ -18,10 +18,9 @@ from stereo_slam_env.envs.belief_observation import BeliefObservation
 from stereo_slam_env.envs.belief_panorama import BeliefPanorama
 from stereo_slam_env.envs.information import CRITERIA, Criterion
 from stereo_slam_env.envs.make_vec import kind_of
-from stereo_slam_env.envs.mixed_rows import MixedRows
 from stereo_slam_env.envs.rewards import BeliefOf, InformationGain, TrueError
 from stereo_slam_env.envs.row_wrapper import DirectionOfGaze, SelectedKeys, directions, moving_head
-from stereo_slam_env.envs.rows import Rows
+from stereo_slam_env.envs.rows import MixedRows, Rows
 from stereo_slam_env.envs.task_env import GAZE_FILTER, Make, TaskEnv, arguments_of, of_level, of_world
 from stereo_slam_env.envs.vector_env import RowsVectorEnv, core_rows, limited
 
@@ -143,21 +142,56 @@ class GazeTask:
 
 
 class ActiveGaze(TaskEnv):
-    """`StereoSlam/ActiveGaze-v0`: decide where to look so that the estimate of the pose is as true as it can be.
+    """Decide where to look, so that the estimate of the pose is as true as it can be.
 
-    The head of `StereoSlam/Gaze-v0` is turned to one of nine directions (`Discrete(9)`, from the farthest left to the
-    farthest right), for five steps. There are things to see on one side of the road for a while, then on the other,
-    in fog, and the head turns slowly: no fixed schedule of looking is right. The observation has `belief_sigmas` (6,),
-    `head` (2,) and `panorama` (12, 6), the landmarks of the filter's map around the car, see `BeliefPanorama`; the
-    reward is minus the squared true error of the position after the decision (`TrueError`), or with
-    `reward="information"` the decrease of the log determinant of the covariance of the pose (`InformationGain`). `info`
-    is that of `StereoSlam/Gaze-v0` and of these wrappers.
+    ## Description
 
-    Parameters
-    ----------
-    **task
-        Arguments of `GazeTask` (`filter`, `filter_options`, `reward`, `criterion`, `belief`, `nees_gate`, `resolution`,
-        `hold`, `pans`), those of every task, see `TaskEnv`, and those of `StereoSlam/Gaze-v0`.
+    A car with a stereo head follows a straight road of 98 m, and a SLAM filter follows the car. Things to see stand in
+    groups on one side of the road, for a stretch of 30 to 110 m, then on the other; how densely, how far aside, and on
+    which side first is drawn for each episode. There is fog: nothing is seen beyond 30 m. The head turns slowly, 0.6
+    rad/s, so that a look to the wrong side costs seconds, and no fixed schedule of looking is right. World, sensors and
+    truth are those of `StereoSlam/Gaze-v0`.
+
+    ## Action Space
+
+    `Discrete(9)`: the direction to look in, from the head's farthest left (-2 rad) to its farthest right, for five
+    steps of 0.1 s. With `pans=None` it is the `Box(-1, 1, (2,))` of `StereoSlam/Gaze-v0`.
+
+    ## Observation Space
+
+    `Dict`, what the filter believes:
+
+    | Key | Shape | Type | Meaning |
+    |-----|-------|------|---------|
+    | `belief_sigmas` | (6,) | float32 | standard deviations of the pose: position in W, m; rotation, rad |
+    | `head` | (2,) | float32 | pan and tilt, rad, without error |
+    | `panorama` | (12, 6) | float32 | the map around the car in twelve sectors, see `BeliefPanorama` |
+
+    ## Rewards
+
+    *reward_error*: minus the squared true error of the position after the decision, m^2 (`TrueError`). With
+    `reward="information"` it is *reward_information*, the decrease of the log determinant of the covariance of the
+    pose, by the filter's claim or by a reference (`InformationGain`).
+
+    ## Episode End
+
+    - Termination: the end of the road, after 40 decisions.
+    - Truncation: after 600 steps.
+
+    ## Arguments
+
+    Those of `GazeTask` (`filter`, `filter_options`, `reward`, `criterion`, `belief`, `nees_gate`, `resolution`, `hold`,
+    `pans`), `level`, `keys`, `observation`, `arguments`, and those of `StereoSlam/Gaze-v0`, of which
+    `surroundings="copses"` and `pan_rate=0.6` differ there.
+
+    ## Training
+
+    `stereo-slam train --environment StereoSlam/ActiveGaze-v0`; how the network of the package was made, and what
+    looking is worth here and in other worlds, is on the page on active perception.
+
+    ## Version History
+
+    * v0: first version.
     """
 
     world = "StereoSlam/Gaze-v0"

@@ -105,11 +105,11 @@ class BranchChoice(PaidRows):
     def step(self, actions: Any, going: BoolArray) -> Step:
         """Drive on to the middle of the road that is chosen."""
         goals, failed = np.zeros(self.num_envs, dtype=np.int64), np.zeros(self.num_envs, dtype=np.bool_)
-        there: dict[int, Place] = {}
+        places: dict[int, Place] = {}
         for b in np.flatnonzero(going).tolist():
             place, streets = self._places[b], self._streets(b)
             assert place is not None
-            choice, there[b] = streets.taken(place, int(actions[b]))
+            choice, places[b] = streets.taken(place, int(actions[b]))
             self._choices[b].append(choice)
             route = through_streets(streets, self._choices[b])
             self.world.reroute(b, route)
@@ -118,7 +118,7 @@ class BranchChoice(PaidRows):
             _, terminated, truncated = self.rows.step(self._still, driving)
             failed |= terminated | truncated
         for b in np.flatnonzero(going).tolist():
-            self._arrive(b, there[b])
+            self._arrive(b, places[b])
         before = self._credit.copy()
         self._map(going)
         over = going & (failed | (self._left == 0))
@@ -132,8 +132,8 @@ class BranchChoice(PaidRows):
         observation, info = super().observe()
         credit, roads = self._credit.copy(), np.array([int(driven.sum()) for driven in self._driven])
         added = {"branches": np.stack([self._ahead(b) for b in range(self.num_envs)])}
-        shown = {"roads_left": self._left, "mapped": self._claimed}
-        added |= {key: values[:, None].astype(np.float32) for key, values in shown.items()}
+        columns = {"roads_left": self._left, "mapped": self._claimed}
+        added |= {key: values[:, None].astype(np.float32) for key, values in columns.items()}
         extras = {"mapped": credit, "roads": roads}
         success = (credit >= self._goal) & ~np.asarray(info["failed"])
         return {**observation, **added}, {**info, **extras, "is_success": success}
@@ -186,9 +186,9 @@ class BranchChoice(PaidRows):
         for b in np.flatnonzero(which).tolist():
             mine, truth = slice(*maps.offsets[b : b + 2]), self.world.landmark_truth(b).positions
             errors = np.linalg.norm(maps.positions[mine] - truth[maps.ids[mine]], axis=1)
-            whole = len(truth) * min(self._roads / self._streets(b).count, 1.0)
+            most = len(truth) * min(self._roads / self._streets(b).count, 1.0)
             for share, each in ((self._credit, errors), (self._claimed, sigmas[mine])):
-                share[b] = np.maximum(1.0 - (each / self._accuracy) ** 2, 0.0).sum() / whole
+                share[b] = np.maximum(1.0 - (each / self._accuracy) ** 2, 0.0).sum() / most
 
 
 def streets_of(rows: Rows) -> StreetGrid:
@@ -201,20 +201,61 @@ def streets_of(rows: Rows) -> StreetGrid:
 
 
 class Branches(TaskEnv):
-    """`StereoSlam/Branches-v0`: drive through a grid of streets so that much of it is on the map, and true.
+    """Drive through a grid of streets so that much of it is on the map, and true.
 
-    The action is `Discrete(3)`: left, straight on or right at the next junction. The observation has `belief_sigmas`
-    (6,), `branches` (3, 5), `roads_left` (1,) and `mapped` (1,), see `BranchChoice`. The reward is 100 times what the
-    share of the landmarks has gained that are on the map and where they are, by the truth. The episode ends after 12
-    choices. New roads bring new landmarks, but the farther from known ones the car is, the less true is their place,
-    until a loop is closed. The grid is another one in each episode: 3 to 6 by 3 to 6 junctions, without up to 30 % of
-    its roads, so that some streets are dead ends; the car may start on any road.
+    ## Description
 
-    Parameters
-    ----------
-    **arguments
-        Those of `BranchChoice`, of every task, see `TaskEnv`, and of `StereoSlam/Drive-v0`: the route is "random-grid",
-        driven by a script, through groves in fog, as in `StereoSlam/Gaze-v0`, with 16 landmarks at most.
+    The grid is drawn for each episode: 3 to 6 by 3 to 6 junctions, roads of 38 to 54 m, up to 30 % of them missing, so
+    that some streets are dead ends, and the start on any of them. Groves stand along the roads, in fog. A script drives
+    to the middle of the road that is chosen, some nine seconds, with a SLAM filter running; then the next one is
+    chosen, twelve in all. New roads bring landmarks, but the farther from known ones the car is, the less true is their
+    place; a closed loop puts them right, and costs roads that bring nothing new. World, sensors and truth are those of
+    `StereoSlam/Drive-v0` with `policy="route"`, 16 landmarks at most and a visibility of 30 m.
+
+    ## Action Space
+
+    `Discrete(3)`: left, straight on, right. Where there is no such road, the first that exists of straight on, right,
+    left is taken; at a dead end the car turns round.
+
+    ## Observation Space
+
+    `Dict`, nothing of it made from the truth:
+
+    | Key | Shape | Type | Meaning |
+    |-----|-------|------|---------|
+    | `belief_sigmas` | (6,) | float32 | standard deviations of the pose: position in W, m; rotation, rad |
+    | `branches` | (3, 5) | float32 | of the roads to the left, ahead and to the right, see below |
+    | `roads_left` | (1,) | float32 | choices that are left |
+    | `mapped` | (1,) | float32 | share of the map by the filter's own variances |
+
+    A row of `branches`: whether there is such a road; whether it has been driven; how many roads further on the nearest
+    new one is, and the start; the claimed standard deviation of the position there when it was first driven, or now, m.
+
+    ## Rewards
+
+    *reward_map*: 100 times what the share of the map has gained, by the truth. A landmark on the filter's map counts
+    1 - (true error / 1 m)^2, not less than 0; the share is the sum of that over the number of landmarks that stand
+    along twelve roads, or along all, if there are fewer. It may be negative: the filter has lost its way.
+
+    ## Episode End
+
+    Termination: after `roads` choices; `info["is_success"]` is whether a share of `goal` (0.25) has been reached
+    without a collision. `info` has `mapped`, the true share, and `roads`, how many different ones have been driven.
+
+    ## Arguments
+
+    `roads` (12), `accuracy` (1 m), `weight` (100), `goal` (0.25) of `BranchChoice`; `filter`, `filter_options`, of
+    which one that drops what is out of view has no map, `level`, `keys`, `observation`, `arguments`, and those of
+    `StereoSlam/Drive-v0`.
+
+    ## Training
+
+    `stereo-slam train --environment StereoSlam/Branches-v0`. What blind lists of turns, rules, networks and an oracle
+    score is on the page of the tasks.
+
+    ## Version History
+
+    * v0: first version.
     """
 
     world = "StereoSlam/Drive-v0"

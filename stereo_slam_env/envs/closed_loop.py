@@ -197,19 +197,57 @@ class RouteByEstimate(RowsWrapper):
 
 
 class ClosedLoop(TaskEnv):
-    """`StereoSlam/ClosedLoop-v0`: come to the end of a route that is only known relative to an estimate.
+    """Come to the end of a route in time, driving by an estimate that is late.
 
-    The action is that of `StereoSlam/Drive-v0`, `Box(-1, 1, (2,))`: acceleration and steering. The observation has
-    `route` (5, 2) and `progress` (1,) by the estimate of 0.3 s ago (`RouteByEstimate`), `car` (2,), `odometry` (6,) and
-    `belief_sigmas` (6,). The reward is that of `StereoSlam/Drive-v0` without the one for tracked landmarks: 0.1 for
-    each metre, less beside the route, 10 for its end, minus 10 for a collision, for more than 2 m beside it, or for a
-    mean speed below 6 m/s, minus 0.4 for each second, and a price of jerks. At most 1200 steps.
+    ## Description
 
-    Parameters
-    ----------
-    **arguments
-        Those of `RouteByEstimate`, whose `latency` is 1 frame at the level easy, 3 at normal, 4 at hard, of every task,
-        see `TaskEnv`, and of `StereoSlam/Drive-v0`: there are 40 landmarks at most, and the odometry is that of a car.
+    The car is driven by what a SLAM filter believes: the points of the route ahead, and the progress, are computed from
+    the pose that the filter estimated `latency` frames ago. An error of the filter moves the car, and the car moves
+    what the filter sees next. Route, street, sensors and truth are those of `StereoSlam/Drive-v0`; the odometry is that
+    of a car, 0.2 m/s and 0.02 rad/s, and there are 40 landmarks at most.
+
+    ## Action Space
+
+    That of `StereoSlam/Drive-v0`, `Box(-1, 1, (2,), float32)`: acceleration and steering angle.
+
+    ## Observation Space
+
+    `Dict`:
+
+    | Key | Shape | Type | Meaning |
+    |-----|-------|------|---------|
+    | `belief_sigmas` | (6,) | float32 | standard deviations of the pose: position in W, m; rotation, rad |
+    | `car` | (2,) | float32 | speed, m/s, and steering angle, rad, without error |
+    | `odometry` | (6,) | float32 | noisy mean velocity over the last step, m/s and rad/s |
+    | `progress` | (1,) | float32 | share of the route that has been driven, by the estimate |
+    | `route` | (5, 2) | float32 | points 2 to 30 m ahead, right and forward of the car by the late estimate, m |
+
+    ## Rewards
+
+    That of `StereoSlam/Drive-v0` without the term for tracked landmarks, each term in `info`: *reward_progress*, 0.1
+    for each metre x (1 - (`cross_track` / 2 m)^2); *reward_goal*, 10 at the end; *reward_collision*, -10 for a
+    collision, for 2 m beside the route, and where the mean speed is below 6 m/s; *reward_time*, -0.4 for each second;
+    *reward_jerk*, -0.05 for each second x (jerk / 10 m/s^3)^2. So who creeps does not arrive, and who jerks pays.
+
+    ## Episode End
+
+    - Termination: the end of the route (`is_success`), or one of those failures (`failed`).
+    - Truncation: after 1200 steps.
+
+    ## Arguments
+
+    `latency`, frames: 1 at the level easy, 3 at normal, 4 at hard; `filter` (`"right-invariant"`; `"dead-reckoning"`
+    shows what driving is like without a camera), `filter_options`, `level`, `keys`, `observation`, `arguments`, and
+    those of `StereoSlam/Drive-v0`.
+
+    ## Training
+
+    `stereo-slam train --environment StereoSlam/ClosedLoop-v0`. What careless drivers, rules and networks score is on
+    the page of the tasks.
+
+    ## Version History
+
+    * v0: first version.
     """
 
     world = "StereoSlam/Drive-v0"

@@ -91,8 +91,8 @@ class LandmarkMap(RowsWrapper):
         measured = self.world.measured(np.ones(count, dtype=np.bool_))
         measured_owner = np.repeat(np.arange(count), np.diff(measured.offsets))
         names = np.stack([owner[inside], maps.ids[inside]]), np.stack([measured_owner, measured.ids])
-        seen = np.isin(*(owners * 2**32 + ids for owners, ids in names))
-        drawn[(*(axis[seen] for axis in pixel), SEEN)] = 255.0
+        in_view = np.isin(*(owners * 2**32 + ids for owners, ids in names))
+        drawn[(*(axis[in_view] for axis in pixel), SEEN)] = 255.0
         poses = self._beliefs.poses
         path = np.einsum("bji,kbj->kbi", rotations.matrix(poses[:, 3:]), self._path - poses[:, :3]).reshape(-1, 3)
         driven = ~np.isnan(path[:, 0])

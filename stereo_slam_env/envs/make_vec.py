@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Literal
 
 from gymnasium.vector import AutoresetMode
@@ -105,19 +106,7 @@ def stereo_vector(
     return RowsVectorEnv(rows, autoreset_mode)
 
 
-def drive_vector(**arguments: Any) -> RowsVectorEnv:
-    """Many `StereoSlam/Drive-v0`, see `stereo_vector`."""
-    return stereo_vector("StereoSlam/Drive-v0", **arguments)
-
-
-def gaze_vector(**arguments: Any) -> RowsVectorEnv:
-    """Many `StereoSlam/Gaze-v0`, see `stereo_vector`."""
-    return stereo_vector("StereoSlam/Gaze-v0", **arguments)
-
-
-def drive_gaze_vector(**arguments: Any) -> RowsVectorEnv:
-    """Many `StereoSlam/DriveGaze-v0`, see `stereo_vector`."""
-    return stereo_vector("StereoSlam/DriveGaze-v0", **arguments)
+drive_vector, gaze_vector, drive_gaze_vector = (partial(stereo_vector, name) for name in KINDS)
 
 
 @dataclass(frozen=True, eq=False)

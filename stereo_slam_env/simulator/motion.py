@@ -71,8 +71,7 @@ def route_of(fleet: Fleet, b: int) -> tuple[FloatArray, FloatArray]:
 
 LOOK_AHEAD = (2.0, 5.0, 10.0, 20.0, 30.0)
 """Distances along the route of the points of the route in the observation, m."""
-_REACH = 30.0
-"""How far along the route the next nearest frame may be, m."""
+_REACH = 30.0  # m along the route, within which the next nearest frame is
 
 
 @entry
@@ -181,8 +180,7 @@ def agent_velocity(rules: Rules, car: FloatArray, acceleration: float, steering:
     velocity[3], velocity[4], velocity[5] = 0.0, turn / dt, 0.0
     car[2] = new
     along, across = (car[0] - before) / dt, distance * turn / (dt * dt)
-    car[5] = ((along - car[3]) ** 2 + (across - car[4]) ** 2) / (dt * dt)
-    car[3], car[4] = along, across
+    car[3], car[4], car[5] = along, across, ((along - car[3]) ** 2 + (across - car[4]) ** 2) / (dt * dt)
 
 
 @kernel
@@ -263,8 +261,7 @@ def measure_odometry(
     fleet.used[b, ODOMETRY] = used + 6
 
 
-_BANDWIDTH = 30.0
-"""Of the low-pass, rad/s: the camera follows 67 ms behind the car of the steps."""
+_BANDWIDTH = 30.0  # of the low-pass, rad/s: the camera follows 67 ms behind the car of the steps
 _PULL = 0.5
 """1/s, towards the orientation of the car: rotations that are smoothed one by one do not add up to the same."""
 _SUSPENSION, _STIFFNESS, _DAMPING = 0.007, 60.0, 7.0

@@ -123,10 +123,13 @@ class Road:
         """Mask of points along `other`, on what is more than `gap` m before them."""
         repeated = np.zeros(len(self.points), dtype=bool)
         near = self.tree.sparse_distance_matrix(other.tree, _SAME_PLACE, output_type="ndarray")
-        here, there = near["i"], near["j"]
-        across = self.tangents[here, 0] * other.tangents[there, 1] - self.tangents[here, 1] * other.tangents[there, 0]
-        again = (self.stations[here] - other.stations[there] > gap) & (np.abs(across) < _SAME_DIRECTION)
-        repeated[here[again]] = True
+        rows, rows_of_other = near["i"], near["j"]
+        across = (
+            self.tangents[rows, 0] * other.tangents[rows_of_other, 1]
+            - self.tangents[rows, 1] * other.tangents[rows_of_other, 0]
+        )
+        again = (self.stations[rows] - other.stations[rows_of_other] > gap) & (np.abs(across) < _SAME_DIRECTION)
+        repeated[rows[again]] = True
         return repeated
 
     @cached_property

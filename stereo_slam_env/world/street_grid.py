@@ -161,14 +161,14 @@ def random_streets(rng: np.random.Generator) -> StreetGrid:
     columns, rows = (np.concatenate([[0.0], np.cumsum(rng.uniform(*_BLOCK, count - 1))]) for count in counts)
     column, row = int(rng.integers(len(columns))), int(rng.integers(1, len(rows)))
     middle = 0.5 * (rows[row - 1] + rows[row])
-    whole = StreetGrid(columns - columns[column] - _LANE, rows - middle, Place(column, row, 0))
-    ends = _junctions(whole)
-    kept = list(range(whole.slots))
-    for slot in rng.permutation(whole.slots)[: round(float(rng.uniform(0.0, _MISSING)) * whole.slots)].tolist():
-        fewer = [each for each in kept if each != slot]
-        if slot != whole.slot(whole.start) and _are_connected(ends[fewer]):
-            kept = fewer
-    return replace(whole, missing=frozenset(range(whole.slots)) - frozenset(kept))
+    grid = StreetGrid(columns - columns[column] - _LANE, rows - middle, Place(column, row, 0))
+    ends = _junctions(grid)
+    built = list(range(grid.slots))
+    for slot in rng.permutation(grid.slots)[: round(float(rng.uniform(0.0, _MISSING)) * grid.slots)].tolist():
+        fewer = [each for each in built if each != slot]
+        if slot != grid.slot(grid.start) and _are_connected(ends[fewer]):
+            built = fewer
+    return replace(grid, missing=frozenset(range(grid.slots)) - frozenset(built))
 
 
 def _junctions(streets: StreetGrid) -> IntArray:
@@ -200,7 +200,7 @@ def _turned(steps: int, angle: float) -> FloatArray:
 
 
 def _offset(turn: FloatArray) -> tuple[float, float]:
-    """How far forward, and to the right, a turn ends from where it begins, m."""
+    """Offset of the end of a turn from its beginning, forward and to the right, m."""
     yaw = np.cumsum(turn) - 0.5 * turn
     return float((_STRIDE * np.cos(yaw)).sum()), float((_STRIDE * np.sin(yaw)).sum())
 

@@ -15,7 +15,7 @@ pytestmark = pytest.mark.slow
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-ENVIRONMENTS = ("drive", "gaze", "drive_gaze")
+ENVIRONMENTS = ("drive", "gaze", "drive_gaze", "active_gaze", "closed_loop", "branches")
 
 pytest.importorskip("mkdocs", reason="needs the extra docs")
 pytest.importorskip("material", reason="needs the extra docs")
@@ -55,7 +55,7 @@ def test_the_pages_of_the_environments_have_their_tables(site):
         text = (site / "environments" / f"{name}.html").read_text(encoding="utf-8")
         for heading in ("Action Space", "Observation Space", "Rewards", "Arguments"):
             assert f">{heading}<" in text, (name, heading)
-        assert text.count("<table>") >= 3
+        assert text.count("<table>") >= (3 if name in ("drive", "gaze", "drive_gaze") else 1)
 
 
 @pytest.mark.parametrize("package", ["filters", "stereo_slam_env", "stereo_slam_env.envs"])
