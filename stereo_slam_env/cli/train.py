@@ -31,7 +31,8 @@ def train(
         str,
         typer.Option(
             "--environment",
-            help="An id (module:id) that shows a Dict. Gaze-v0, ActiveGaze-v0: where to look; others: their reward.",
+            help="An id (module:id) that shows a Dict; the benchmarks are StereoSlam/ActiveGaze-v0, ClosedLoop-v0 and "
+            "Branches-v0. Of Gaze-v0 and ActiveGaze-v0 where to look is learnt, of others their reward.",
         ),
     ] = "StereoSlam/Gaze-v0",
     arguments: Annotated[str, typer.Option("--arguments", help="Of the environment, as JSON.")] = "{}",

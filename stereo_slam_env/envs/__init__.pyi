@@ -27,5 +27,7 @@ from .revisit import close_if_it_pays as close_if_it_pays
 from .rewards import InformationGain as InformationGain
 from .rewards import TrueError as TrueError
 from .row_wrapper import DirectionOfGaze as DirectionOfGaze
+from .row_wrapper import PaidRows as PaidRows
 from .row_wrapper import RowsWrapper as RowsWrapper
 from .row_wrapper import SelectedKeys as SelectedKeys
+from .task_env import TaskEnv as TaskEnv

@@ -149,6 +149,10 @@ class TaskEnv(StereoEnv):
     @classmethod
     def wrappers(cls, level: str, given: dict[str, Any]) -> Wrappers:
         """The wrappers with their arguments, which are taken out of those that are given."""
+        for name in given:
+            owners = [part.__name__ for part, _ in cls.parts if name in part.__signature__.parameters]
+            if len(owners) > 1:
+                raise ValueError(f"{name} is an argument of {' and '.join(owners)}: set it in the parts of the task")
         at_level = dict(cls.levels.get(level, {}))
         return [
             (part, {**usual, **arguments_of(part, at_level), **arguments_of(part, given)}) for part, usual in cls.parts

@@ -8,6 +8,7 @@ from pathlib import Path
 import gymnasium as gym
 import numpy as np
 import pytest
+from gymnasium.utils.env_checker import check_env
 
 from stereo_slam_env.envs import RowsWrapper, restore, snapshot
 
@@ -16,6 +17,11 @@ CODE = next(
     code for code in re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL) if "class" in code
 )
 exec(compile(re.search(r"class SteadyHead.*?truncated\n(?=\n)", CODE, re.DOTALL)[0], str(PAGE), "exec"))
+TASK = next(
+    code
+    for code in re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+    if "TaskEnv" in code
+)
 ID, STEPS, SEED = "StereoSlam/Gaze-v0", 12, 5
 SteadyHead = globals()["SteadyHead"]
 
@@ -91,3 +97,26 @@ def test_wrappers_of_the_package_survive_pickle_and_are_made_again_from_their_sp
 def test_wrong_use_is_told_in_a_line(wrong, kind, words):
     with pytest.raises(kind, match=words):
         wrong()
+
+
+def test_a_task_of_one_s_own_is_one_environment_and_many_with_levels_and_arguments_of_its_wrappers():
+    exec(compile(TASK, str(PAGE), "exec"), globals())
+    check_env(gym.make("Mine/Steady-v0").unwrapped, skip_render_check=True)
+    one, many = (
+        gym.make("Mine/Steady-v0", keep_reward=True),
+        gym.make_vec("Mine/Steady-v0", num_envs=2, keep_reward=True),
+    )
+    seen, info = one.reset(seed=SEED)
+    rows, _ = many.reset(seed=SEED)
+    assert set(seen) == {"belief_sigmas", "head", "panorama"}
+    assert {"reward_error", "truth_position"} <= set(info)
+    for action in actions_of(SEED):
+        seen, reward, *_ = one.step(action)
+        rows, rewards, *_ = many.step(np.stack([action, action]))
+        assert reward == rewards[0]
+        np.testing.assert_array_equal(seen["panorama"], rows["panorama"][0])
+    assert gym.make("Mine/Steady-v0", level="hard").unwrapped.options.visibility == 25.0
+    with pytest.raises(TypeError, match="unexpected keyword argument 'wieght'"):
+        gym.make("Mine/Steady-v0", wieght=0.5)
+    with pytest.raises(ValueError, match="weight is an argument of TrueError and SteadyHead: set it in the parts"):
+        gym.make("Mine/Steady-v0", weight=0.5)
