@@ -12,6 +12,7 @@ from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
+import gymnasium as gym
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -318,6 +319,23 @@ def claimed_and_true() -> Figure:
     return figure
 
 
+@style_context()
+def grids() -> Figure:
+    """Six grids of streets of `Branches-v0`, by a drive through all of their roads; the dot is the start."""
+    figure = Figure(figsize=(WIDTH_INCHES, 5.0))
+    figure.subplots_adjust(left=0.01, right=0.99, bottom=0.01, top=0.93, wspace=0.05, hspace=0.2)
+    vector = gym.make_vec("StereoSlam/Branches-v0", num_envs=6)
+    vector.reset(seed=0)
+    for row, ax in enumerate(figure.subplots(2, 3).flat):
+        route = vector.unwrapped.rows.world.route_of(row)
+        ax.plot(route.positions[:, 0], route.positions[:, 2], color=BLUE, linewidth=1.2)
+        ax.plot(0.0, 0.0, "o", color=ORANGE, markersize=6)
+        ax.set(title=f"{route.streets.count} roads of {route.streets.slots}", aspect="equal")
+        ax.set_axis_off()
+    vector.close()
+    return figure
+
+
 FIGURES: tuple[Callable[[], Figure | Chart], ...] = (
     stereo_geometry,
     depth_not_gaussian,
@@ -325,6 +343,7 @@ FIGURES: tuple[Callable[[], Figure | Chart], ...] = (
     anchors,
     gate,
     claimed_and_true,
+    grids,
     information_gain,
     nees,
     error_bounds_consistent,

@@ -13,7 +13,7 @@ from .closed_loop import follow_route as follow_route
 from .drive import StereoDriveEnv as StereoDriveEnv
 from .drive_gaze import StereoDriveGazeEnv as StereoDriveGazeEnv
 from .explore import Coverage as Coverage
-from .explore import explore_by_sweeping as explore_by_sweeping
+from .explore import explore_by_looking as explore_by_looking
 from .filter_rows import Belief as Belief
 from .gaze import StereoGazeEnv as StereoGazeEnv
 from .information import InformationCriterion as InformationCriterion

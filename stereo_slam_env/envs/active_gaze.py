@@ -152,6 +152,8 @@ class ActiveGaze(TaskEnv):
     rad/s, so that a look to the wrong side costs seconds, and no fixed schedule of looking is right. World, sensors and
     truth are those of `StereoSlam/Gaze-v0`.
 
+    ![Both views with the head turned right, and the map of the measured landmarks](../images/gaze.jpg)
+
     ## Action Space
 
     `Discrete(9)`: the direction to look in, from the head's farthest left (-2 rad) to its farthest right, for five

@@ -212,6 +212,8 @@ class Branches(TaskEnv):
     place; a closed loop puts them right, and costs roads that bring nothing new. World, sensors and truth are those of
     `StereoSlam/Drive-v0` with `policy="route"`, 16 landmarks at most and a visibility of 30 m.
 
+    ![Six grids, by a drive through all of their roads](../images/concept_grids.svg)
+
     ## Action Space
 
     `Discrete(3)`: left, straight on, right. Where there is no such road, the first that exists of straight on, right,

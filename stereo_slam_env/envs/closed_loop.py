@@ -91,7 +91,7 @@ class DriveChoices(RowsWrapper):
         self,
         env: Any,
         speeds: Sequence[float] = (5.0, 8.0),
-        pans: Sequence[float] = (-0.7, 0.0, 0.7),
+        pans: Sequence[float] = (-0.35, 0.0, 0.35),
         hold: int = 10,
         stop: int = 2,
     ) -> None:

@@ -12,20 +12,20 @@ from numpy.typing import NDArray
 
 from filters.contract.validation import positive
 from filters.geometry.arrays import BoolArray, FloatArray
-from stereo_slam_env.envs.closed_loop import DriveChoices, RouteByEstimate, drive_slowly
+from stereo_slam_env.envs.closed_loop import DriveChoices, RouteByEstimate, follow_route
 from stereo_slam_env.envs.filter_rows import FilterRows
 from stereo_slam_env.envs.row_wrapper import PaidRows
 from stereo_slam_env.envs.rows import Arrays, Seeds, Step
 from stereo_slam_env.envs.task_env import TaskEnv, Wrappers
-from stereo_slam_env.world.routes import FRAME_PERIOD
 
 STOP = 2
 """Entry of the action: above `_STOP_ABOVE` the agent ends the episode."""
 _STOP_ABOVE = 0.5
 _SINCERE = 3.0
 """Standard deviations: an estimate that is farther off than that is not on the map, whatever the filter claims."""
-_PERIOD, _PAN = 4.0, 0.7
-"""Of the head in `explore_by_sweeping`: time to look to both sides, s, and how far, as a share of the farthest."""
+_FAST, _PAN, _FRONT, _CLEAR = 8.0, 0.35, 1.6, 0.02
+"""Of `explore_by_looking`: speed, m/s; how far it looks aside, as a share of the farthest; the sectors compared, rad
+from straight ahead; and how large a difference has to be."""
 
 
 class Coverage(PaidRows):
@@ -59,7 +59,7 @@ class Coverage(PaidRows):
         self,
         env: Any,
         accuracy: float = 0.8,
-        goal: float = 0.6,
+        goal: float = 0.5,
         coverage_weight: float = 20.0,
         path_weight: float = 0.01,
     ) -> None:
@@ -152,13 +152,14 @@ class Explore(TaskEnv):
         steers. None: it is that of above.
     **arguments
         Those of `Coverage` and `RouteByEstimate`, of every task, see `TaskEnv`, and of `StereoSlam/DriveGaze-v0`: the
-        route is "random-loop".
+        route is "random-loop", things to see are on one side at a time, and the head is slow, as in
+        `StereoSlam/ActiveGaze-v0`: it matters where one looks.
     """
 
     world = "StereoSlam/DriveGaze-v0"
     settings = MappingProxyType(
         {
-            **{"route": "random-loop", "time_weight": 0.05, "slowest": 0.0},
+            **{"route": "random-loop", "surroundings": "copses", "pan_rate": 0.6, "time_weight": 0.05, "slowest": 0.0},
             **dict.fromkeys((f"{name}_weight" for name in ("progress", "tracking", "goal", "jerk", "effort")), 0.0),
         }
     )
@@ -175,8 +176,12 @@ class Explore(TaskEnv):
 explore_vector = Explore.vector
 
 
-def explore_by_sweeping(observation: Mapping[str, Any], step: int) -> NDArray[np.float32]:
-    """Action number `step` of a rule: follow the route at 5 m/s, and look left and right in turn, two seconds each."""
-    action = drive_slowly(observation, 5)
-    action[3] = _PAN if step * FRAME_PERIOD % _PERIOD < 0.5 * _PERIOD else -_PAN
+def explore_by_looking(observation: Mapping[str, Any]) -> NDArray[np.float32]:
+    """A rule: follow the route at up to 8 m/s, and look to the side ahead that has more and nearer landmarks."""
+    action = follow_route(observation, 5, speed=_FAST)
+    panorama = np.asarray(observation["panorama"], dtype=np.float64)
+    azimuths = np.pi * ((2.0 * np.arange(len(panorama)) + 1.0) / len(panorama) - 1.0)
+    worth = panorama[:, 0] * panorama[:, 3] * (np.abs(azimuths) < _FRONT)
+    more = float(worth[azimuths > 0.0].sum() - worth[azimuths < 0.0].sum())
+    action[3] = _PAN * np.sign(more) if abs(more) > _CLEAR else 0.0
     return action

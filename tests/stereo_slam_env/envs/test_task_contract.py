@@ -15,7 +15,7 @@ from .test_tasks import QUICK, made
 
 DEFAULTS = {
     branches.BranchChoice: {"roads": 12, "accuracy": 1.0, "weight": 100.0, "goal": 0.25},
-    explore.Coverage: {"accuracy": 0.8, "goal": 0.6, "coverage_weight": 20.0, "path_weight": 0.01},
+    explore.Coverage: {"accuracy": 0.8, "goal": 0.5, "coverage_weight": 20.0, "path_weight": 0.01},
     revisit.LoopClosure: {"begin": (0.5, 0.95), "dearest": 0.4, "hold": 10},
     closed_loop.RouteByEstimate: {"latency": 0},
 }

@@ -219,7 +219,7 @@ def test_the_words_of_a_progress_bar_have_the_score_of_the_task_as_it_is():
         RegisteredTask("StereoSlam/Drive-v0", {"route": "loop"}).words(EpisodeOutcome(3.0, np.nan, 9.0))
         == "return 3.00"
     )
-    figures = PolicyEvaluation(0.5, -40.0, 0.2, 0.4, 1.0, -5.26)
+    figures = PolicyEvaluation(0.5, -40.0, 0.2, 0.4, 1.0, -4.52)
     assert words(GazeTask(), figures) == "true error 0.400 m, claimed 0.500 m, score 0"
     assert words(GazeTask(hold=3), figures) == "true error 0.400 m, claimed 0.500 m"
 
