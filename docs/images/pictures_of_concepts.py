@@ -276,12 +276,11 @@ def runs(seeds: int = 12, frames: int = 240, landmarks: int = 30) -> tuple[Filte
 
 
 WORLDS_AND_BELIEFS = {
-    ("white", "shared-anchor"): ("White errors", (-92, 2)),
-    ("lasting", "shared-anchor"): ("Errors that last", (-92, 2)),
-    ("lasting", "coloured-noise"): ("The same, told what lasts", (-92, 2)),
+    ("white", "shared-anchor"): "White errors",
+    ("lasting", "shared-anchor"): "Errors that last",
+    ("lasting", "coloured-noise"): "The same, told what lasts",
 }
-"""Panels of `claimed_and_true`: world and belief, a title, and the limits of the true change."""
-USUAL_DRIVES = 500
+"""Panels of `claimed_and_true`: world and belief, and a title."""
 
 
 @style_context()
@@ -295,26 +294,19 @@ def claimed_and_true() -> Figure:
     figure.subplots_adjust(left=0.08, right=0.99, bottom=0.14, top=0.9, wspace=0.2)
     with (Path(__file__).resolve().parents[2] / "results" / "active_policies.csv").open(newline="") as stream:
         rows = list(csv.DictReader(stream))
-    for ax, (case, (title, limits)) in zip(panels, WORLDS_AND_BELIEFS.items(), strict=True):
+    for ax, (case, title) in zip(panels, WORLDS_AND_BELIEFS.items(), strict=True):
         ax.axline((0, 0), slope=1, color=MUTED, linestyle="--", linewidth=1.0)
         ax.axhline(0, color=MUTED, linewidth=0.6)
         here = [row for row in rows if (row["world"], row["belief"]) == case]
-        for number, row in enumerate(sorted(here, key=lambda row: -float(row["true"]))):
+        for row in here:
             x, y = float(row["claimed"]), float(row["true"])
             spread = [[x - float(row["claimed_low"])], [float(row["claimed_high"]) - x]]
             height = [[y - float(row["true_low"])], [float(row["true_high"]) - y]]
-            colour = ORANGE if row["policy"] == "oracle" else BLUE
-            ax.errorbar(x, y, xerr=spread, yerr=height, fmt="o", markersize=4, color=colour, capsize=2)
-            crowded = x < -30
-            ax.annotate(
-                row["policy"] if int(row["drives"]) == USUAL_DRIVES else f"{row['policy']}, {row['drives']} drives",
-                (x, y),
-                (-58.0, -50.0 - 8.0 * number) if crowded else (x + 1.5, y + 0.02 * (limits[1] - limits[0])),
-                color=colour,
-                arrowprops={"arrowstyle": "-", "color": MUTED, "linewidth": 0.6} if crowded else None,
-            )
-        ax.set(title=title, xlabel="change of the claimed sigma, %", xlim=(-60, 2), ylim=limits)
-    panels[0].annotate("as claimed", (-58, -44), color=MUTED)
+            ax.errorbar(x, y, xerr=spread, yerr=height, fmt="o", markersize=4, color=BLUE, capsize=2)
+            ax.annotate(row["policy"], (x, y), (x - 1.2, y + 1.2), color=BLUE, ha="right")
+        ax.set(title=f"{title}: {here[0]['drives']} drives", xlim=(-45, 12), ylim=(-45, 16))
+        ax.set_xlabel("change of the claimed sigma, %")
+    panels[0].annotate("as claimed", (-6, 2), color=MUTED, ha="right")
     panels[0].set_ylabel("change of the true end error, %")
     return figure
 

@@ -40,7 +40,7 @@ def test_positive_steering_turns_right():
 
 
 def test_constant_steering_drives_the_circle_of_the_bicycle_model():
-    (_, steering, _), frames = steered([[0, 0.4]] * 80)
+    (_, steering, *_), frames = steered([[0, 0.4]] * 80)
     car = Car()
     radius = car.wheelbase / np.tan(0.4 * car.max_steering)
     assert steering == pytest.approx(0.4 * car.max_steering)
