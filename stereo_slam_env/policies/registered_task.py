@@ -37,7 +37,7 @@ TRAINING: Mapping[str, Mapping[str, Any]] = MappingProxyType(
         # A car that does not keep its lane yet would learn to stop at once, and so does one that often stops by chance.
         "Explore": {
             **_FEW_DECISIONS,
-            **{"arguments": {"choices": {}}, "decisions": 12_288, "evaluate_every": 12_288},
+            **{"arguments": {"choices": {}}, "decisions": 24_576, "evaluate_every": 12_288},
             "initial_bias": [-2.0, *[0.0] * 6],
         },
         # Whoever stops every other time never sees a loop closed. Most of the time is the way to the first decision,

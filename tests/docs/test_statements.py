@@ -23,7 +23,7 @@ def test_the_wrappers_take_what_their_page_says():
     block = re.search(r"^```text\n(.*?)^```", (ROOT / "docs" / "wrappers.md").read_text(encoding="utf-8"), re.S | re.M)
     shown = {name: " ".join(arguments.split()) for name, arguments in CALL.findall(block[1])}
     assert set(shown) == {name for name in envs.__all__ if isinstance(getattr(envs, name), type)} & set(shown)
-    assert len(shown) == 6
+    assert len(shown) == 7
     for name, arguments in shown.items():
         assert arguments == taken(getattr(envs, name)), name
 
