@@ -304,8 +304,9 @@ REFERENCE_RETURNS: Mapping[str, tuple[float, float]] = MappingProxyType(
 )
 """Mean returns of actions at random and of the best policy known (`reward_threshold`), by id, with default arguments;
 measured by `python benchmarks/task_scores.py`. Of `ActiveGaze-v0` a fixed gaze in 500 drives, and the oracle by its
-ratio to that in 32 of them (0.33); measured by `python benchmarks/active_policies.py`. Of `Branches-v0` three trained
-networks in 100 scenes, which beat the rule (27.8); measured by `python benchmarks/trained_scores.py`."""
+ratio to that in 32 of them (0.33); measured by `python benchmarks/active_policies.py`. Of `Branches-v0` three
+trained networks in 100 scenes, which beat the rule (27.8), of `Explore-v0` one in 60 (4.9); measured by `python
+benchmarks/trained_scores.py`."""
 
 
 def paired_score(environment: str, returns: ArrayLike, baseline: ArrayLike) -> tuple[float, float, float]:
