@@ -18,7 +18,7 @@ from stereo_slam_env.world.scene import BOX, CYLINDER
 X, Y, COS, SIN, LENGTH, WIDTH, RADIUS = range(7)
 """Columns of a table of rectangles on the ground: centre, direction, size, radius of the circle around it."""
 _RUN = 16
-LOWEST = 0.15
+_LOWEST = 0.15
 """m above the ground; what is lower is no landmark."""
 _TOLERANCE = 1e-6
 
@@ -192,6 +192,31 @@ def sample(shapes: FloatArray, counts: IntArray, rng: np.random.Generator) -> tu
         _sample(shape, rng, points[first : first + count], normals[first : first + count])
         first += count
     return points, normals
+
+
+@entry
+def sample_facing(
+    shapes: FloatArray,
+    counts: IntArray,
+    points: FloatArray,
+    circles: FloatArray,
+    highest: float,
+    rng: np.random.Generator,
+) -> FloatArray:
+    """Points of `sample` that are below `highest` and turned to the nearest point of a road; (M, 3)."""
+    outer, turned, number, at = circles_around(circles), np.empty((counts.sum(), 3)), 0, 0
+    samples, normals = np.empty((counts.max(), 3)), np.empty((counts.max(), 3))
+    for shape, count in zip(shapes, counts):  # noqa: B905 (Numba knows no `strict`)
+        _sample(shape, rng, samples[:count], normals[:count])
+        for i in range(count):
+            if _LOWEST < samples[i, 2] < highest:
+                x, y = samples[i, X], samples[i, Y]
+                at = _nearest(points, circles, outer, x, y, at)
+                x, y = points[at, X] - x, points[at, Y] - y
+                if normals[i, X] * x + normals[i, Y] * y > 0.2 * math.sqrt(x * x + y * y):
+                    turned[number] = samples[i]
+                    number += 1
+    return turned[:number].copy()
 
 
 @kernel

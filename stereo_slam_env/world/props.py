@@ -311,11 +311,6 @@ def facing_points(
     table = table_of(shapes)
     weights = compiled.sampling_weights(table)
     counts = np.ceil(6 * count * weights / weights.sum()).astype(np.int64)
-    points, normals = compiled.sample(table, counts, rng)
-    middle = (points[:, 2] > compiled.LOWEST) & (points[:, 2] < highest)
-    points, normals = points[middle], normals[middle, :2]
-    to_road = network.nearest(points[:, :2]) - points[:, :2]
-    x, y = to_road.T
-    candidates = points[normals[:, 0] * x + normals[:, 1] * y > 0.2 * np.sqrt(x * x + y * y)]
+    candidates = compiled.sample_facing(table, counts, network.points, network.circles, highest, rng)
     chosen_points: FloatArray = candidates[rng.permutation(len(candidates))[:count]]
     return chosen_points
