@@ -67,7 +67,7 @@ def blind(first: int, second: int, decisions: int) -> Any:
 
 def look_ahead(vector: Any) -> Any:
     """The oracle of a vector."""
-    oracle = Oracle(vector.rows, depth=6)  # the head takes six seconds from side to side
+    oracle = Oracle(vector.rows, depth=6)  # the head takes nearly seven seconds from side to side
     return lambda _, going: oracle.act(going)
 
 

@@ -146,11 +146,8 @@ class Groups:
     """Least and largest distance from the path of the camera to the middle of a group, m."""
     other_side: float = 0.7
     """Probability that the next group is on the other side."""
-    run: tuple[float, float] = (np.inf, np.inf)
-    """Shortest and longest stretch after which the side changes, m."""
-
-
-GROVES = Groups()
+    run: tuple[float, float] | None = None
+    """Shortest and longest stretch after which the side changes, m. None: it changes by chance alone."""
 
 
 def build_groves(route: Route, rng: np.random.Generator) -> Scene:
@@ -158,7 +155,7 @@ def build_groves(route: Route, rng: np.random.Generator) -> Scene:
 
     Each has about 12 landmarks, on surfaces that face the road; nothing stands within 5 m of the centreline.
     """
-    return _groups_along(route, rng, GROVES)
+    return _groups_along(route, rng, Groups())
 
 
 def build_copses(route: Route, rng: np.random.Generator) -> Scene:
@@ -187,9 +184,9 @@ def _groups_along(route: Route, rng: np.random.Generator, pattern: Groups) -> Sc
         station, end = float(road.stations[piece.start]), min(float(road.stations[piece.stop - 1]), last)
         side = float(rng.choice([-1.0, 1.0]))
         station += float(rng.uniform(0.0, pattern.spacing))
-        turn = station + (np.inf if pattern.run == GROVES.run else float(rng.uniform(*pattern.run)))
+        turn = station if pattern.run is None else station + float(rng.uniform(*pattern.run))
         while station < end:
-            if station > turn:
+            if pattern.run is not None and station > turn:
                 side, turn = -side, station + float(rng.uniform(*pattern.run))
             side = _place(layout, road, station, side, pattern, group, rng)
             station += pattern.spacing * float(rng.uniform(*_STRETCH))
