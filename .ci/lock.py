@@ -1,6 +1,6 @@
 """Pins of `make test`: resolves all extras with each Python and writes `constraints.txt`. Needs pip and an index.
 
-python .ci/lock.py python3.10 python3.11 python3.12 python3.13
+python .ci/lock.py python3.11 python3.12 python3.13
 
 Nothing is installed. A package that the versions of Python take in different versions has a line for each.
 """

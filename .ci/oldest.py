@@ -2,11 +2,8 @@
 
 import re
 import sys
-from pathlib import Path
-
-if sys.version_info < (3, 11):
-    sys.exit("python 3.11 or newer reads pyproject.toml")
 import tomllib
+from pathlib import Path
 
 text = (Path(__file__).resolve().parent.parent / "pyproject.toml").read_text(encoding="utf-8")
 for requirement in tomllib.loads(text)["project"]["dependencies"]:

@@ -113,7 +113,8 @@ def measure(size: str, bodies: int, turns: int, names: Sequence[str] = EVERYTHIN
     camera, scene = camera_of(size), street_of_boxes(bodies)
     world = PhysicsWorld()
     world.build(scene, (4.0, 1.8, 1.0))
-    renderers: dict[str, StereoRenderer] = {TINY: TinyRenderer(world, camera, FRAME)}
+    world.dress(scene)
+    renderers: dict[str, StereoRenderer] = {TINY: TinyRenderer(camera, FRAME)}
     if GL in names:
         renderers[GL] = GLRenderer(camera, FRAME)
     if GL_SAMPLES in names:

@@ -8,18 +8,15 @@ import os
 import re
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
+import gymnasium as gym
 import pytest
 
 import stereo_slam_env as sse
 from filters.contract.extras import CORE, install_command
 from stereo_slam_env.cli.app import main
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 ROOT = Path(__file__).resolve().parent.parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
@@ -115,6 +112,20 @@ def test_a_filter_is_evaluated_on_a_recording(tmp_path):
     assert float(out) == pytest.approx(sse.evaluate("inverse-depth", recording).figures.position_rmse_m, rel=1e-6)
 
 
+def test_worlds_and_tasks_need_no_pybullet():
+    """Landmarks are measured, and rays and contacts decided, without it: it only draws, and checks by `physics`."""
+    ids = [name for name in gym.registry if name.startswith("StereoSlam/")]
+    code = (
+        "import gymnasium, stereo_slam_env\n"
+        f"for id in {ids!r}:\n"
+        "    env = gymnasium.make(id)\n"
+        "    env.reset(seed=0)\n"
+        "    env.step(env.action_space.sample())\n"
+        "    env.close()\n"
+    )
+    assert without("pybullet pybullet_data", code)[0] == 0
+
+
 # What says how to get what it needs.
 
 RIG = "from filters import *; camera = StereoCamera(500.0, 500.0, 320.0, 240.0, 0.1, 640, 480)"
@@ -122,8 +133,9 @@ SAYS = [
     ("cv2", "import stereo_slam_env as sse; sse.load"),
     ("cv2", "from stereo_slam_env.frontend import StereoTracker"),
     ("cv2", "import gymnasium, stereo_slam_env; gymnasium.make('StereoSlam/Gaze-v0')"),
-    ("pybullet", "import gymnasium, stereo_slam_env; gymnasium.make('StereoSlam/Gaze-v0')"),
-    ("pybullet", "from stereo_slam_env.envs.drive import StereoDriveEnv"),
+    ("pybullet", "import gymnasium, stereo_slam_env; gymnasium.make('StereoSlam/Gaze-v0', physics='bullet')"),
+    ("pybullet", "import gymnasium, stereo_slam_env; gymnasium.make('StereoSlam/Drive-v0', sensor='images')"),
+    ("pybullet", "import gymnasium, stereo_slam_env; gymnasium.make('StereoSlam/Drive-v0', render_mode='rgb_array')"),
     ("numba", "import filters; filters.FilterBatch"),
     ("numba", f"{RIG}; make_filter('inverse-depth', camera=camera, noise=StereoNoise.independent_pixels(1.0))"),
     ("numba", "import gymnasium, stereo_slam_env; gymnasium.make_vec('StereoSlam/Drive-v0', num_envs=2)"),
@@ -145,7 +157,7 @@ def test_a_name_that_needs_an_absent_package_says_how_to_install_it(module, code
     ("module", "arguments"),
     [
         ("cv2", ["bench", "--preset", "turn", "--seeds", "1"]),
-        ("pybullet", ["scenes", "render", "turn", "--out", "a.png"]),
+        ("pybullet", ["scenes", "render", "right-turn", "--out", "a.png"]),
     ],
 )
 def test_a_command_that_needs_an_absent_package_is_refused_in_one_line(module, arguments, tmp_path):

@@ -1,21 +1,16 @@
 """What the tests run with is pinned for each Python, within the bounds of users, and PyBullet by hash (< 1 s)."""
 
 import re
-import sys
+import tomllib
 from pathlib import Path
 
 import pytest
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
-
 ROOT = Path(__file__).resolve().parent.parent
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-PYTHONS = ("3.10", "3.11", "3.12", "3.13")
+PYTHONS = ("3.11", "3.12", "3.13")
 LINES = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
 PINS = [Requirement(line.partition("#")[0]) for line in LINES if line.partition("#")[0].strip()]
 BY_HASH = (ROOT / "constraints-pybullet.txt").read_text(encoding="utf-8")

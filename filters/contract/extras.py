@@ -14,9 +14,8 @@ from typing import Any
 import lazy_loader
 
 DISTRIBUTION = "stereo-slam-env"
-NEWER_PYTHON = {"gtsam": (3, 11)}
-"""First version of Python that an extra can be had for, where that is not the first of the project."""
 
+FIRST_WITHOUT_PYBULLET = (3, 14)
 CORE = {
     "cv2": "opencv-python-headless<6",
     "filterpy": "filterpy",
@@ -38,12 +37,8 @@ def install_command(extra: str) -> str:
     """Command that adds an extra to the installation that runs, and leaves that as it is.
 
     pip takes the named distribution as it is installed (a copy, or an editable checkout) and fetches only what its
-    extra lacks, so the command works in every folder and without the distribution on an index. Where the running Python
-    is too old for the extra, the text says so.
+    extra lacks, so the command works in every folder and without the distribution on an index.
     """
-    if sys.version_info < NEWER_PYTHON.get(extra, (3, 0)):
-        newest_python = ".".join(map(str, NEWER_PYTHON[extra]))
-        return f"the extra {extra} needs Python {newest_python} or newer"
     return f'{sys.executable} -m pip install "{DISTRIBUTION}[{extra}]"'
 
 
@@ -67,7 +62,11 @@ def explained(error: ModuleNotFoundError) -> ModuleNotFoundError:
     requirement = CORE.get(module)
     if requirement is None:
         return error
-    message = f'{module} is missing: {sys.executable} -m pip install "{requirement}"'
+    if module == "pybullet" and sys.version_info >= FIRST_WITHOUT_PYBULLET:
+        remedy = 'there are no wheels for this Python: use renderer="gl" and physics="exact", or Python 3.11 to 3.13'
+    else:
+        remedy = f'{sys.executable} -m pip install "{requirement}"'
+    message = f"{module} is missing: {remedy}"
     return ModuleNotFoundError(message, name=error.name)
 
 

@@ -2,6 +2,6 @@
 
 from filters.contract.extras import public_names, require_core
 
-require_core("cv2", "pybullet")
+require_core("cv2")
 
 __getattr__, __dir__, __all__ = public_names(__name__, __file__)

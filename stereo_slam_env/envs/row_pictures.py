@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from filters.contract.extras import install_command
+from filters.contract.extras import install_command, require_core
 from filters.geometry.arrays import BoolArray, FloatArray
 from filters.geometry.camera import StereoCamera
 from filters.geometry.poses import Pose
@@ -24,12 +24,10 @@ from stereo_slam_env.sensing.padding import TrackingPolicy
 from stereo_slam_env.sensing.rigs import CAMERA_HEIGHT
 from stereo_slam_env.simulator.state import Kept
 from stereo_slam_env.world.frames import WorldFrame
-from stereo_slam_env.world.physics import PhysicsWorld
 from stereo_slam_env.world.routes import FRAME_PERIOD
 from stereo_slam_env.world.scene import Scene
 from stereo_slam_env.world.surroundings import in_fog, without_texture
 from stereo_slam_env.world.traffic import MovingPoints
-from stereo_slam_env.world.vehicle import Car
 
 
 class Pictures(Kept):
@@ -38,9 +36,10 @@ class Pictures(Kept):
     changes = ("_drawn", "_textured", "_moving", "_effects", "_number", "_images")
 
     def __init__(self, options: StereoOptions, camera: StereoCamera) -> None:
+        if options.renderer == "tiny":
+            require_core("pybullet")
         self._options, self._camera = options, camera
         self._frame = WorldFrame(CAMERA_HEIGHT)
-        self._world = PhysicsWorld()
         self._renderer: StereoRenderer | None = None
         self._effects: CameraEffects | None = None
         self._moving = MovingPoints(())
@@ -81,7 +80,6 @@ class Pictures(Kept):
         if self._renderer is not None:
             self._renderer.close()
         self._renderer = self._drawn = self._built = None
-        self._world.close()
 
     @property
     def _time(self) -> float:
@@ -93,14 +91,11 @@ class Pictures(Kept):
         assert scene is not None
         if self._renderer is not None and self._built is scene:
             return self._renderer
-        if self._options.renderer == "tiny":
-            self._world.build(scene, Car().size)
         if self._renderer is None:
             self._renderer = make_renderer(
                 self._options.renderer,
                 camera=self._camera,
                 frame=self._frame,
-                world=self._world,
                 supersample=self._options.supersample,
             )
         self._renderer.build(scene)

@@ -12,8 +12,8 @@ import json
 import os
 import re
 import struct
-import sys
 import tokenize
+import tomllib
 import warnings
 import zipfile
 import zlib
@@ -29,11 +29,6 @@ from scipy.spatial.transform import Rotation
 from filters.contract.validation import first_line, plain
 from filters.geometry.arrays import BoolArray, FloatArray
 from stereo_slam_env.files.opening import NotOpened, open_regular, read_bytes
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 MOST_TEXT = 100_000_000
 """Larger texts are refused, bytes."""

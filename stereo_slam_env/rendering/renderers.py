@@ -17,7 +17,6 @@ from stereo_slam_env.rendering.gl import GLRenderer
 from stereo_slam_env.rendering.pinhole import Image, ImageQuality, StereoImages, StereoRenderer, grey
 from stereo_slam_env.rendering.tiny import TinyRenderer
 from stereo_slam_env.world.frames import WorldFrame
-from stereo_slam_env.world.physics import PhysicsWorld
 
 RendererName = Literal["tiny", "gl"]
 RENDERERS: dict[str, str] = {
@@ -32,7 +31,6 @@ def make_renderer(
     *,
     camera: StereoCamera,
     frame: WorldFrame,
-    world: PhysicsWorld,
     supersample: int = 1,
     samples: int = 1,
 ) -> StereoRenderer:
@@ -46,8 +44,6 @@ def make_renderer(
         The rig.
     frame : WorldFrame
         Where W sits in the scene.
-    world : PhysicsWorld
-        What "tiny" draws: build it with the scene before the renderer. "gl" does not touch it.
     supersample : int
         Draw this many times finer and average.
     samples : int
@@ -58,7 +54,7 @@ def make_renderer(
     ValueError
         There is no such renderer, or it cannot do what is asked for.
     ImportError, RuntimeError
-        What "gl" needs is missing; the text says what to install.
+        PyBullet, or what "gl" needs, is missing; the text says what to install.
     """
     _require_known(name)
     if not isinstance(supersample, int) or supersample < 1:
@@ -66,7 +62,7 @@ def make_renderer(
     if name == "tiny":
         if samples != 1:
             raise ValueError(f'samples must be 1 with renderer "tiny", got {samples!r}: use supersample')
-        return TinyRenderer(world, camera, frame, supersample)
+        return TinyRenderer(camera, frame, supersample)
     return GLRenderer(camera, frame, supersample, samples)
 
 

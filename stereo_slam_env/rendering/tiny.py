@@ -13,8 +13,8 @@ from filters.geometry.poses import Pose
 from stereo_slam_env.rendering import pinhole
 from stereo_slam_env.rendering.pinhole import FAR, NEAR, ImageQuality, StereoImages
 from stereo_slam_env.world.frames import WorldFrame
-from stereo_slam_env.world.physics import PhysicsWorld
 from stereo_slam_env.world.scene import Look, Scene
+from stereo_slam_env.world.vehicle import Car
 
 
 class Air:
@@ -49,11 +49,13 @@ class Air:
 
 
 class TinyRenderer:
-    """Draws a built `PhysicsWorld`; see `make_renderer` for the arguments."""
+    """Draws scenes with PyBullet's software renderer; see `make_renderer` for the arguments."""
 
-    def __init__(self, world: PhysicsWorld, camera: StereoCamera, frame: WorldFrame, supersample: int = 1) -> None:
+    def __init__(self, camera: StereoCamera, frame: WorldFrame, supersample: int = 1) -> None:
+        from stereo_slam_env.world.physics import PhysicsWorld  # needs PyBullet
+
         self.camera = camera
-        self._world, self._frame, self._factor = world, frame, supersample
+        self._world, self._frame, self._factor = PhysicsWorld(), frame, supersample
         self._fine = pinhole.supersampled(camera, supersample)
         self._projection = pinhole.projection_matrix(self._fine, NEAR, FAR, pinhole.TINY_OFFSET)
         self._use(Look())
@@ -64,12 +66,14 @@ class TinyRenderer:
         return ImageQuality(blur=0.0, texture_sigma=0.25)
 
     def build(self, scene: Scene) -> None:
-        """Make `scene`, which the world was built from, visible."""
+        """Replace what is drawn by `scene`."""
         self._use(scene.look)
+        self._world.build(scene, Car().size)
         self._world.dress(scene)
 
     def close(self) -> None:
-        """Leave the world open: its owner closes it."""
+        """Stop the engine; may be called at any time, also twice."""
+        self._world.close()
 
     def render_pair(self, pose: Pose, time: float = 0.0) -> StereoImages:
         self._world.set_time(time)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -15,13 +15,15 @@ from filters.geometry.poses import Pose
 from stereo_slam_env.recording.recording import Frame, Velocity
 from stereo_slam_env.sensing.corruptions import PixelNoise
 from stereo_slam_env.sensing.imu import Imu, UnitErrors
-from stereo_slam_env.simulator.bullet import BulletAnswers
 from stereo_slam_env.simulator.frame_kernel import FIRST, JUDGE, MOVE, SENSE, STEP, WAIT, run_frame
 from stereo_slam_env.simulator.rays import traversal
 from stereo_slam_env.simulator.scene_arrays import SceneArrays, Shown, put_route, put_scene, show, with_room
 from stereo_slam_env.simulator.sensing import Streams
 from stereo_slam_env.simulator.state import NO_NOISE, NOISE_KINDS, RIDE_STEPS, Kept, Rules, empty_fleet, empty_sensed
 from stereo_slam_env.world.routes import Route
+
+if TYPE_CHECKING:
+    from stereo_slam_env.simulator.bullet import BulletAnswers
 
 START_SIGMAS: FloatArray = np.repeat([1e-6, 1e-6, 0.5, 0.05], 3)
 """What is known at the start of position, rotation, linear and angular velocity: m, rad, m/s, rad/s."""
@@ -75,8 +77,12 @@ class Simulator(Kept):
         self._unit_errors: list[UnitErrors | None] = [None] * count
         self.scenes: list[SceneArrays | None] = [None] * count
         """Of the rows."""
-        self.bullet = None if rules.exact else BulletAnswers(count)
+        self.bullet: BulletAnswers | None = None
         """PyBullet's worlds, where the rules are not exact."""
+        if not rules.exact:
+            from stereo_slam_env.simulator.bullet import BulletAnswers  # needs PyBullet
+
+            self.bullet = BulletAnswers(count)
         self._senses = senses
         self._streams = Streams(count, np.array([6, 6, normals, 0]))
         self._noise = noise

@@ -18,6 +18,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from filters.contract.extras import require_core
 from filters.geometry import rotations
 from filters.geometry.arrays import BoolArray, FloatArray
 from stereo_slam_env.world.meshes import Mesh, body_meshes, mesh, mtl_text, obj_text, scene_meshes
@@ -49,6 +50,7 @@ def _without_banner() -> Iterator[None]:
         os.close(nowhere)
 
 
+require_core("pybullet")
 with _without_banner():
     import pybullet
 

@@ -20,11 +20,10 @@ from stereo_slam_env.evaluation import run_filter
 from stereo_slam_env.rendering.renderers import make_renderer
 from stereo_slam_env.sensing.rigs import RIGS
 from stereo_slam_env.world.frames import WorldFrame
-from stereo_slam_env.world.physics import PhysicsWorld
 from stereo_slam_env.world.routes import named_route
 from stereo_slam_env.world.surroundings import build_scene
 
-from ..stereo_slam_env.rendering.planes import AHEAD, CAR_SIZE, skip_where_missing
+from ..stereo_slam_env.rendering.planes import AHEAD, skip_where_missing
 from ..synthetic_runs import scored
 
 
@@ -72,8 +71,8 @@ def given_your_data():
 def given_rendering():
     skip_where_missing("gl")
     scene = build_scene("street", named_route("straight"), np.random.default_rng(0))
-    names = {"PhysicsWorld": PhysicsWorld, "WorldFrame": WorldFrame, "make_renderer": make_renderer}
-    return {**names, "scene": scene, "ego_size": CAR_SIZE, "camera": RIGS["qvga"], "pose": AHEAD}
+    names = {"WorldFrame": WorldFrame, "make_renderer": make_renderer}
+    return {**names, "scene": scene, "camera": RIGS["qvga"], "pose": AHEAD}
 
 
 def given_statistics():

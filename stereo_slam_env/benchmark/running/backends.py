@@ -6,7 +6,6 @@ Where the system cannot fork, joblib's processes do the work themselves.
 
 from __future__ import annotations
 
-import asyncio
 import itertools
 import logging
 import os
@@ -225,7 +224,7 @@ def _dask(jobs: int, address: str | None) -> Iterator[tuple[Submit, Callable[[],
             raise ValueError(f"no Dask scheduler answers at {address}: {first_line(error)}") from error
         try:
             client.wait_for_workers(1, timeout=SECONDS_TO_ANSWER)
-        except (TimeoutError, asyncio.TimeoutError) as error:  # one class since Python 3.11
+        except TimeoutError as error:  # one class since Python 3.11
             raise ValueError(f"the Dask cluster has no worker within {SECONDS_TO_ANSWER} s") from error
         executor = client.get_executor(pure=False)
         stack.callback(executor.shutdown, wait=False)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import sys
+import tomllib
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
@@ -21,11 +21,6 @@ from stereo_slam_env.evaluation.trajectory_metrics import ate_rigid
 from stereo_slam_env.frontend.causal_noise import CausalNoiseEKF
 
 from ..real_data import real_data
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 ROOT = Path(__file__).resolve().parents[3]
 

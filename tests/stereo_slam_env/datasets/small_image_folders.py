@@ -16,7 +16,6 @@ from filters.geometry.camera import StereoCamera
 from stereo_slam_env.recording.recording import SIMULATION, StereoPair
 from stereo_slam_env.rendering.tiny import TinyRenderer
 from stereo_slam_env.world.frames import WorldFrame
-from stereo_slam_env.world.physics import PhysicsWorld
 from stereo_slam_env.world.scene import Box, Ground, Material, Scene
 
 CAMERA = StereoCamera(120.0, 120.0, 83.5, 55.25, 0.5, 160, 120)
@@ -66,18 +65,16 @@ def drive() -> Drive:
     )
     ground = Ground((-60.3, -60.3), (60.3, 60.3), Material((0.6, 0.6, 0.6), "paving", (1.5, 1.5)))
     scene = Scene(ground, walls, (), np.zeros((0, 3)))
-    world = PhysicsWorld()
+    renderer = TinyRenderer(CAMERA, WorldFrame(1.65))
     try:
-        world.build(scene, (4.0, 1.8, 1.0))
-        world.dress(scene)
-        renderer = TinyRenderer(world, CAMERA, WorldFrame(1.65))
+        renderer.build(scene)
         pairs = []
         for k, pose in enumerate(true_poses()):
             images = renderer.render_pair(pose)
             left, right = (cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) for image in (images.left, images.right))
             pairs.append(StereoPair(100.0 + k * DT, left, right, pose))
     finally:
-        world.close()
+        renderer.close()
     return Drive(pairs)
 
 

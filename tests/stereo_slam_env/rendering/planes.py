@@ -13,7 +13,6 @@ from filters.geometry import rotations
 from filters.geometry.camera import StereoCamera
 from stereo_slam_env.rendering.renderers import RENDERERS, make_renderer
 from stereo_slam_env.world.frames import WorldFrame
-from stereo_slam_env.world.physics import PhysicsWorld
 from stereo_slam_env.world.scene import Box, Ground, Look, Material, Scene
 
 FRAME = WorldFrame(1.65)
@@ -21,7 +20,6 @@ CAMERA = StereoCamera(300.0, 310.0, 159.5 + 33.0, 119.5 - 22.0, 0.5, 320, 240)
 """With its principal point well off the centre."""
 AHEAD = Pose(np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]))
 PLAIN_GROUND = Ground((-400.3, -400.3), (400.3, 400.3), Material((0.3, 0.6, 0.3)))
-CAR_SIZE = (4.0, 1.8, 1.0)
 
 
 def scene_of(*primitives, moving=(), look=None, ground=PLAIN_GROUND) -> Scene:
@@ -79,16 +77,12 @@ def skip_where_missing(name: str) -> None:
 def drawing(name: str, scene: Scene, camera: StereoCamera = CAMERA, **options) -> Iterator:
     """A back end with the scene in it."""
     skip_where_missing(name)
-    world = PhysicsWorld()
-    if name == "tiny":
-        world.build(scene, CAR_SIZE)
-    renderer = make_renderer(name, camera=camera, frame=FRAME, world=world, **options)
+    renderer = make_renderer(name, camera=camera, frame=FRAME, **options)
     try:
         renderer.build(scene)
         yield renderer
     finally:
         renderer.close()
-        world.close()
 
 
 both_back_ends = pytest.mark.parametrize("name", list(RENDERERS))

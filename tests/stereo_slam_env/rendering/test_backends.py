@@ -5,13 +5,12 @@ import json
 import pytest
 
 from stereo_slam_env.rendering.renderers import RENDERERS, image_quality, make_renderer, renderer_identity
-from stereo_slam_env.world.physics import PhysicsWorld
 
 from .planes import CAMERA, FRAME, both_back_ends, skip_where_missing
 
 
 def make(name, **options):
-    return make_renderer(name, camera=CAMERA, frame=FRAME, world=PhysicsWorld(), **options)
+    return make_renderer(name, camera=CAMERA, frame=FRAME, **options)
 
 
 @both_back_ends

@@ -13,7 +13,6 @@ from filters import Pose
 from filters.geometry import rotations
 from filters.geometry.camera import StereoCamera
 from stereo_slam_env.rendering.renderers import make_renderer
-from stereo_slam_env.world.physics import PhysicsWorld
 from stereo_slam_env.world.routes import ROUTES
 from stereo_slam_env.world.scene import Box, Cylinder, Look, Material
 from stereo_slam_env.world.street import build_street
@@ -32,7 +31,7 @@ def _needs_gl():
 
 
 def new_renderer(camera=CAMERA, **options):
-    return make_renderer("gl", camera=camera, frame=FRAME, world=PhysicsWorld(), **options)
+    return make_renderer("gl", camera=camera, frame=FRAME, **options)
 
 
 def same(one, two):

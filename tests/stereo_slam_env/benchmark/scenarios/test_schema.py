@@ -2,7 +2,7 @@
 
 import json
 import re
-import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -12,11 +12,6 @@ from stereo_slam_env.benchmark.campaign import check_study
 from stereo_slam_env.benchmark.scenarios.schema import KINDS, NAME, scenario_schema, write_scenario_file
 from stereo_slam_env.benchmark.scenarios.study import preset_tables
 from stereo_slam_env.sensing.corruptions import CORRUPTIONS
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 jsonschema = pytest.importorskip("jsonschema", reason="needs the extra dev")
 
