@@ -246,9 +246,8 @@ def shows_wrappers(names, printed):
 
 
 def shows_write_a_filter(names, printed):
-    assert "abstract method" in printed
-    assert "MyFilter: " in printed
-    assert " 0 failed" in printed
+    for name in ("Blind", "MyFilter"):
+        assert re.search(rf"^{name}: .* checks passed, 0 failed$", printed, re.MULTILINE)
     table = printed[printed.index("MyFilter is\n") :]
     assert "\nposition error, m " in table
     assert ("worse: " in table) or ("better: " in table)
@@ -256,7 +255,7 @@ def shows_write_a_filter(names, printed):
 
 
 def shows_write_a_part(names, printed):
-    for part in ("InverseVector", "WithBias", "BiasedPair", "LooseCentre", "Coasting"):
+    for part in ("InverseVector", "LooseCentre", "Coasting"):
         found = rf"^{part}: . checks passed, 0 failed; runs in machine code, with Jacobians by dual numbers$"
         assert re.search(found, printed, re.MULTILINE)
     assert re.search("^mine: .* checks passed, 0 failed$", printed, re.MULTILINE)
