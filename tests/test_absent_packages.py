@@ -112,6 +112,34 @@ def test_a_filter_is_evaluated_on_a_recording(tmp_path):
     assert float(out) == pytest.approx(sse.evaluate("inverse-depth", recording).figures.position_rmse_m, rel=1e-6)
 
 
+WINDOWS = """
+import os, signal
+for module, names in {os: "fork forkpty killpg setsid getuid getpgrp tcgetpgrp O_NONBLOCK O_NOFOLLOW mkfifo",
+                      signal: "SIGHUP SIGKILL SIGALRM setitimer"}.items():
+    for name in names.split():
+        delattr(module, name)
+"""
+
+
+def test_judge_and_environments_work_without_what_windows_lacks(files, tmp_path):
+    """Processes without fork, POSIX modules and signals; runs of `bench` are not tried."""
+    estimate, truth = map(str, files)
+    model, claimed = str(tmp_path / "model.json"), str(tmp_path / "claimed.square")
+    code, _, error = without(
+        "resource fcntl pwd grp termios",
+        f"{WINDOWS}\n"
+        "from stereo_slam_env.cli.app import main\n"
+        f"assert main(['evaluate', {estimate!r}, {truth!r}, '--out', {str(tmp_path / 'out')!r}]) == 0\n"
+        f"assert main(['calibrate', {estimate!r}, {estimate!r}, '--truth', {truth!r}, '--out', {model!r}]) == 0\n"
+        f"assert main(['claim', {estimate!r}, {model!r}, '--out', {claimed!r}]) == 0\n"
+        "import gymnasium, stereo_slam_env\n"
+        "env = gymnasium.make('StereoSlam/ActiveGaze-v0')\n"
+        "env.reset(seed=0)\n"
+        "env.step(env.action_space.sample())\n",
+    )
+    assert code == 0, error
+
+
 def test_worlds_and_tasks_need_no_pybullet():
     """Landmarks are measured, and rays and contacts decided, without it: it only draws, and checks by `physics`."""
     ids = [name for name in gym.registry if name.startswith("StereoSlam/")]

@@ -36,6 +36,7 @@ REPEATABLE: Mapping[str, Callable[[Path], None]] = {
 }
 """Pictures that are the same whenever they are drawn."""
 OF_RUNS: Mapping[str, Callable[..., None]] = {
+    "drive.webp": runs.drive,
     "report.png": runs.report,
     "view_rerun.jpg": runs.rerun,
     "paper_cloud.png": runs.paper_cloud,

@@ -18,22 +18,54 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import cv2
+import numpy as np
+from numpy.typing import NDArray
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
 import stereo_slam_env as sse
 from stereo_slam_env.benchmark import preset_study, run_benchmark
+from stereo_slam_env.cli.app import main as stereo_slam
 from stereo_slam_env.paper import NOISES, convergence, plots
 from stereo_slam_env.viewer import Drive, RerunView
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 REPORT_SIZE, RERUN_SIZE = (1280, 1180), (1120, 860)
+MOVING_WIDTH, LEFT_VIEW = 880, 428
+"""Width of the moving picture, and rows of the film of the search that its left view takes, px."""
 HEADINGS, MILLISECONDS = "headings", "milliseconds"
 """Texts in the PNG of the report: headings of its first table, and time a frame by filter, as JSON."""
 
 
 class NoBrowser(RuntimeError):
     """There is none on this machine."""
+
+
+def drive(path: Path, work: Path, *, small: bool) -> None:
+    """A moving picture: search ellipses in the left view, above the map, the path and NEES of the filter."""
+    run, search, film = work / "run", work / "search.mp4", work / "film.mp4"
+    drive_of = ["--preset", "turn", "--seeds", "1", "--frames", "10" if small else "80", "--filters", "inverse-depth"]
+    made = stereo_slam(["bench", *drive_of, "--sensor", "images", "--record", str(search), "--out", str(run)])
+    if made or stereo_slam(["view", str(run), "--film", str(film)]):
+        raise RuntimeError("the drive cannot be filmed")
+    pictures = [
+        Image.fromarray(np.concatenate([_wide(views[:LEFT_VIEW]), _wide(panels)])[..., ::-1])
+        for views, panels in zip(_pictures(search), _pictures(film), strict=True)
+    ]
+    pictures[0].save(path, save_all=True, append_images=pictures[1:], duration=100, loop=0, quality=55, method=6)
+
+
+def _pictures(film: Path) -> Iterator[NDArray[np.uint8]]:
+    video = cv2.VideoCapture(str(film))
+    while (read := video.read())[0]:
+        yield np.asarray(read[1], dtype=np.uint8)
+    video.release()
+
+
+def _wide(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    size = MOVING_WIDTH, round(MOVING_WIDTH * picture.shape[0] / picture.shape[1])
+    return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
 def report(path: Path, work: Path, *, small: bool) -> None:

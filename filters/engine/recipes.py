@@ -16,7 +16,6 @@ from filters.geometry.camera import StereoCamera
 from filters.geometry.machine_code import settings_of
 from filters.geometry.poses import ADDITIVE
 from filters.kernels.calls import Calls, Unit, addresses, of_part
-from filters.kernels.compilation import counted
 from filters.kernels.correction import correct, iterate
 from filters.kernels.covariance import scale_blocks, shear
 from filters.kernels.frame import become_points, compile_frame, drop_unseen
@@ -129,11 +128,5 @@ def compiled_calls(recipe: Recipe, fuses: bool) -> Calls:
     )
     functions: list[tuple[str, Callable[[], Any]]] = [(unit.name, partial(getattr, unit, "address")) for unit in needed]
     functions += [(name, partial(of_part, part, name)) for name, part, used in parts if used]
-    where: dict[str, Any] = {}
-    with counted(1 + len(functions)) as count:
-        compile_frame()
-        count()
-        for name, address in functions:
-            where[name] = address()
-            count()
-    return addresses(**where)
+    compile_frame()
+    return addresses(**{name: address() for name, address in functions})

@@ -11,7 +11,7 @@
   source is an argument like another one: Numba compiles a function once for each literal integer. Both are two thirds
   of the time until the first filter runs, and both are left out where a version of Numba has other internals.
 
-What a filter compiles shows as a bar at a terminal, or as one line of the log.
+What is compiled shows as a count at a terminal, or as one line of the log.
 """
 
 from __future__ import annotations
@@ -22,9 +22,7 @@ import os
 import re
 import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from contextvars import ContextVar
+from collections.abc import Callable
 from functools import cache, partial
 from importlib.metadata import version
 from importlib.util import resolve_name
@@ -39,40 +37,53 @@ from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 
 _log = logging.getLogger(__name__)
-_WIDTH = 28
 
 
-def begin() -> None:
-    """Say that something is compiled that was not on disk: as a bar, or once in a process."""
-    bar = _bar.get()
-    if bar is None:
-        _say_that_it_takes_time()
-    else:
-        bar.show()
+class _Notice(event.Listener):
+    """Notice that something is compiled which was not on disk: a count at the terminal, or a line of the log."""
+
+    def __init__(self) -> None:
+        self._depth = self._functions = 0
+        self._seconds = self._began = 0.0
+        self._stream: TextIO | None = None
+        self._logged = False
+
+    def on_start(self, event: Any) -> None:
+        """Before a function is compiled, unless it came from the disk."""
+        if not _is_ours(event.data["dispatcher"].py_func.__module__):
+            return
+        if self._depth == 0:
+            self._began, self._stream = time.monotonic(), sys.stderr if _shows_progress(sys.stderr) else None
+            if self._stream is None and not self._logged:
+                self._logged = True
+                _log.warning(
+                    "compiling machine code, once: half a minute for the first filter, as long for the first world "
+                    "(`stereo-slam warm-up` does it beforehand)"
+                )
+        self._depth += 1
+        self._write()
+
+    def on_end(self, event: Any) -> None:
+        """After it; the line goes with the last one."""
+        if not _is_ours(event.data["dispatcher"].py_func.__module__):
+            return
+        self._depth -= 1
+        self._functions += 1
+        self._write()
+        if self._depth == 0:
+            self._seconds += time.monotonic() - self._began
+            if self._stream is not None:
+                self._stream.write("\r\x1b[K")
+                self._stream.flush()
+
+    def _write(self) -> None:
+        if self._stream is not None:
+            seconds = self._seconds + time.monotonic() - self._began
+            self._stream.write(f"\rcompiling machine code, once: {self._functions} functions, {seconds:.0f} s")
+            self._stream.flush()
 
 
-@contextmanager
-def counted(parts: int) -> Iterator[Callable[[], None]]:
-    """Count what is compiled here: call what this yields after each of the parts, those from the disk included."""
-    stream = sys.stderr
-    if not _wanted(stream):
-        yield lambda: None
-        return
-    bar = _Bar(stream, parts)
-    token = _bar.set(bar)
-    try:
-        yield bar.advance
-    finally:
-        _bar.reset(token)
-        bar.close()
-
-
-@cache
-def _say_that_it_takes_time() -> None:
-    _log.warning("compiling machine code that is not on disk yet: up to half a minute, once after a change of the code")
-
-
-def _wanted(stream: TextIO | None) -> bool:
+def _shows_progress(stream: TextIO | None) -> bool:
     """Whether nobody has set up logging, and the terminal shows what this process writes.
 
     Processes in the background, as those of a benchmark, leave the terminal to the one that was called.
@@ -83,37 +94,6 @@ def _wanted(stream: TextIO | None) -> bool:
         return not hasattr(os, "tcgetpgrp") or os.tcgetpgrp(stream.fileno()) == os.getpgrp()
     except OSError:  # the terminal of another session
         return False
-
-
-class _Bar:
-    """One line that is written again and again; nothing before something is compiled."""
-
-    def __init__(self, stream: TextIO, parts: int) -> None:
-        self._stream, self._parts, self._done = stream, parts, 0
-        self._began: float | None = None
-
-    def show(self) -> None:
-        if self._began is None:
-            self._began = time.monotonic()
-            self._write()
-
-    def advance(self) -> None:
-        self._done += 1
-        if self._began is not None:
-            self._write()
-
-    def close(self) -> None:
-        if self._began is not None:
-            self._write(f", {time.monotonic() - self._began:.0f} s\n")
-
-    def _write(self, end: str = "") -> None:
-        full = _WIDTH * self._done // self._parts
-        bar = "#" * full + "." * (_WIDTH - full)
-        self._stream.write(f"\rcompiling the filter, this once: [{bar}] {self._done} of {self._parts} parts{end}")
-        self._stream.flush()
-
-
-_bar: ContextVar[_Bar | None] = ContextVar("_bar", default=None)
 
 
 NEWER_THAN_TESTED = (0, 69)
@@ -265,18 +245,6 @@ def kernel(function: Any = None, **options: Any) -> Any:
 
 def _without_literals(get_call_template: Any, arguments: Any, named: Any) -> Any:
     return get_call_template(tuple(map(types.unliteral, arguments)), {k: types.unliteral(x) for k, x in named.items()})
-
-
-class _Notice(event.Listener):
-    """Listener for kernels that are compiled because they were not on disk."""
-
-    def on_start(self, event: Any) -> None:
-        """Before a function is compiled, unless it came from the disk."""
-        if _is_ours(event.data["dispatcher"].py_func.__module__):
-            begin()
-
-    def on_end(self, event: Any) -> None:
-        """After it."""
 
 
 event.register("numba:compile", _Notice())

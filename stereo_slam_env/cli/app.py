@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import _thread
+import pkgutil
 import shlex
 import signal
 import sys
@@ -10,7 +11,7 @@ import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from types import FrameType
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -20,11 +21,13 @@ from stereo_slam_env.cli import recordings as cli_recordings
 from stereo_slam_env.cli import reports as cli_reports
 from stereo_slam_env.cli import scenes as cli_scenes
 from stereo_slam_env.cli import train as cli_train
+from stereo_slam_env.cli import warm_up as cli_warm_up
 from stereo_slam_env.cli.shared_options import (
     FILTER_GROUPS,
     GroupedCommands,
     Interrupted,
     JsonOption,
+    PanelledOptions,
     TakesTruths,
     group,
     refuse,
@@ -54,13 +57,13 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-filters_app = group("The filters: ours and installed third-party ones.")
+filters_app = group("List and check filters, installed ones of others included.")
 app.add_typer(filters_app, name="filters")
-policies_app = group("The policies, which decide where to look: ours and installed third-party ones.")
+policies_app = group("List the policies that decide where to look.")
 app.add_typer(policies_app, name="policies")
 app.add_typer(cli_scenes.app, name="scenes")
-app.command()(cli_bench.bench)
-app.command()(cli_bench.replay)
+app.command(cls=PanelledOptions)(cli_bench.bench)
+app.command(cls=PanelledOptions)(cli_bench.replay)
 app.command(cls=TakesTruths)(cli_evaluate.evaluate)
 app.command(cls=TakesTruths)(cli_evaluate.calibrate)
 app.command()(cli_evaluate.claim)
@@ -70,6 +73,7 @@ app.command()(cli_reports.verify)
 app.command()(cli_recordings.convert)
 app.command()(cli_reports.paper)
 app.command()(cli_train.train)
+app.command()(cli_warm_up.warm_up)
 app.command()(cli_recordings.view)
 
 
@@ -152,7 +156,7 @@ def _start(
 
 @filters_app.command("list")
 def list_filters(as_json: JsonOption = False) -> None:
-    """Names of all filters in groups, with one line on each."""
+    """List all filters."""
     from filters import available_filters
 
     show_groups(available_filters(), FILTER_GROUPS, as_json=as_json)
@@ -160,7 +164,7 @@ def list_filters(as_json: JsonOption = False) -> None:
 
 @policies_app.command("list")
 def list_policies(as_json: JsonOption = False) -> None:
-    """Names of all policies, with one line on each."""
+    """List all policies."""
     from stereo_slam_env.policies import available_policies
 
     show_lines(available_policies(), as_json=as_json)
@@ -172,15 +176,26 @@ def _filter_names(incomplete: str) -> list[str]:
     return [name for name in available_filters() if name.startswith(incomplete)]
 
 
+def _own_class(place: str) -> Any:
+    """Class at MODULE:CLASS, of a module in the working directory or an installed one."""
+    sys.path.insert(0, "")
+    try:
+        return pkgutil.resolve_name(place)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise ValueError(f"name must be a filter or MODULE:CLASS, got {place!r}: {error}") from None
+
+
 @filters_app.command("check")
 def check(
-    name: Annotated[str, typer.Argument(help="Name of a filter.", autocompletion=_filter_names)],
+    name: Annotated[
+        str, typer.Argument(help="Name of a filter, or MODULE:CLASS of your own.", autocompletion=_filter_names)
+    ],
     as_json: JsonOption = False,
 ) -> None:
-    """Check that a filter keeps the contract; exit code 1 if it does not."""
+    """Check that a filter is right; exit code 1 if it is not."""
     from filters import check_filter
 
-    result = check_filter(name, raise_on_failure=False)
+    result = check_filter(_own_class(name) if ":" in name else name, raise_on_failure=False)
     if as_json:
         show_json({"filter": name, "passed": list(result.passed), "failed": list(result.failed)})
     else:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from stereo_slam_env.cli.shared_options import (
+    ADVANCED,
     PRESET_GROUPS,
     FiltersOption,
     ImagesOptions,
@@ -49,19 +50,19 @@ class RunOptions:
         list[str] | None,
         typer.Option(
             "--trajectory",
-            help="What another program estimated, beside the filters: a file as `evaluate` takes; {seed} in its name "
-            "stands for that of the recording. May be given several times.",
+            help="Trajectory of another program, beside the filters; {seed} in FILE is the recording's. Repeatable.",
+            rich_help_panel=ADVANCED,
             metavar="LABEL=FILE",
         ),
     ] = None
-    frames: Annotated[int | None, typer.Option("--frames", help="Cut after so many frames.", min=2)] = None
+    frames: Annotated[int | None, typer.Option("--frames", help="Use the first frames only.", min=2)] = None
     jobs: JobsOption = 2
     out: OutOption = None
     odometry: Annotated[
         bool | None,
         typer.Option(
             "--odometry/--no-odometry",
-            help="Give the filters the odometry.",
+            help="Use the recording's odometry.",
             show_default="what the scenario says; for a real drive, where there is any",
         ),
     ] = None
@@ -69,30 +70,40 @@ class RunOptions:
         list[str] | None,
         typer.Option(
             "--set",
-            help="Any field of the scenario, as its file has it: gate=0.9, noise.independent_pixels=0.5, "
-            "options.on_broken=skip, gate=none. May be given several times.",
+            help="Any field of the scenario: gate=0.9, noise.independent_pixels=0.5, gate=none. Repeatable.",
             metavar="KEY=VALUE",
             autocompletion=_setting_keys,
         ),
     ] = None
     record: Annotated[
         Path | None,
-        typer.Option("--record", help="Write the search in the images to a film, OUT.mp4.", metavar="OUT.mp4"),
+        typer.Option(
+            "--record",
+            help="Film the search in the images.",
+            metavar="OUT.mp4",
+            rich_help_panel=ADVANCED,
+        ),
     ] = None
     front_end: Annotated[
         str | None,
         typer.Option(
             "--front-end",
-            help="In images: who measures: 'active-search', 'klt', 'sift', or an installed one.",
+            help="Front end for images: 'active-search', 'klt', 'sift', or an installed one.",
             show_default="active-search",
+            rich_help_panel=ADVANCED,
         ),
     ] = None
     backend: Annotated[
-        str, typer.Option("--backend", help="Where trials run: 'processes' here, or 'dask', on a cluster.")
+        str, typer.Option("--backend", help="'processes' here, or 'dask', on a cluster.", rich_help_panel=ADVANCED)
     ] = "processes"
     address: Annotated[
         str | None,
-        typer.Option("--address", help="Scheduler of the Dask cluster.", show_default="one on this machine"),
+        typer.Option(
+            "--address",
+            help="Scheduler of the Dask cluster.",
+            show_default="one on this machine",
+            rich_help_panel=ADVANCED,
+        ),
     ] = None
 
     def adjusted(self, study: Study) -> Study:
@@ -192,15 +203,13 @@ def bench(
             "--preset", help="A ready-made scenario, see --list.", show_default="quick", autocompletion=_preset_names
         ),
     ] = None,
-    scenario: Annotated[
-        Path | None, typer.Option("--scenario", help="A scenario file of your own, TOML, perhaps a grid.")
-    ] = None,
+    scenario: Annotated[Path | None, typer.Option("--scenario", help="A scenario file of your own, TOML.")] = None,
     policy: Annotated[
         str | None,
         typer.Option(
             "--policy",
             "--policies",
-            help="Who looks, separated by commas (preset 'gaze' unless said); see 'policies list'.",
+            help="Gaze policies, comma-separated (uses preset gaze).",
             metavar="A,B",
         ),
     ] = None,
@@ -216,37 +225,36 @@ def bench(
     renderer: Annotated[
         str | None,
         typer.Option(
-            "--renderer", help="Who draws the images: 'tiny', everywhere, or 'gl', fast.", show_default="tiny"
+            "--renderer", help="'tiny', everywhere, or 'gl', fast.", rich_help_panel=ADVANCED, show_default="tiny"
         ),
     ] = None,
     rig: Annotated[
         str | None,
         typer.Option(
             "--rig",
-            help="Rig of simulated drives: a name ('reference', 'vga', 'qvga', 'kitti', 'euroc', 'zed2', 'd455', "
-            "'oak-d'), a calibration file, numbers (baseline=0.2), or both: vga,baseline=0.2.",
+            help="Rig of simulated drives: 'reference', 'vga', 'kitti', 'euroc', 'zed2', ...; a calibration file; "
+            "numbers: vga,baseline=0.2.",
+            rich_help_panel=ADVANCED,
             show_default="what the scenario says",
         ),
     ] = None,
     data: Annotated[
         Path | None,
-        typer.Option("--data", help="Folder of the real recordings a scenario asks for.", envvar="STEREO_SLAM_DATA"),
+        typer.Option("--data", help="Folder of real recordings.", envvar="STEREO_SLAM_DATA", rich_help_panel=ADVANCED),
     ] = None,
     allow_code: Annotated[
         bool,
-        typer.Option("--allow-code", help="Let a scenario of kind 'factory' run the function that its file names."),
+        typer.Option("--allow-code", help="Let a scenario file name a function to run.", rich_help_panel=ADVANCED),
     ] = False,
     write: Annotated[
         Path | None,
-        typer.Option(
-            "--write", help="Write the preset to a scenario file, to change it, and stop.", metavar="MINE.toml"
-        ),
+        typer.Option("--write", help="Write the preset to a scenario file, and stop.", metavar="MINE.toml"),
     ] = None,
     show_list: Annotated[bool, typer.Option("--list", help="List the ready-made scenarios and stop.")] = False,
     *,
     options: RunOptions,
 ) -> None:
-    """Compare filters, or policies that decide where to look: scenarios x filters x seeds, one report."""
+    """Compare filters on simulated drives: one report."""
     from stereo_slam_env.benchmark import load_study, preset_study, presets
     from stereo_slam_env.benchmark.campaign import check_study
     from stereo_slam_env.benchmark.recordings.source import Renderer, checked
@@ -306,7 +314,7 @@ def replay(
     options: RunOptions,
     images: ImagesOptions,
 ) -> None:
-    """Run filters over a real drive, of tracks or of images."""
+    """Compare filters on a real drive, of tracks or images."""
     from stereo_slam_env.benchmark import Scenario, Study
     from stereo_slam_env.benchmark.campaign import check_study
     from stereo_slam_env.benchmark.recordings.sources import DatasetSource

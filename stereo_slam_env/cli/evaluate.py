@@ -55,15 +55,13 @@ def evaluate(
     offset: Annotated[
         str, typer.Option("--time-offset", help="Seconds to add to the estimate's times, or 'auto'.", metavar="S")
     ] = "0",
-    interpolate: Annotated[
-        bool, typer.Option("--interpolate", help="Take the reference between its poses, not the nearest one.")
-    ] = False,
+    interpolate: Annotated[bool, typer.Option("--interpolate", help="Interpolate the reference.")] = False,
     max_gap: Annotated[
         float, typer.Option("--max-gap", help="Largest time between a pose and its reference, s.")
     ] = 0.01,
     pair: Annotated[
         bool,
-        typer.Option("--pair", help="REF is no truth but a second estimate: do their claims contradict each other?"),
+        typer.Option("--pair", help="Compare two estimates without ground truth."),
     ] = False,
     out: Annotated[
         Path | None,
@@ -71,7 +69,7 @@ def evaluate(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Judge any trajectory: its errors, and whether the covariance that it claims can be believed."""
+    """Judge any trajectory: its errors and its covariance."""
     from stereo_slam_env.benchmark.recordings.source import checked
     from stereo_slam_env.evaluation.gauges import AlignmentKind
     from stereo_slam_env.evaluation.trajectory_runs import score_runs
@@ -162,7 +160,7 @@ def calibrate(
     max_gap: Annotated[float, typer.Option("--max-gap", help="Largest time between a pose and its truth, s.")] = 0.01,
     as_json: JsonOption = False,
 ) -> None:
-    """Learn from drives with a truth how the error of an odometry grows; for `claim`."""
+    """Learn from drives with a truth how an odometry errs."""
     from stereo_slam_env.evaluation.drift_calibration import calibrate as learned
     from stereo_slam_env.files.folders import require_writable
 
@@ -180,13 +178,13 @@ def calibrate(
 
 def claim(
     estimate: Annotated[Path, typer.Argument(help="A trajectory of the same system, with times.", metavar="EST")],
-    model: Annotated[Path, typer.Argument(help="What `calibrate` wrote.", metavar="MODEL.json")],
+    model: Annotated[Path, typer.Argument(help="Model written by `calibrate`.", metavar="MODEL.json")],
     out: Annotated[
         Path | None,
         typer.Option("--out", help="Where the trajectory goes, .square.", show_default="EST.square, here"),
     ] = None,
 ) -> None:
-    """Write a trajectory with a covariance for each pose and, by its header, for each motion between two poses."""
+    """Give a trajectory the covariance that `calibrate` learned."""
     from stereo_slam_env.evaluation.drift_model import DriftModel
     from stereo_slam_env.evaluation.drift_model import claim as claimed
     from stereo_slam_env.recording.trajectory_files import load_trajectory, save_trajectory

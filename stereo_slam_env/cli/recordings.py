@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 @with_options(ImagesOptions, "images")
 def convert(
     path: Annotated[
-        str | None, typer.Argument(help="What 'replay' takes: a folder, a bag, an archive.", show_default=False)
+        str | None, typer.Argument(help="A folder, a bag, an archive, as for 'replay'.", show_default=False)
     ] = None,
     out: Annotated[
         Path | None,
@@ -27,7 +27,7 @@ def convert(
             show_default=False,
         ),
     ] = None,
-    name: Annotated[str, typer.Option("--name", help="Of the KITTI sequence.")] = "00",
+    name: Annotated[str, typer.Option("--name", help="Sequence name.")] = "00",
     skip_broken: Annotated[
         bool, typer.Option("--skip-broken", help="Leave out pairs with missing or damaged images, and count them.")
     ] = False,
@@ -35,7 +35,7 @@ def convert(
     *,
     images: ImagesOptions,
 ) -> None:
-    """Write a recording as MCAP, as a KITTI sequence, or as one file of measured tracks."""
+    """Write a recording as MCAP, KITTI sequence or track archive."""
     from stereo_slam_env.datasets import available_recordings, load, open_image_sequence, write_kitti_sequence
     from stereo_slam_env.files.folders import require_writable
     from stereo_slam_env.recording.archive import save_recording
@@ -64,24 +64,22 @@ def convert(
 def view(
     run: Annotated[Path, typer.Argument(help="Directory of a run, or of a cell of a grid.")],
     filter_name: Annotated[
-        str | None, typer.Option("--filter", help="Whose drive, as the report calls it.", show_default="the first")
+        str | None, typer.Option("--filter", help="Filter, as the report calls it.", show_default="the first")
     ] = None,
-    seed: Annotated[
-        int | None, typer.Option("--seed", help="Of the recording to look at.", show_default="the first")
-    ] = None,
+    seed: Annotated[int | None, typer.Option("--seed", help="Seed to show.", show_default="the first")] = None,
     save: Annotated[
         Path | None, typer.Option("--save", help="Write a file for Rerun's viewer.", metavar="OUT.rrd")
     ] = None,
     still: Annotated[Path | None, typer.Option("--still", help="Write a picture.", metavar="OUT.png")] = None,
     frame: Annotated[
-        int | None, typer.Option("--frame", help="What the picture shows, from 0.", show_default="the last", min=0)
+        int | None, typer.Option("--frame", help="Frame of the still, from 0.", show_default="the last", min=0)
     ] = None,
     film: Annotated[Path | None, typer.Option("--film", help="Write a film.", metavar="OUT.mp4")] = None,
     connect: Annotated[
         str | None, typer.Option("--connect", help="Show it in a Rerun viewer that runs there.", metavar="ADDRESS")
     ] = None,
 ) -> None:
-    """Watch a filter drive through a finished run: cameras, map with its uncertainty, path, consistency.
+    """Watch a filter drive through a finished run.
 
     Without an option it opens Rerun's viewer (extra viewer) and shows the drive while the filter computes it. Pictures
     and films need the extra pictures.

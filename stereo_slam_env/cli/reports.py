@@ -56,7 +56,7 @@ def report(
         Path | None, typer.Option("--markdown", help="With it: write the table there, too.", metavar="FILE.md")
     ] = None,
 ) -> None:
-    """Write tables and report of a finished run again; with a second run, say what changed significantly."""
+    """Write a report again, or compare two runs."""
     from stereo_slam_env.benchmark.storage.result_tables import write_results
     from stereo_slam_env.benchmark.storage.store import read_study
     from stereo_slam_env.files.folders import claimed_folder
@@ -118,7 +118,7 @@ def submit(
         Path | None, typer.Option("--out", help="Where the packet goes, JSON.", show_default="RUN.json, here")
     ] = None,
 ) -> None:
-    """Make a small packet of a run, to be handed in: study, versions, digests of the recordings, figures."""
+    """Make a small packet of a run, to be handed in."""
     from filters.contract.validation import plain
     from stereo_slam_env.benchmark.packets import packet_of, require_no_other, write_packet
     from stereo_slam_env.files.folders import require_writable
@@ -136,7 +136,7 @@ def submit(
 
 
 def verify(
-    packet: Annotated[Path, typer.Argument(help="What `submit` wrote.", metavar="PACKET.json")],
+    packet: Annotated[Path, typer.Argument(help="Packet written by `submit`.", metavar="PACKET.json")],
     seeds: Annotated[int, typer.Option("--seeds", help="Recordings of a cell that are run again.", min=1)] = 2,
     cells: Annotated[int, typer.Option("--cells", help="Cells of a grid that are run again.", min=1)] = 1,
     everything: Annotated[bool, typer.Option("--all", help="Run all of it again.")] = False,
@@ -153,7 +153,7 @@ def verify(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Run a part of a packet again: do measurements and figures agree? Exit code 1 where they do not."""
+    """Run a part of a packet again; exit code 1 if it differs."""
     from filters.contract.validation import plain
     from stereo_slam_env.benchmark.packets import read_packet
     from stereo_slam_env.benchmark.packets import verify as verified
@@ -223,7 +223,7 @@ def paper(
         typer.Option("--figure", help="Only one figure and its sentences: 1 to 6, nees or speed.", show_default="all"),
     ] = None,
 ) -> None:
-    """Run the paper's experiments again and judge its claims: figures, a table, one report (half an hour)."""
+    """Reproduce the paper and judge it (half an hour)."""
     from stereo_slam_env.paper import FULL, QUICK, run_paper
     from stereo_slam_env.paper.report import claims_table
     from stereo_slam_env.report.console import progress_bar

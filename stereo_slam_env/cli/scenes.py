@@ -11,13 +11,13 @@ from stereo_slam_env.cli.shared_options import JsonOption, console, group, rig_f
 
 app = group("The simulated scenes: list, render, record, noise.")
 
-SeedOption = Annotated[int, typer.Option("--seed", help="Of scene and drive.", min=0)]
+SeedOption = Annotated[int, typer.Option("--seed", help="Random seed.", min=0)]
 FramesOption = Annotated[int | None, typer.Option("--frames", help="Stop after so many.", min=2)]
 
 
 def _scene(
     route: Annotated[str, typer.Argument(help="A route, see 'scenes list', or a KITTI pose file.", metavar="ROUTE")],
-    surroundings: Annotated[str, typer.Option("--surroundings", help="What stands along the route.")] = "street",
+    surroundings: Annotated[str, typer.Option("--surroundings", help="Surroundings of the route.")] = "street",
     renderer: Annotated[str, typer.Option("--renderer", help="'tiny', everywhere, or 'gl', fast.")] = "tiny",
     rig: Annotated[
         str,
@@ -50,7 +50,7 @@ def _scene(
 
 @app.command("list")
 def list_scenes(as_json: JsonOption = False) -> None:
-    """Routes, surroundings and renderers, and the ready-made scenarios of `bench`."""
+    """List routes, surroundings, renderers and presets."""
     from stereo_slam_env.benchmark import presets
     from stereo_slam_env.rendering.renderers import RENDERERS
     from stereo_slam_env.world.routes import available_routes
@@ -107,13 +107,13 @@ def render_scene(
 @with_options(_scene, "scene")
 def record_scene(
     out: Annotated[Path, typer.Option("--out", help="Folder for sequences/NAME and poses/NAME.txt.")],
-    name: Annotated[str, typer.Option("--name", help="Of the sequence, two digits for KITTI tools.")] = "00",
+    name: Annotated[str, typer.Option("--name", help="Sequence name, two digits for KITTI tools.")] = "00",
     seed: SeedOption = 0,
     frames: FramesOption = None,
     *,
     scene: dict[str, Any],
 ) -> None:
-    """Write a rendered drive as a KITTI odometry sequence, for other people's SLAM systems (and `replay`)."""
+    """Write a rendered drive as a KITTI odometry sequence."""
     from stereo_slam_env.datasets import write_kitti_sequence
     from stereo_slam_env.envs.recorder import RenderedDrive
     from stereo_slam_env.files.folders import require_writable
@@ -132,12 +132,12 @@ def scene_noise(
     seed: SeedOption = 0,
     frames: FramesOption = None,
     front_end: Annotated[
-        str, typer.Option("--front-end", help="Who measures: 'active-search', 'klt', 'sift', or an installed one.")
+        str, typer.Option("--front-end", help="Front end: 'active-search', 'klt', 'sift', or an installed one.")
     ] = "active-search",
     *,
     scene: dict[str, Any],
 ) -> None:
-    """Measure the noise of the front end against the render: bias, spread and outliers by range; how errors last."""
+    """Measure the front end's noise against the render."""
     from stereo_slam_env.benchmark.scenarios.recording_description import measurement_errors
     from stereo_slam_env.envs.recorder import record
     from stereo_slam_env.report.console import progress_bar, show_noise

@@ -128,18 +128,34 @@ def body_from(path: Path | None, estimated: bool) -> Pose | Literal["estimated"]
     return "estimated" if estimated else None if path is None else read_body(path)
 
 
+ADVANCED = "Advanced"
 COMMAND_GROUPS = {
-    "Compare filters": ("bench", "replay", "report", "view", "filters", "scenes", "paper"),
-    "Judge any trajectory": ("evaluate", "calibrate", "claim", "convert", "submit", "verify"),
-    "Learn where to look": ("train", "policies"),
+    "Commands": ("bench", "replay", "evaluate", "report", "paper", "view", "filters"),
+    ADVANCED: (*("calibrate", "claim", "convert", "submit", "verify"), *("scenes", "train", "policies", "warm-up")),
 }
 
 
+class PanelledOptions(TyperCommand):
+    """A command that lists the options of its panel "Advanced" after the others."""
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Write the lists."""
+        records: dict[str, list[tuple[str, str]]] = {"Arguments": [], "Options": [], ADVANCED: []}
+        for one in self.get_params(ctx):
+            usual = "Arguments" if one.param_type_name == "argument" else "Options"
+            if record := one.get_help_record(ctx):
+                records[getattr(one, "rich_help_panel", None) or usual].append(record)
+        for title, lines in records.items():
+            if lines:
+                with formatter.section(title):
+                    formatter.write_dl(lines)
+
+
 class GroupedCommands(TyperGroup):
-    """The commands, listed by the job that they are for."""
+    """The commands, those for every day first."""
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
-        """Write a section a job: each command and the first sentence of its help."""
+        """Write a section a group: each command and the first sentence of its help."""
         for title, names in COMMAND_GROUPS.items():
             commands = {name: self.get_command(ctx, name) for name in names}
             with formatter.section(title):

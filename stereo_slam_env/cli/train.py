@@ -19,7 +19,7 @@ def train(
     decisions: Annotated[
         int | None, typer.Option("--decisions", help="How many it makes; 120,000, or what the task states.", min=1)
     ] = None,
-    seed: Annotated[int, typer.Option("--seed", help="Of network, actions and episodes.", min=0)] = 0,
+    seed: Annotated[int, typer.Option("--seed", help="Random seed.", min=0)] = 0,
     minutes: Annotated[
         float | None, typer.Option("--minutes", help="Stop after this time; the same command goes on.")
     ] = None,
@@ -35,7 +35,7 @@ def train(
             "Branches-v0. Of Gaze-v0 and ActiveGaze-v0 where to look is learnt, of others their reward.",
         ),
     ] = "StereoSlam/Gaze-v0",
-    arguments: Annotated[str, typer.Option("--arguments", help="Of the environment, as JSON.")] = "{}",
+    arguments: Annotated[str, typer.Option("--arguments", help="Arguments of the environment, as JSON.")] = "{}",
     filter_name: Annotated[
         str | None, typer.Option("--filter", help="Looks: the filter in the loop; shared-anchor.")
     ] = None,
@@ -52,7 +52,7 @@ def train(
         float | None, typer.Option("--nees-gate", help="Looks: nothing is paid while the NEES leaves this band.")
     ] = None,
     discount: Annotated[
-        float | None, typer.Option("--discount", help="Of a decision later; 0.95 for looks, 0.999 for other ids.")
+        float | None, typer.Option("--discount", help="Discount a decision; 0.95 for looks, 0.999 for other ids.")
     ] = None,
     validation: Annotated[
         int | None,
@@ -60,7 +60,7 @@ def train(
     ] = None,
     out: OutOption = None,
 ) -> None:
-    """Train a network with PPO on any task, by default to look where the estimate becomes true; needs the extra rl."""
+    """Train a network with PPO on any task (extra rl)."""
     from stereo_slam_env.files.folders import require_writable
     from stereo_slam_env.policies.ppo import LearningCurve, merit, settings_for
     from stereo_slam_env.policies.ppo import train as train_network
