@@ -64,7 +64,24 @@ def test_the_error_of_an_exercise_is_found(name, said, monkeypatch):
     report = check_filter(getattr(exercises, name), raise_on_failure=False)
     sys.modules.pop("exercises")
     assert any(said in line for line in report.failed), report
-    assert name in exercises.answers()
+
+
+def test_the_sheet_marks_itself(monkeypatch):
+    """Right answers get all points, wrong and missing ones none."""
+    monkeypatch.syspath_prepend(str(ROOT / "notebooks"))
+    import exercises
+    import solutions
+
+    right = {name: answer for name, (answer, *_) in solutions.NUMBERS.items()}
+    right["3a"] = {name: word for name, (word, _) in solutions.PLANTED.items()}
+    assert set(right["3a"]) == {one.__name__ for one in exercises.ALL}
+    assert solutions.marks(right)["total"] == 17.0
+    assert solutions.marks(right, "inverse-depth")["total"] == 20.0
+    wrong = {name: 2.0 * answer for name, (answer, *_) in solutions.NUMBERS.items()}
+    assert solutions.marks({**wrong, "3a": {"First": "dt"}})["total"] == 0.0
+    assert solutions.marks({})["total"] == 0.0
+    for module in ("exercises", "solutions"):
+        sys.modules.pop(module)
 
 
 class Checked(HTMLParser):

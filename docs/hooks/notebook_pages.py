@@ -17,7 +17,10 @@ _STYLED = re.compile(r"\x1b\[[0-9;]*m")
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add `notebooks/NAME.md`, and the exercises as a page of code."""
     for path in sorted(NOTEBOOKS.glob("*.ipynb")):
-        content = page(json.loads(path.read_text(encoding="utf-8")))
+        open_it = (
+            f'To open it: `pip install "stereo-slam-env[notebooks]" jupyterlab`, `jupyter lab notebooks/{path.name}`.\n'
+        )
+        content = f"{page(json.loads(path.read_text(encoding='utf-8')))}\n{open_it}"
         files.append(File.generated(config, f"notebooks/{path.stem}.md", content=content))
     code = (NOTEBOOKS / "exercises.py").read_text(encoding="utf-8")
     files.append(File.generated(config, "notebooks/exercises.md", content=f"# Exercises\n\n```python\n{code}```\n"))
@@ -26,7 +29,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 def page(notebook: dict[str, Any]) -> str:
     """The Markdown page of a notebook."""
-    parts = []
+    parts: list[str] = []
     for cell in notebook["cells"]:
         text = "".join(cell["source"])
         if cell["cell_type"] == "markdown":

@@ -44,7 +44,7 @@ def lines_chart(series: Mapping[str, tuple[FloatArray, FloatArray]], x: str, y: 
 
     With `equal`, both axes have one scale, as a path seen from above needs. More lines than colours are dashed.
     """
-    width, height, edge = 420.0, 260.0, 36.0
+    width, height, edge = 420.0, 260.0, 44.0
     finite_points = [np.column_stack(pair)[np.isfinite(np.column_stack(pair)).all(axis=1)] for pair in series.values()]
     points = np.concatenate([*finite_points, np.zeros((0, 2))])
     if not len(points):
@@ -71,10 +71,10 @@ def lines_chart(series: Mapping[str, tuple[FloatArray, FloatArray]], x: str, y: 
         down = 14 + 15 * at
         drawn.append(f'<line x1="{width:.0f}" x2="{width + 22:.0f}" y1="{down - 4}" y2="{down - 4}" {stroke}/>')
         drawn.append(f'<text x="{width + 27:.0f}" y="{down}" font-size="11" fill="{colour}">{_plain(name)}</text>')
-    ends = _ends(low, high, height, edge, x, y)
+    axes = _axes(low, high, scale, (width, height, edge), x, y)
     room = 40.0 + 6.5 * max(len(name) for name in series)
     size = f'width="{width + room:.0f}" height="{max(height, 20.0 + 15.0 * len(series)):.0f}"'
-    return f'<svg {size} style="background:#fff">{"".join(drawn)}{ends}</svg>'
+    return f'<svg {size} style="background:#fff">{axes}{"".join(drawn)}</svg>'
 
 
 def dots(points: FloatArray, size: tuple[int, int], about: Sequence[str]) -> str:
@@ -89,14 +89,33 @@ def dots(points: FloatArray, size: tuple[int, int], about: Sequence[str]) -> str
     return f'<svg width="{width:.0f}" height="{height:.0f}" style="background:#eee">{"".join(drawn)}</svg>'
 
 
-def _ends(low: FloatArray, high: FloatArray, height: float, edge: float, x: str, y: str) -> str:
-    """Names of the axes with the values at their ends."""
-    style = 'font-size="11" fill="#444"'
-    below, left = height - 12, 4
-    return (
-        f'<text x="{edge:.0f}" y="{below:.0f}" {style}>{_plain(x)}: {low[0]:.4g} to {high[0]:.4g}</text>'
-        f'<text x="{left}" y="30" {style}>{_plain(y)}: {low[1]:.4g} to {high[1]:.4g}</text>'
-    )
+def _axes(
+    low: FloatArray, high: FloatArray, scale: FloatArray, size: tuple[float, float, float], x: str, y: str
+) -> str:
+    """Both axes with round ticks, their grid, and their names."""
+    width, height, edge = size
+    style, grid = 'font-size="11" fill="#444"', 'stroke="#ddd" stroke-width="1"'
+    parts = [
+        f'<text x="{width - edge:.0f}" y="{height - 4:.0f}" text-anchor="end" {style}>{_plain(x)}</text>',
+        f'<text x="4" y="14" {style}>{_plain(y)}</text>',
+    ]
+    for value in _ticks(low[0], high[0]):
+        u = edge + scale[0] * (value - low[0])
+        parts.append(f'<line x1="{u:.1f}" x2="{u:.1f}" y1="{edge / 2:.0f}" y2="{height - edge:.0f}" {grid}/>')
+        parts.append(f'<text x="{u:.1f}" y="{height - edge + 14:.0f}" text-anchor="middle" {style}>{value:g}</text>')
+    for value in _ticks(low[1], high[1]):
+        v = height - edge - scale[1] * (value - low[1])
+        parts.append(f'<line x1="{edge:.0f}" x2="{width - edge:.0f}" y1="{v:.1f}" y2="{v:.1f}" {grid}/>')
+        parts.append(f'<text x="{edge - 5:.0f}" y="{v + 4:.1f}" text-anchor="end" {style}>{value:g}</text>')
+    return "".join(parts)
+
+
+def _ticks(low: float, high: float) -> list[float]:
+    """Three to six round numbers between two."""
+    rough = max(high - low, 1e-9) / 4.0
+    unit = 10.0 ** np.floor(np.log10(rough))
+    step = unit * min((1.0, 2.0, 5.0, 10.0), key=lambda factor: abs(np.log(factor * unit / rough)))
+    return [float(f"{step * k:.6g}") for k in range(int(np.ceil(low / step - 1e-9)), int(high / step + 1e-9) + 1)]
 
 
 def _plain(text: str) -> str:
