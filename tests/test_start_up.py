@@ -52,3 +52,33 @@ def test_every_name_of_filters_can_be_had():
     assert set(filters.__all__) <= set(dir(filters))
     with pytest.raises(AttributeError, match="StereoFiltre"):
         _ = filters.StereoFiltre
+
+
+READ_ONLY = """
+import numba.core.caching as caching
+
+def refuse(self):
+    raise OSError("read-only file system")
+
+caching._CacheLocator.ensure_cache_path = refuse
+import filters.kernels.compilation as compilation
+from numba import config
+print(compilation.KEPT["cache"], config.CACHE_DIR)
+"""
+
+
+@pytest.mark.parametrize(("mode", "kept"), [(None, True), (0o700, True), (0o777, False)])
+def test_where_nothing_can_be_written_machine_code_goes_to_a_folder_of_this_user_alone(tmp_path, mode, kept):
+    """A read-only container without a home; what others could write there would be run."""
+    folder = tmp_path / f"stereo-slam-{os.getuid()}"
+    if mode is not None:
+        folder.mkdir()
+        folder.chmod(mode)
+    environment = {key: value for key, value in os.environ.items() if key != "NUMBA_CACHE_DIR"}
+    environment |= {"PYTHONPATH": str(ROOT), "TMPDIR": str(tmp_path)}
+    done = subprocess.run(
+        [sys.executable, "-c", READ_ONLY], env=environment, text=True, capture_output=True, timeout=120, check=True
+    )
+    assert done.stdout.split() == ([str(kept), str(folder)] if kept else ["False"])
+    assert done.stderr.count("\n") == 1
+    assert ("kept in" in done.stderr, "made anew" in done.stderr) == (kept, not kept)

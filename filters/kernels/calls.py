@@ -248,7 +248,7 @@ def of_part(kernels: Any, name: str) -> Any:
     include(function.__module__)
     has_file = getattr(function, "has_source", Path(function.__code__.co_filename).exists())  # else nowhere to keep it
     try:
-        compiled = Unit(name, function, **{**KEPT, "cache": has_file})
+        compiled = Unit(name, function, **{**KEPT, "cache": KEPT["cache"] and has_file})
         _LOADED.append(compiled)
         return compiled.address
     except Exception as error:  # whatever Numba stumbles over: a function of a stranger's then runs in Python

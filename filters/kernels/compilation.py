@@ -20,7 +20,9 @@ import hashlib
 import logging
 import os
 import re
+import stat
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 from functools import cache, partial
@@ -33,6 +35,7 @@ from typing import Any, TextIO
 from llvmlite.binding import Linkage
 from numba import config, njit, types
 from numba.core import event
+from numba.core.caching import FunctionCache
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 
@@ -213,7 +216,35 @@ _INTERNALS = (
     (Compiler, "_compile_core"),
 )
 _SHORT = all(hasattr(owner, name) for owner, name in _INTERNALS)
-KEPT: dict[str, Any] = {"cache": True, "pipeline_class": KernelCompiler}
+
+
+def _has_cache() -> bool:
+    """Whether machine code can be kept; where the package and the home cannot be written, in the temporary folder.
+
+    That folder must be this user's alone: what is in it will be run.
+    """
+    try:
+        FunctionCache(include)  # of any function of the package
+    except RuntimeError:
+        user = getattr(os, "getuid", lambda: -1)()
+        folder, usable = None, False
+        try:
+            folder = Path(tempfile.gettempdir()) / f"stereo-slam-{user}"
+            folder.mkdir(mode=0o700, exist_ok=True)
+            status = folder.lstat()
+            private = stat.S_ISDIR(status.st_mode) and status.st_uid == user and not status.st_mode & 0o077
+            usable = private and os.access(folder, os.W_OK)
+        except OSError:  # there is no temporary folder either
+            pass
+        if usable:
+            config.CACHE_DIR = str(folder)
+        where = f"kept in {folder}" if usable else "made anew by each process"
+        _log.warning("machine code is %s: neither the package nor a home can be written (set NUMBA_CACHE_DIR)", where)
+        return usable
+    return True
+
+
+KEPT: dict[str, Any] = {"cache": _has_cache(), "pipeline_class": KernelCompiler}
 """Options of Numba for a `stamped` function whose machine code is kept on disk."""
 _INNER: dict[str, Any] = {
     "no_cpython_wrapper": True,
