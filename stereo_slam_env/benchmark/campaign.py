@@ -207,14 +207,18 @@ def as_study(what: Study | Scenario | str | Path, *, data: str | Path | None = N
 
 def check_study(study: Study) -> None:
     """Raise a `ValueError` for a study that cannot be run, before any work is done."""
+    scenarios = [cell.scenario for cell in study.cells]
+    for name in {choice.name for scenario in scenarios for choice in scenario.filters if not choice.is_outside}:
+        if plugin_of(name) is None:
+            filter_factory(name)
+    for scenario in scenarios:
+        check_source(scenario)
     checked: list[tuple[object, ...]] = []
-    for cell in study.cells:
-        scenario = cell.scenario
+    for scenario in scenarios:
         what_filters_get = scenario.filters, scenario.common_options, scenario.recording_seeds
-        if what_filters_get not in checked:  # making every filter takes its time, and most cells share theirs
+        if what_filters_get not in checked:  # making every filter may compile it, and most cells share theirs
             check_filters(scenario)
             checked.append(what_filters_get)
-        check_source(scenario)
 
 
 def check_filters(scenario: Scenario) -> None:

@@ -90,16 +90,30 @@ def load(source: str | Path, **options: Any) -> Recording:
     if path.suffix == ".npz" and is_there(path) and path.is_file():
         require_known("a recording in one file has no option", options, [])
         return _with_its_noise(load_recording(path))
-    if (layout := _of_file(path)) is None:
-        _require_folder(path, f", a bag, a recording in one file (NAME.npz) or {EXAMPLE!r}")
-        layout = _recognised(path, track_layouts())
-    if layout is None or not hasattr(layout, "read"):
-        if not holds_images(path):
-            raise _unknown_layout(path, (*track_layouts(), *image_layouts()))
+    layout = layout_of_tracks(path)
+    if layout is None:
         return set_up_for_tracks(record_tracks(*open_for_front_end(path, **options)))
     _require_options(layout.NAME, layout.read, options)
     require_links_inside(path)
     return set_up_for_tracks(_with_its_noise(layout.read(path, **options)))
+
+
+def layout_of_tracks(path: Path) -> Any | None:
+    """Layout of tracks that a folder or a file has; None of images.
+
+    Raises
+    ------
+    ValueError
+        There is no such folder, or nothing that is known in it.
+    """
+    if (layout := _of_file(path)) is None:
+        _require_folder(path, f", a bag, a recording in one file (NAME.npz) or {EXAMPLE!r}")
+        layout = _recognised(path, track_layouts())
+    if layout is not None and hasattr(layout, "read"):
+        return layout
+    if not holds_images(path):
+        raise _unknown_layout(path, (*track_layouts(), *image_layouts()))
+    return None
 
 
 def _with_its_noise(recording: Recording) -> Recording:

@@ -18,6 +18,7 @@ from filters.contract.validation import did_you_mean, first_line, require_known,
 from stereo_slam_env.benchmark.recordings.source import OpenedImages, Progress, Renderer, Source, checked
 from stereo_slam_env.recording.recording import GIVEN_TRUTH, Recording
 from stereo_slam_env.sensing.rigs import camera_of
+from stereo_slam_env.world.routes import RANDOM_ROUTES, Route, named_route
 
 if TYPE_CHECKING:
     from typing import Self
@@ -26,6 +27,11 @@ if TYPE_CHECKING:
 
 ENTRY_POINT_GROUP = "stereo_slam.sources"
 GAZE = "StereoSlam/Gaze-v0"
+
+
+def _require_frames(frames: int, route: Route) -> None:
+    if frames > route.frames:
+        raise ValueError(f"frames must be at most {route.frames} on this route, got {frames}")
 
 
 class StreetSource(Source, frozen=True, tag="street"):
@@ -72,6 +78,8 @@ class StreetSource(Source, frozen=True, tag="street"):
         options = DriveOptions.checked(self.options)
         if options.draws:
             require_renderer(options.renderer)
+        if frames is not None and options.route is not None and options.route not in RANDOM_ROUTES:
+            _require_frames(frames, named_route(options.route))
 
     def sequence(self, seed: int | None, frames: int | None = None) -> OpenedImages:
         """Rendered image pairs of a drive."""
@@ -103,8 +111,8 @@ class GazeSource(Source, frozen=True, tag="gaze"):
         env = self.make_environment()
         route = env.get_wrapper_attr("route")
         env.close()
-        if frames is not None and frames > route.frames:
-            raise ValueError(f"frames must be at most {route.frames} on this route, got {frames}")
+        if frames is not None:
+            _require_frames(frames, route)
         if self.takes_images:
             require_renderer(self.arguments.get("renderer", "tiny"))
 
@@ -199,8 +207,12 @@ class DatasetSource(Source, frozen=True, tag="dataset"):
         return self._stated(_tracked(_Tracking(self.key, seed, frames, track)))
 
     def check(self, frames: int | None = None) -> None:
-        """Refuse a kind or errors of the truth that are none."""
+        """Refuse a place without a recording, and a kind or errors of the truth that are none."""
+        from stereo_slam_env.datasets import EXAMPLE, layout_of_tracks
+
         GIVEN_TRUTH.stating(self.reference)
+        if self.path.partition(":")[0] != EXAMPLE and Path(self.path).suffix != ".npz":
+            layout_of_tracks(Path(self.path))
 
     def _stated(self, recording: Recording) -> Recording:
         if self.reference and recording.reference.kind == "none":
