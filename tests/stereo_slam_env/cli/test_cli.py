@@ -685,7 +685,23 @@ def test_other_settings_never_overwrite_results(command, tmp_path):
     assert "choose another output directory" in err
 
 
-@pytest.mark.parametrize("arguments", [(), ("filters",), ("scenes",), ("--help",), ("bench", "--help")])
+@pytest.mark.parametrize(
+    ("arguments", "wrong"),
+    [
+        (("replay", "nosuch"), "nosuch does not exist"),
+        (("bench", "--policy", "nosuch"), "policy must be one of"),
+        (("bench", "--filters", "nosuch"), "filter must be one of"),
+        (("bench", "--preset", "turn", "--frames", "1000"), "frames must be at most 80"),
+        (("bench", "--preset", "turn", "--rig", "nosuch"), "rig must be one of"),
+    ],
+)
+def test_what_does_not_exist_is_refused_before_a_filter_is_compiled(command, monkeypatch, arguments, wrong):
+    monkeypatch.setattr("stereo_slam_env.benchmark.campaign.make_with_common_options", None)
+    code, _, err = command(*arguments)
+    assert (code, wrong in err) == (2, True), err
+
+
+@pytest.mark.parametrize("arguments", [(), ("filters",), ("scenes",), ("--help",), ("bench", "-h")])
 def test_help_is_there_when_it_is_needed(command, arguments):
     code, out, err = command(*arguments)
     assert (code, err) == (0, "")
