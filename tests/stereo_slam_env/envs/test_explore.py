@@ -73,3 +73,8 @@ def test_who_looks_where_landmarks_are_has_more_than_a_blind_sweep():
     looking, blind = returns_of(lambda seen, _: explore_by_looking(seen), blind_sweep)
     assert looking > blind + 1.0
     assert looking > 2.0
+
+
+def test_corners_in_images_are_refused():
+    with pytest.raises(ValueError, match="sensor must be 'landmarks'"):
+        gym.make("StereoSlam/Explore-v0", arguments={"sensor": "images"})

@@ -16,7 +16,7 @@ from stereo_slam_env.envs import (
     SelectedKeys,
     belief_observation,
 )
-from stereo_slam_env.envs.active_gaze import GAZE_FILTER
+from stereo_slam_env.envs.active_gaze import GAZE_FILTER, GazeTask
 
 GAZE = "StereoSlam/Gaze-v0"
 WORLD = {"route": "right-turn", "rig": "qvga"}
@@ -130,6 +130,17 @@ def test_rows_that_begin_leave_the_others_as_they_are():
         for key, value in one.items():
             np.testing.assert_array_equal(value[[0, 2]], other[key][[0, 2]], err_msg=key)
     assert after[1]["reward_information"].tolist()[1] == 0.0
+    vector.close()
+
+
+def test_the_information_of_an_episode_adds_up_to_the_loss_of_potential():
+    vector = GazeTask(arguments=WORLD, reward="information").make_vector(3, autoreset_mode="Disabled")
+    _, info = vector.reset(seed=0)
+    first, total, over = info["information_potential"], 0.0, False
+    while not over:
+        _, rewards, terminated, _, info = vector.step(np.full(3, 6))
+        total, over = total + rewards, terminated.all()
+    np.testing.assert_allclose(total, first - info["information_potential"], rtol=1e-9)
     vector.close()
 
 

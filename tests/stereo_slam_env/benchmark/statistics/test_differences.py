@@ -38,6 +38,10 @@ def test_interval_and_test_must_agree():
     shown = paired_difference(1.2 * HARDNESS * SCATTER, HARDNESS)
     assert shown.p_value < 0.05 < 20 * shown.p_value + 0.05
     assert not paired_difference(1.2 * HARDNESS * SCATTER, HARDNESS, comparisons=100).shown
+    for compared in (paired_difference, unpaired_difference):
+        narrow, wide = (compared(3.0 * HARDNESS * SCATTER, HARDNESS, comparisons=n) for n in (1, 6))
+        assert wide.p_value == min(1.0, 6 * narrow.p_value)
+        assert wide.interval[0] < narrow.interval[0] < narrow.interval[1] < wide.interval[1]
 
 
 @pytest.mark.parametrize(("comparisons", "pairs"), [(1, 6), (2, 7), (3, 7), (6, 8), (12, 9), (25, 10), (26, 11)])
