@@ -6,6 +6,7 @@ import pytest
 from stereo_slam_env.benchmark.statistics.differences import Difference, signed
 from stereo_slam_env.benchmark.statistics.policy_verdict import Agreement, agreement_of, judge_policies
 from stereo_slam_env.benchmark.statistics.verdict import Consistency
+from stereo_slam_env.report.overview import policy_overview
 
 from ....synthetic_runs import Behaviour, make_runs, scored
 
@@ -105,3 +106,11 @@ def test_the_baseline_must_take_part():
     runs = make_runs((BETTER, SAME), range(2), frames=30)
     with pytest.raises(ValueError, match="baseline must be one of greedy, other, got 'fixed'"):
         judge_policies(*scored(runs), baseline="fixed")
+
+
+def test_the_first_screen_has_a_row_a_policy_and_a_sentence_for_each():
+    verdict, summaries = judged(BETTER, NO_BETTER)
+    markup = policy_overview(summaries, verdict)
+    assert (markup.count("<tr>"), markup.count("<li>")) == (1 + 3, 2)
+    words = ("What does it claim at the end?", "How wrong is it then?", "baseline", ">yes<", ">no<", "not significant")
+    assert [said for said in words if said not in markup] == []
