@@ -30,21 +30,8 @@ def test_all_filters_on_all_seeds(tmp_path):
     ]
     assert all(r.failure is None for r in result.runs)
     assert [s.runs for s in result.summaries] == [2, 2, 2]
-    assert set(json.loads((tmp_path / "out" / "summary.json").read_text())["filters"]) == {
-        "inverse-depth",
-        "dual-bearing",
-        "euclidean",
-    }
-
-
-@pytest.mark.slow
-def test_processes_change_nothing_but_the_time(tmp_path):
-    alone = run_benchmark(SHORT, tmp_path / "one", jobs=1)
-    together = run_benchmark(SHORT, tmp_path / "two", jobs=2)
-    for a, b in zip(alone.runs, together.runs, strict=True):
-        assert (a.seed, a.filter_name) == (b.seed, b.filter_name)
-        np.testing.assert_allclose(a.positions, b.positions, atol=1e-12)
-        np.testing.assert_array_equal(a.true_positions, b.true_positions)
+    written = json.loads((tmp_path / "out" / "summary.json").read_text())["filters"]
+    assert list(written) == [choice.label for choice in SHORT.filters]
 
 
 @pytest.mark.usefixtures("third_party")
@@ -60,14 +47,17 @@ def test_every_filter_hears_exactly_the_same(tmp_path):
 def test_an_interrupted_run_goes_on_where_it_stopped(tmp_path, monkeypatch):
     made = []
     run, make = campaign.run_all_trials, campaign.make_all
-    monkeypatch.setattr(
-        campaign, "make_all", lambda tasks, **how: made.extend(t.seed for t in tasks) or make(tasks, **how)
-    )
-    monkeypatch.setattr(
-        campaign,
-        "run_all_trials",
-        lambda tasks, **how: made.extend((t.seed, t.choice.label) for t in tasks) or run(tasks, **how),
-    )
+
+    def making(tasks, **how):
+        made.extend(task.seed for task in tasks)
+        return make(tasks, **how)
+
+    def running(tasks, **how):
+        made.extend((task.seed, task.choice.label) for task in tasks)
+        return run(tasks, **how)
+
+    monkeypatch.setattr(campaign, "make_all", making)
+    monkeypatch.setattr(campaign, "run_all_trials", running)
 
     def stop_in_the_fifth_trial(done, total):
         assert total == 2 + 6
@@ -161,30 +151,20 @@ def test_filters_that_fail_never_take_the_run_down(tmp_path):
 
 
 def test_a_tiny_third_party_filter_is_benchmarked_by_name(tmp_path, monkeypatch):
-    module = (
-        'from filters import InverseDepthStereoEKF\nclass Mine(InverseDepthStereoEKF):\n    """A filter of mine."""\n'
-    )
+    """And one that cannot be imported is reported by its name."""
     site = tmp_path / "site"
     site.mkdir()
+    module = 'from filters import InverseDepthStereoEKF\nclass Mine(InverseDepthStereoEKF):\n    """Mine."""\n'
     install(site, "my_filter_package", module, {"mine": "Mine"})
-    monkeypatch.syspath_prepend(str(site))
-    result = run_benchmark(SHORT, tmp_path / "out", filters=["mine", "inverse-depth"], jobs=1)
-    mine, original = result.summaries
-    assert mine.filter_name == "mine"
-    assert mine.position_rmse_m == original.position_rmse_m
-    assert mine.options == original.options
-
-
-def test_a_plugin_that_cannot_be_imported_is_reported_by_name(tmp_path, monkeypatch):
-    site = tmp_path / "site"
-    site.mkdir()
     install(site, "broken_filter_package", "import no_such_module\n", {"broken": "Broken"})
     monkeypatch.syspath_prepend(str(site))
-    broken, sound = run_benchmark(SHORT, tmp_path / "out", filters=["broken", "euclidean"], jobs=1).summaries
-    assert broken.diverged == 2
+    result = run_benchmark(SHORT, tmp_path / "out", filters=["mine", "inverse-depth", "broken"], jobs=1)
+    mine, original, broken = result.summaries
+    assert mine.filter_name == "mine"
+    assert (mine.position_rmse_m, mine.options) == (original.position_rmse_m, original.options)
+    assert (broken.diverged, original.diverged) == (2, 0)
     assert "'broken'" in broken.failures[0]
     assert "no_such_module" in broken.failures[0]
-    assert sound.diverged == 0
 
 
 @pytest.mark.parametrize(
@@ -226,22 +206,15 @@ def test_a_stored_recording_replays_as_it_was(tmp_path):
 
 
 def test_cells_that_differ_in_the_filters_share_their_recordings(tmp_path):
-    study = study_from(
-        {
-            **SHORT.as_dict(),
-            "seeds": [0],
-            "filters": ["inverse-depth"],
-            "grid": {"noise.independent_pixels": [0.5, 1.0], "options.sigma": [1.0, 2.0]},
-        }
-    )
+    grid = {"noise.independent_pixels": [0.5, 1.0], "options.sigma": [1.0, 2.0]}
+    study = study_from({**SHORT.as_dict(), "seeds": [0], "filters": ["inverse-depth"], "grid": grid})
     result = run_benchmark(study, tmp_path, jobs=1)
     assert len(list(tmp_path.glob("recordings/*/*.npz"))) == 2
     assert len({cell.summaries[0].position_rmse_m for cell in result.cells}) == 4
-    summary = json.loads((tmp_path / "summary.json").read_text())
-    assert summary["cells"]["independent_pixels-0.5_sigma-2.0"]["factors"] == {
-        "noise.independent_pixels": 0.5,
-        "options.sigma": 2.0,
-    }
+    factors = json.loads((tmp_path / "summary.json").read_text())["cells"]["independent_pixels-0.5_sigma-2.0"][
+        "factors"
+    ]
+    assert factors == {"noise.independent_pixels": 0.5, "options.sigma": 2.0}
     one = read_study(tmp_path / "cells" / "independent_pixels-0.5_sigma-2.0")
     assert write_results(one)[0].summaries[0].position_rmse_m == result.cells[1].summaries[0].position_rmse_m
 
@@ -258,26 +231,21 @@ def test_a_benchmark_is_named_by_its_preset_or_its_file(tmp_path):
         run_benchmark("reference-tur", tmp_path / "x")
 
 
-def test_no_jobs_is_refused(tmp_path):
-    with pytest.raises(ValueError, match="jobs must be >= 1"):
-        run_benchmark(SHORT, tmp_path, jobs=0)
-
-
 def test_of_more_seeds_than_are_kept_the_figures_are_kept(tmp_path):
     """The same figures, summaries and table, bit for bit, from files of which most have no trajectory."""
     three = SHORT.replaced(seeds=(0, 1, 2), metrics=("map", "bound"))
     whole = run_benchmark(three, tmp_path / "whole", jobs=1)
     thin = run_benchmark(three.replaced(kept_seeds=1), tmp_path / "thin", jobs=1)
     timed = {"ms_per_frame", "ms_predict", "ms_update", "memory_mb"}
+
+    def untimed(row):
+        return {key: value for key, value in row.items() if key not in timed}
+
     for label in whole.figures:
         for key, figures in whole.figures[label].of_run.items():
-            again = thin.figures[label].of_run[key]
-            assert {k: v for k, v in again.items() if k not in timed} == {
-                k: v for k, v in figures.items() if k not in timed
-            }
+            assert untimed(thin.figures[label].of_run[key]) == untimed(figures)
     for a, b in zip(whole.summaries, thin.summaries, strict=True):
-        a_row, b_row = ({k: v for k, v in s.as_dict().items() if k not in timed} for s in (a, b))
-        assert json.dumps(a_row) == json.dumps(b_row)
+        assert json.dumps(untimed(a.as_dict())) == json.dumps(untimed(b.as_dict()))
     assert {run.seed for run in thin.runs} == {0}
     kept = {path.name for path in (tmp_path / "thin").rglob("seed-*")}
     assert "seed-0000.npz" in kept  # recordings and bounds

@@ -16,7 +16,6 @@ from stereo_slam_env.benchmark.scenarios.streams import pairing_digest
 from stereo_slam_env.evaluation import run_filter
 
 from ..digest import Digest
-from .episode_digests import WAYS, digest_of_episodes
 
 FILTERS = (filter_choice("inverse-depth"),)
 SHORT = {"filters": FILTERS, "seeds": (0, 1), "frames": 3}
@@ -61,16 +60,6 @@ def test_a_benchmark_gives_the_same_bits_again_and_in_other_processes(name, tmp_
     assert len(first) == 4
     assert again == first
     assert parts_of(scenario, tmp_path / "processes", jobs=2) == first
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["street", "gaze"])
-def test_an_environment_returns_the_same_bits_alone_and_in_vectors(name):
-    digests = {way: digest_of_episodes(SCENARIOS[name], way) for way in WAYS}
-    assert len(digests) == 3
-    assert len(set(digests.values())) == 1, digests
-    other = SCENARIOS[name].replaced(seeds=(0, 2))
-    assert digest_of_episodes(other, "environment alone") != digests["environment alone"]
 
 
 def test_the_digest_of_a_run_has_every_bit_and_no_clock():

@@ -38,8 +38,6 @@ from stereo_slam_env.policies.named_policies import FixedGaze
 
 
 class Raises(FixedGaze):
-    """Raises in frame 2."""
-
     frame = 0
 
     def act(self, observation):
@@ -53,15 +51,11 @@ class Raises(FixedGaze):
 
 
 class Crashes(Raises):
-    """Takes its process down."""
-
     def give_up(self):
         os._exit(7)
 
 
 class Hangs(Raises):
-    """Never decides."""
-
     def give_up(self):
         while True:
             pass
@@ -100,13 +94,11 @@ def test_a_scenario_file_with_policies_is_read_and_stored(tmp_path):
 
 def test_with_several_filters_a_competitor_has_both_names():
     two = Scenario("two", GazeSource(), filters=SHORT.filters + preset("quick").filters[:1], policies=SHORT.policies)
-    assert [choice.label for choice in two.competitors] == [
-        "fixed+shared-anchor",
-        "fixed+inverse-depth",
-        "sweep+shared-anchor",
-        "sweep+inverse-depth",
-    ]
-    assert [choice.name for choice in two.competitors] == ["shared-anchor", "inverse-depth"] * 2
+    names = ["shared-anchor", "inverse-depth"]
+    assert [choice.label for choice in two.competitors] == [f"{p}+{f}" for p in ("fixed", "sweep") for f in names]
+    assert [choice.name for choice in two.competitors] == names * 2
+    with pytest.raises(ValueError, match="every policy drives its own episode"):
+        make_recording(SHORT, 0)
 
 
 def test_the_preset_has_fifty_scenes_and_known_policies():
@@ -123,10 +115,7 @@ def test_the_preset_has_fifty_scenes_and_known_policies():
     [
         ({"policies": (PolicyChoice("swep", "swep"),)}, "did you mean 'sweep'"),
         ({"policies": (PolicyChoice("s", "sweep", {"perod": 1.0}),)}, "did you mean 'period'"),
-        (
-            {"source": GazeSource({"environment": "StereoSlam/Drive-v0", "policy": "route"})},
-            "no head that a policy could turn",
-        ),
+        ({"source": GazeSource({"environment": "StereoSlam/Drive-v0", "policy": "route"})}, "no head that a policy"),
         ({"source": GazeSource({"environment": "StereoSlam/DriveGaze-v0"})}, "must follow its route"),
         ({"source": GazeSource({"environment": "StereoSlam/Gase-v0"})}, "did you mean 'StereoSlam/Gaze-v0'"),
         ({"source": GazeSource({"rout": "town"})}, "route"),
@@ -153,11 +142,6 @@ def test_what_makes_no_sense_is_no_scenario(changes, said):
         SHORT.replaced(**changes)
 
 
-def test_there_is_no_recording_for_all():
-    with pytest.raises(ValueError, match="every policy drives its own episode"):
-        make_recording(SHORT, 0)
-
-
 # ---- runs -----------------------------------------------------------------------------------------------------------
 
 
@@ -175,13 +159,6 @@ def test_every_policy_drives_the_same_drive_and_sees_something_else(finished):
     assert about[0]["drive_sha256"] != about[1]["drive_sha256"]
 
 
-def test_a_trial_is_the_same_again_bit_for_bit(finished, tmp_path):
-    again = run_benchmark(SHORT, tmp_path / "again", policies=[SWEEP.policy], seeds=[1], jobs=1).runs[0]
-    before = next(one for one in finished.runs if (one.filter_name, one.seed) == ("sweep", 1))
-    for name in ("positions", "orientations", "pose_covariances", "true_positions", "pose_errors", "nis"):
-        np.testing.assert_array_equal(getattr(again, name), getattr(before, name))
-
-
 def test_a_kept_recording_is_a_recording_like_any_other(finished):
     kept = load_recording(finished.cells[0].directory.recording_path(0, SWEEP))
     before = next(one for one in finished.runs if (one.filter_name, one.seed) == ("sweep", 0))
@@ -192,13 +169,13 @@ def test_a_kept_recording_is_a_recording_like_any_other(finished):
 
 
 def test_an_interrupted_run_goes_on_where_it_stopped(tmp_path, monkeypatch):
-    made = []
-    run = campaign.run_all_trials
-    monkeypatch.setattr(
-        campaign,
-        "run_all_trials",
-        lambda tasks, **how: made.extend((t.seed, t.choice.label) for t in tasks) or run(tasks, **how),
-    )
+    made, run = [], campaign.run_all_trials
+
+    def running(tasks, **how):
+        made.extend((task.seed, task.choice.label) for task in tasks)
+        return run(tasks, **how)
+
+    monkeypatch.setattr(campaign, "run_all_trials", running)
 
     def stop_in_the_third_trial(done, total):
         assert total == 4
@@ -211,14 +188,6 @@ def test_an_interrupted_run_goes_on_where_it_stopped(tmp_path, monkeypatch):
     result = run_benchmark(SHORT, tmp_path / "out", policies=[*SHORT.policies, "random"], jobs=1)
     assert made == [(0, "random"), (1, "fixed"), (1, "sweep"), (1, "random")]
     assert [summary.runs for summary in result.summaries] == [2, 2, 2]
-
-
-@pytest.mark.slow
-def test_processes_change_nothing(finished, tmp_path):
-    together = run_benchmark(SHORT, tmp_path / "two", jobs=2)
-    for a, b in zip(finished.runs, together.runs, strict=True):
-        assert (a.seed, a.filter_name) == (b.seed, b.filter_name)
-        np.testing.assert_allclose(a.positions, b.positions, atol=1e-12)
 
 
 @pytest.mark.usefixtures("third_party", "finished")  # after the latter nothing has to be compiled within the limit
@@ -260,28 +229,10 @@ def test_the_trial_table_says_who_looked_and_what_was_claimed(finished):
 
 def test_the_page_says_what_is_claimed_and_what_is_true(finished):
     page = finished.report.read_text()
-    for said in (
-        "leaves the pose least uncertain at the end",
-        "2 policies on identical drives",
-        "What does it claim at the end?",
-        "sweep is not shown to claim another uncertainty than fixed",
-        "2 paired runs are too few",
-        "Each against fixed",
-        'id="figure-gaze_map"',
-        'id="figure-claim_and_truth"',
-    ):
-        assert said in page, said
-    assert "Which is best?" not in page
-
-
-def test_every_policy_has_its_own_truth(finished):
-    folder = finished.out / "trajectories" / "seed-0000"
-    assert sorted(path.name for path in folder.glob("*.tum")) == [
-        "fixed-truth.tum",
-        "fixed.tum",
-        "sweep-truth.tum",
-        "sweep.tum",
-    ]
+    words = ("2 policies on identical drives", "2 paired runs are too few", "figure-gaze_map", "figure-claim_and_truth")
+    assert [said for said in words if said not in page] == []
+    truths = {path.name for path in (finished.out / "trajectories" / "seed-0000").glob("*-truth.tum")}
+    assert truths == {"fixed-truth.tum", "sweep-truth.tum"}
 
 
 def test_two_runs_are_compared_drive_by_drive(finished, tmp_path):

@@ -43,25 +43,9 @@ def test_the_chosen_roads_are_driven_and_paid_for_by_the_truth():
     assert seen[4]["branches"][RIGHT, [DRIVEN, TO_NEW]].tolist() == [1, 1]
 
 
-def test_a_map_that_is_elsewhere_earns_nothing(monkeypatch):
-    with gym.make(NAME, disable_env_checker=True, roads=1) as env:
-        env.reset(seed=1)
-        world, truth = env.unwrapped.rows.world, env.unwrapped.landmark_truth()
-        wrong = type(truth)(truth.ids, truth.positions + 5.0)
-        monkeypatch.setattr(world, "landmark_truth", lambda _: wrong)
-        _, _, _, _, info = env.step(STRAIGHT)
-    assert info["belief_map_size"] > 10
-    assert info["mapped"] == 0.0
-
-
 def test_who_explores_and_closes_loops_has_more_than_who_does_only_one():
     """Always straight on, once round one block and again, and always to new roads, beside the rule; 5 scenes."""
-    rules = {
-        "straight": lambda _: STRAIGHT,
-        "block": lambda _: RIGHT,
-        "new": to_new_roads,
-        "rule": explore_and_close,
-    }
+    rules = {"straight": lambda _: STRAIGHT, "block": lambda _: RIGHT, "new": to_new_roads, "rule": explore_and_close}
     scenes = 5
     vector = gym.make_vec(NAME, num_envs=scenes * len(rules))
     observation, _ = vector.reset(seed=list(range(60, 60 + scenes)) * len(rules))

@@ -1,13 +1,11 @@
 """`render_mode="human"` opens a window where it can and says what to do where it cannot; films. About 15 s."""
 
 import sys
-import warnings
 
 import cv2
 import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.utils.env_checker import check_env
 from gymnasium.wrappers import RecordVideo
 
 import stereo_slam_env  # noqa: F401 (registers)
@@ -59,24 +57,14 @@ def test_without_pygame_human_names_the_extra(no_display, monkeypatch):
 
 
 def test_the_window_shows_each_frame_at_once(dummy):
-    env = make(render_mode="human")
-    try:
-        env.reset(seed=0)
-        first = dummy.surfarray.array3d(dummy.display.get_surface()).swapaxes(0, 1)
-        env.step(IDLE)
-        second = dummy.surfarray.array3d(dummy.display.get_surface()).swapaxes(0, 1)
+    with make(render_mode="human") as env, make(render_mode="rgb_array") as still:
+        for move in (lambda each: each.reset(seed=0), lambda each: each.step(IDLE)):
+            for each in (env, still):
+                move(each)
+            shown = dummy.surfarray.array3d(dummy.display.get_surface()).swapaxes(0, 1)
+            np.testing.assert_array_equal(shown, still.render())
         assert env.render() is None
-    finally:
         env.close()
-        env.close()
-    still = make(render_mode="rgb_array")
-    try:
-        still.reset(seed=0)
-        np.testing.assert_array_equal(first, still.render())
-        still.step(IDLE)
-        np.testing.assert_array_equal(second, still.render())
-    finally:
-        still.close()
 
 
 def test_the_class_declares_human_and_an_environment_where_it_works(no_display, monkeypatch):
@@ -86,27 +74,6 @@ def test_the_class_declares_human_and_an_environment_where_it_works(no_display, 
     pytest.importorskip("pygame")
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     assert StereoDriveEnv(**QUICK).metadata == StereoDriveEnv.metadata
-
-
-def test_check_env_passes_without_a_display(no_display):
-    env = make()
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        check_env(env.unwrapped)
-    env.close()
-
-
-def test_rgb_array_list_collects_the_frames():
-    env = make(render_mode="rgb_array_list")
-    try:
-        env.reset(seed=0)
-        env.step(IDLE)
-        frames = env.render()
-        assert [frame.dtype for frame in frames] == [np.uint8, np.uint8]
-        assert (frames[0] != frames[1]).any()
-        assert env.render() == []
-    finally:
-        env.close()
 
 
 def test_record_video_makes_a_film(tmp_path):

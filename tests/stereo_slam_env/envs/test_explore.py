@@ -75,33 +75,6 @@ def test_who_looks_where_landmarks_are_has_more_than_a_blind_sweep():
     assert looking > 2.0
 
 
-def test_standing_still_costs_time():
-    brake, _, truncated = episode(lambda *_: np.array([-1, 0, 0, 0, 0], np.float32), max_episode_steps=300)
-    assert truncated
-    assert brake == pytest.approx(-1.5, abs=0.5)
-
-
-def test_the_agent_may_stop():
-    total, infos, truncated = episode(lambda *_: np.array([0, 0, 0.6, 0, 0], np.float32))
-    assert len(infos) == 2
-    assert not truncated
-    assert -0.1 < total <= 0.5
-
-
-def test_a_map_that_is_only_claimed_does_not_count(monkeypatch):
-    with gym.make("StereoSlam/Explore-v0", disable_env_checker=True, surroundings="groves") as env:
-        env.reset(seed=1)
-        slam = env.get_wrapper_attr("slam")
-        world, truth = env.unwrapped.rows.world, env.unwrapped.landmark_truth()
-        wrong = type(truth)(truth.ids, truth.positions + 5.0)  # every estimate is 5 m off
-        monkeypatch.setattr(world, "landmark_truth", lambda _: wrong)
-        for _ in range(20):
-            _, _, _, _, info = env.step(np.zeros(5, np.float32))
-        sigmas = np.sqrt(np.einsum("nii->n", slam.landmarks.covariances))
-    assert (sigmas < 0.8).any()
-    assert info["coverage"] == 0.0
-
-
 def test_corners_in_images_are_refused():
     with pytest.raises(ValueError, match="sensor must be 'landmarks'"):
         gym.make("StereoSlam/Explore-v0", arguments={"sensor": "images"})

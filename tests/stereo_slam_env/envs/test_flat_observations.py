@@ -24,13 +24,6 @@ def test_it_holds_what_the_keys_hold_one_and_many(name):
     assert flat.observation_space == gym.spaces.flatten_space(mapping.observation_space)
 
 
-def test_wrappers_and_policies_that_know_no_dict_work():
-    env = gym.wrappers.NormalizeObservation(gym.make("StereoSlam/Branches-v0", observation="flat"))
-    assert np.isfinite(env.reset(seed=0)[0]).all()
-    sb3 = pytest.importorskip("stable_baselines3", reason="the extra rl is not installed")
-    sb3.PPO("MlpPolicy", env, n_steps=4, batch_size=4, n_epochs=1, device="cpu").learn(4)
-
-
 def test_a_native_vector_takes_it_with_keys_of_its_own():
     vector = gym.make_vec("StereoSlam/Drive-v0", num_envs=2, observation="flat", keys=["car", "route"])
     assert vector.reset(seed=0)[0].shape == vector.observation_space.shape == (2, 12)

@@ -1,14 +1,12 @@
 """StereoSlam/Gaze-v0 and DriveGaze-v0: what moves when the head moves. About 10 s."""
 
-import copy
-import pickle
 import warnings
 from itertools import pairwise
 
 import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.utils.env_checker import check_env, data_equivalence
+from gymnasium.utils.env_checker import check_env
 from scipy.stats import chi2
 
 from filters import VelocityDriven, make_filter
@@ -49,62 +47,31 @@ def random_actions(env, steps, seed=0):
 
 
 @pytest.mark.parametrize("name", ["StereoSlam/Gaze-v0", "StereoSlam/DriveGaze-v0"])
-def test_check_env_passes_without_a_warning(name):
+def test_checkers_pass_without_a_warning(name):
+    checker = pytest.importorskip("stable_baselines3.common.env_checker", reason="needs the extra rl")
     env = gym.make(name, disable_env_checker=True, **QUICK).unwrapped
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         check_env(env, skip_render_check=True)
-
-
-@pytest.mark.parametrize("name", ["StereoSlam/Gaze-v0", "StereoSlam/DriveGaze-v0", "StereoSlam/Drive-v0"])
-def test_check_env_of_stable_baselines_passes(name):
-    checker = pytest.importorskip("stable_baselines3.common.env_checker", reason="needs the extra rl")
-    env = gym.make(name, **QUICK)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
         warnings.filterwarnings("ignore", message=".*unconventional shape.*")
-        checker.check_env(env)
-    env.close()
+        checker.check_env(gym.make(name, **QUICK))
 
 
-@pytest.mark.parametrize("kind", [StereoGazeEnv, StereoDriveGazeEnv])
-def test_same_seed_same_actions_same_bits(make, kind):
-    one, two = make(kind), make(kind)
-    actions = random_actions(one, 15)
-    assert data_equivalence(rollout(one, 3, actions), rollout(two, 3, actions), exact=True)
-    assert data_equivalence(rollout(one, 3, actions), rollout(pickle.loads(pickle.dumps(two)), 3, actions), exact=True)
-
-
-def test_the_car_drives_the_same_wherever_the_head_looks(make):
-    env = make()
-    drives = []
-    for action in (np.zeros(2), RIGHT, -RIGHT):
-        poses = []
-        env.reset(seed=1)
-        for _ in range(20):
-            env.step(action)
-            poses.append(env.head.body_pose(env.frame.truth, env.head_angles).position)
-        drives.append(poses)
-    np.testing.assert_allclose(drives[1], drives[0], atol=1e-12)
-    np.testing.assert_allclose(drives[2], drives[0], atol=1e-12)
-
-
-def test_the_truth_obeys_equation_6_while_the_head_turns(make):
-    env = make()
-    infos = [result[-1] for result in rollout(env, 2, random_actions(env, 30))]
+@pytest.mark.parametrize(
+    ("kind", "arguments"),
+    [(StereoDriveEnv, {"policy": "route"}), (StereoDriveEnv, {"policy": "agent"}), (StereoGazeEnv, {})],
+)
+def test_the_truth_obeys_equation_6_and_starts_at_the_origin_of_w(make, kind, arguments):
+    env = make(kind, **arguments)
+    infos = [result[-1] for result in rollout(env, 2, 0.5 * random_actions(env, 30))]
+    np.testing.assert_array_equal(infos[0]["truth_position"], 0)
+    np.testing.assert_array_equal(infos[0]["truth_orientation"], [0, 0, 0, 1])
     for before, after in pairwise(infos):
         moved = before["truth_position"] + after["truth_linear_velocity"] * FRAME_PERIOD
         np.testing.assert_allclose(after["truth_position"], moved, atol=1e-12)
         turn = rotations.exp_quaternion(after["truth_angular_velocity"] * FRAME_PERIOD)
         turned = rotations.multiply(before["truth_orientation"], turn)
         np.testing.assert_allclose(after["truth_orientation"], turned, atol=1e-12)
-
-
-def test_the_odometry_contains_the_turning_of_the_head(make):
-    env = make(odometry_sigma_linear=0.0, odometry_sigma_angular=0.0, perturbation=0.0, route="straight")
-    env.reset(seed=0)
-    env.step(RIGHT)
-    np.testing.assert_allclose(env.frame.odometry.angular, [0.0, env.options.pan_rate, 0.0], atol=1e-9)
 
 
 def test_the_observation_tells_where_the_head_is(make):
@@ -117,35 +84,6 @@ def test_the_observation_tells_where_the_head_is(make):
     assert observation in env.observation_space
 
 
-def test_landmarks_are_projected_from_where_the_head_looks(make):
-    env = make(sigma=1e-9, route="straight")
-    rollout(env, 4, [RIGHT] * 8)
-    seen, truth = env.frame.observation, env.landmark_truth()
-    assert len(seen) > 2
-    p_c = env.frame.truth.to_camera(truth.positions[np.searchsorted(truth.ids, seen.ids)])
-    np.testing.assert_allclose(seen.uvd, env.camera.project(p_c), atol=1e-6)
-    assert (p_c[:, 2] <= env.options.visibility).all()
-
-
-def test_a_landmark_comes_back_under_its_id(make):
-    env = make(route="straight")
-    env.reset(seed=4)
-    seen = [set(env.frame.observation.ids)]
-    for action in [RIGHT] * 10 + [-RIGHT] * 10:
-        env.step(action)
-        seen.append(set(env.frame.observation.ids))
-    gone = set().union(*seen[:8]) - seen[10]
-    assert gone & set().union(*seen[11:])
-
-
-def test_turning_the_head_costs_what_the_page_says(make):
-    env = make(effort_weight=0.5)
-    env.reset(seed=0)
-    _, reward, *_, info = env.step(RIGHT)
-    assert info["reward_effort"] == pytest.approx(-0.25)  # the mean of pan at full speed and no tilt
-    assert reward == pytest.approx(info["reward_effort"] + info["reward_tracking"])
-
-
 def test_driving_and_looking_are_apart(make):
     """The four actions are those of Drive-v0 and then those of Gaze-v0."""
     both, drive = make(StereoDriveGazeEnv), make(StereoDriveEnv)
@@ -155,13 +93,6 @@ def test_driving_and_looking_are_apart(make):
     body = both.head.body_pose(both.frame.truth, both.head_angles)
     np.testing.assert_allclose(body.position, drive.frame.truth.position, atol=1e-12)
     assert both.head_angles[0] == pytest.approx(1.5)
-
-
-def test_the_goal_is_paid_once_at_the_end_of_the_route(make):
-    env = make(StereoDriveEnv, policy="route", goal_weight=7.0)
-    results = rollout(env, 0, [np.zeros(2)] * 100)
-    paid = [result[-1]["reward_goal"] for result in results]
-    assert paid == [0.0] * (len(paid) - 1) + [7.0]
 
 
 def test_a_filter_with_odometry_is_consistent_while_the_head_turns(make):
@@ -197,12 +128,3 @@ def test_a_filter_with_odometry_is_consistent_while_the_head_turns(make):
 def test_a_wrong_argument_gets_one_clear_line(kwargs, message):
     with pytest.raises(ValueError, match=message):
         StereoGazeEnv(**kwargs)
-
-
-def test_a_wrong_action_gets_one_clear_line_and_changes_nothing(make):
-    env = make()
-    env.reset(seed=0)
-    before = copy.deepcopy(env.frame.truth)
-    with pytest.raises(ValueError, match=r"action must have shape \(2,\), got \(3,\)"):
-        env.step(np.zeros(3))
-    np.testing.assert_array_equal(env.frame.truth.position, before.position)

@@ -1,8 +1,6 @@
 """StereoSlam/Drive-v0 with the sensor "images": the same drive, seen through the front end. About 15 s."""
 
-import hashlib
 import os
-import pickle
 import re
 import subprocess
 import sys
@@ -68,13 +66,6 @@ def test_check_env_passes_without_a_warning():
         check_env(env, skip_render_check=True)
 
 
-def test_observations_are_inside_the_space_whatever_the_noise_of_the_other_sensor_is(make):
-    env = make(sigma=1e-3)
-    for observation, *_ in rollout(env, 2, 4):
-        assert observation in env.observation_space
-        assert observation["mask"].sum() > 10
-
-
 DIGEST = """
 import hashlib, sys
 import numpy as np
@@ -84,65 +75,34 @@ for frame in record({arguments}, seed=5, frames=3).frames:
     seen = frame.observation
     for part in (seen.ids, seen.uvd, seen.R, frame.truth.position):
         digest.update(np.ascontiguousarray(part).tobytes())
-print(digest.hexdigest())
+digest = digest.hexdigest()
+print(digest)
 """
 
 
 def test_same_seed_same_bits_also_in_another_process():
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONHASHSEED": "17"}
-    code = DIGEST.format(arguments=IMAGES)
+    code, here = DIGEST.format(arguments=IMAGES), {}
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=True)
-    digest = hashlib.sha256()
-    for frame in record(IMAGES, seed=5, frames=3).frames:
-        seen = frame.observation
-        for part in (seen.ids, seen.uvd, seen.R, frame.truth.position):
-            digest.update(np.ascontiguousarray(part).tobytes())
-    assert done.stdout.split() == [digest.hexdigest()]
+    exec(code, here)
+    assert done.stdout.split() == [here["digest"]]
 
 
-def test_an_episode_does_not_depend_on_the_one_before_and_pickle_makes_a_fresh_environment(make):
+def test_an_episode_does_not_depend_on_the_one_before(make):
     env = make(**QUICK)
     first = rollout(env, 5, 2)
     rollout(env, 9, 0)
     assert data_equivalence(first, rollout(env, 5, 2), exact=True)
-    clone = pickle.loads(pickle.dumps(env))
-    try:
-        assert data_equivalence(first, rollout(clone, 5, 2), exact=True)
-    finally:
-        clone.close()
-
-
-def test_vector_environments_give_the_same_bits(make):
-    vector = gym.make_vec(ID, num_envs=2, vectorization_mode="sync", **QUICK)
-    try:
-        vector.reset(seed=[11, 12])
-        observation, _, _, _, info = vector.step(np.zeros((2, 2), dtype=np.float32))
-    finally:
-        vector.close()
-    for index, seed in enumerate([11, 12]):
-        alone = rollout(make(**QUICK), seed, 1)[-1]
-        for key, value in alone[0].items():
-            np.testing.assert_array_equal(observation[key][index], value)
-        for key, value in alone[-1].items():
-            np.testing.assert_array_equal(info[key][index], value)
-
-
-def test_close_unused_and_twice(make):
-    make(**QUICK).close()
-    env = make(**QUICK)
-    env.reset(seed=0)
-    env.close()
-    env.close()
-    with pytest.raises(RuntimeError, match="call reset"):
-        env.step(IDLE)
 
 
 # --- what is measured ------------------------------------------------------------------------------------------------
 
 
 def test_covariances_go_with_the_observation(make):
-    env = make()
+    env = make(sigma=1e-3)  # of the other sensor
     for observation, *_, info in rollout(env, 1, 2):
+        assert observation in env.observation_space
+        assert observation["mask"].sum() > 10
         assert info["R_measured"]
         seen = stereo_slam_env.stereo_observation(observation, info)
         assert seen.R.shape == (len(seen), 3, 3)
@@ -235,15 +195,6 @@ def test_randomise_changes_the_pictures_and_not_the_drive(make):
     np.testing.assert_array_equal(poses(plain), poses(random))
     for (first, *_), (second, *_) in zip(plain, random, strict=True):
         assert np.abs(first["left"].astype(float) - second["left"]).mean() > 2.0
-
-
-def test_render_shows_what_was_measured(make):
-    env = make(render_mode="rgb_array")
-    env.reset(seed=0)
-    picture = env.render()
-    assert picture.dtype == np.uint8
-    assert picture.shape == (260, 644, 3)
-    np.testing.assert_array_equal(picture, env.render())
 
 
 # --- the other renderer ----------------------------------------------------------------------------------------------

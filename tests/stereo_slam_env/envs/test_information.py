@@ -8,8 +8,6 @@ from stereo_slam_env.envs.information import CRITERIA, FARTHEST, log_det
 
 SIGMA = 10.0
 SIZES = (0, 1, 4, 9)
-LOGARITHMIC = ("log-det", "entropy")
-BY_BLOCKS = ("a-optimality", "d-optimality", "e-optimality")
 
 
 def random_map(rng, count, spread=2.0):
@@ -77,22 +75,14 @@ def test_the_others_are_sums_over_blocks(name, variance):
         assert InformationCriterion(name, "map", SIGMA).potential(joint) == pytest.approx(wanted, rel=1e-8)
 
 
-def test_the_geometric_mean_is_below_the_mean_and_that_below_the_largest():
-    rng = np.random.default_rng(2)
-    for _ in range(20):
-        joint = random_map(rng, 5)
-        d, a, e = (InformationCriterion(name).potential(joint) for name in ("d-optimality", *BY_BLOCKS[::2]))
-        assert d < a < e
-
-
 @pytest.mark.parametrize("name", CRITERIA)
-@pytest.mark.parametrize("seed", range(30))
-def test_discovery_is_never_punished(name, seed):
+def test_discovery_is_never_punished(name):
     """Whatever the map and whatever the landmark: far or near, well seen or badly."""
-    rng = np.random.default_rng([3, seed])
-    joint = random_map(rng, int(rng.integers(0, 8)), spread=1.5)
-    criterion = InformationCriterion(name, "map", 10.0 ** rng.uniform(-1, 2))
-    assert criterion.potential(discovered(rng, joint)) < criterion.potential(joint)
+    for seed in range(30):
+        rng = np.random.default_rng([3, seed])
+        joint = random_map(rng, int(rng.integers(0, 8)), spread=1.5)
+        criterion = InformationCriterion(name, "map", 10.0 ** rng.uniform(-1, 2))
+        assert criterion.potential(discovered(rng, joint)) < criterion.potential(joint)
 
 
 @pytest.mark.parametrize("name", CRITERIA)
@@ -103,37 +93,6 @@ def test_a_measurement_is_never_punished(name, of):
     for _ in range(20):
         joint = random_map(rng, 4, spread=1.0)
         assert criterion.potential(corrected(rng, joint)) < criterion.potential(joint)
-
-
-@pytest.mark.parametrize("name", CRITERIA)
-def test_a_landmark_that_leaves_takes_what_was_known_of_it(name):
-    rng = np.random.default_rng(5)
-    joint = random_map(rng, 4, spread=1.0)
-    criterion = InformationCriterion(name)
-    assert criterion.potential(joint[:-3, :-3]) > criterion.potential(joint)
-
-
-@pytest.mark.parametrize("name", LOGARITHMIC)
-def test_differences_of_log_det_do_not_depend_on_the_unit_of_length(name):
-    rng = np.random.default_rng(6)
-    before, after = random_map(rng, 3), random_map(rng, 5)
-    gains = []
-    for unit in (1.0, 100.0):
-        scale = [np.concatenate([np.full(3, unit), np.ones(3), np.full(len(P) - 6, unit)]) for P in (before, after)]
-        criterion = InformationCriterion(name, "map", unit * SIGMA)
-        potentials = [criterion.potential(P * s[:, None] * s) for P, s in zip((before, after), scale, strict=True)]
-        gains.append(potentials[0] - potentials[1])
-    assert gains[1] == pytest.approx(gains[0], rel=1e-9)
-
-
-@pytest.mark.parametrize("name", BY_BLOCKS)
-def test_the_others_are_all_in_square_metres(name):
-    rng = np.random.default_rng(7)
-    joint = random_map(rng, 3)
-    scale = np.concatenate([np.full(3, 100.0), np.ones(3), np.full(9, 100.0)])
-    metres = InformationCriterion(name, "map", SIGMA).potential(joint)
-    centimetres = InformationCriterion(name, "map", 100.0 * SIGMA).potential(joint * scale[:, None] * scale)
-    assert centimetres == pytest.approx(1e4 * metres, rel=1e-9)
 
 
 @pytest.mark.parametrize("name", CRITERIA)
@@ -154,9 +113,8 @@ def test_far_landmarks_leave_the_log_det_exact():
     """Variances of 1e6 m^2 beside those of micrometres, on a diagonal."""
     variances = np.concatenate([[1e-12] * 3, [1e-14] * 3, [1e6, 1e-2, 1e-2], [1e-6] * 3])
     wanted = np.log(variances).sum() - np.log(variances[6:] + SIGMA**2).sum()
-    assert InformationCriterion("log-det", "map", SIGMA).potential(np.diag(variances)) == pytest.approx(
-        wanted, rel=1e-12
-    )
+    found = InformationCriterion("log-det", "map", SIGMA).potential(np.diag(variances))
+    assert found == pytest.approx(wanted, rel=1e-12)
 
 
 def test_what_lies_beyond_the_limit_would_have_said_nothing():

@@ -34,11 +34,6 @@ def rewards_of(env, actions):
     return [env.step(action)[1] for action in actions]
 
 
-def test_it_is_short():
-    lines = [line for line in CODE[CODE.index("class") : CODE.index("one =")].splitlines() if line.strip()]
-    assert len(lines) <= 15
-
-
 def test_one_and_many_give_the_same_bits_and_it_does_what_it_says():
     one, plain = SteadyHead(gym.make(ID), weight=0.2), gym.make(ID)
     many = SteadyHead(gym.make_vec(ID, num_envs=3), weight=0.2)

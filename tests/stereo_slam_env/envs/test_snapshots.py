@@ -10,12 +10,7 @@ import numpy as np
 import pytest
 
 import stereo_slam_env  # noqa: F401 (registers the ids)
-from stereo_slam_env.envs import (
-    BeliefObservation,
-    InformationGain,
-    restore,
-    snapshot,
-)
+from stereo_slam_env.envs import BeliefObservation, InformationGain, restore, snapshot
 
 from .test_one_and_many import IDS, SMALL, actions_of, kind_of
 

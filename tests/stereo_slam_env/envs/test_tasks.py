@@ -58,7 +58,8 @@ def test_a_task_is_the_same_from_its_spec_and_from_a_pickle(name):
 
 @pytest.mark.parametrize("name", [*QUICK, *LEVELS])
 def test_observations_are_in_their_space_and_info_keeps_its_keys(name):
-    env = made(name)
+    env, normal = made(name), made(name.replace("-easy", "").replace("-hard", ""))
+    assert (env.observation_space, env.action_space) == (normal.observation_space, normal.action_space)
     observation, first = env.reset(seed=1)
     assert observation in env.observation_space
     env.action_space.seed(1)
@@ -71,26 +72,12 @@ def test_observations_are_in_their_space_and_info_keeps_its_keys(name):
     env.close()
 
 
-@pytest.mark.parametrize("name", LEVELS)
-def test_levels_have_the_same_spaces(name):
-    level, normal = made(name), made(name.replace("-easy", "").replace("-hard", ""))
-    assert level.observation_space == normal.observation_space
-    assert level.action_space == normal.action_space
-
-
-@pytest.mark.parametrize("name", QUICK)
-def test_an_unknown_level_gets_one_clear_line(name):
+def test_an_unknown_level_gets_one_clear_line():
     with pytest.raises(ValueError, match=r"level must be .*, got 'hrad'") as error:
-        made(name, level="hrad")
+        made("StereoSlam/Explore-v0", level="hrad")
     assert "\n" not in str(error.value)
 
 
 def test_traffic_is_only_where_a_script_drives():
-    most = {}
-    for name in LEVELS:
-        env = made(name)
-        most[name] = env.unwrapped.options.moving_cars
-    assert {name for name, count in most.items() if count} == {
-        "StereoSlam/ActiveGaze-hard-v0",
-        "StereoSlam/Revisit-hard-v0",
-    }
+    with_cars = [name for name in LEVELS if made(name).unwrapped.options.moving_cars]
+    assert with_cars == ["StereoSlam/ActiveGaze-hard-v0", "StereoSlam/Revisit-hard-v0"]

@@ -13,12 +13,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers import FlattenObservation
 
 import stereo_slam_env  # noqa: F401  (registers the environments)
-from stereo_slam_env.envs import (
-    BeliefObservation,
-    BeliefPanorama,
-    InformationGain,
-    TrueError,
-)
+from stereo_slam_env.envs import BeliefObservation, BeliefPanorama, InformationGain, TrueError
 
 from .replayed import ReplayEnv
 
@@ -69,21 +64,6 @@ def test_gymnasium_accepts_it_without_a_warning(name):
     assert all(shape == shapes[0] for shape in shapes)
 
 
-def test_gymnasium_accepts_them_on_the_real_environment():
-    env = wrapped(PARTS["everything"])
-    refuses_warnings(partial(check_env, skip_render_check=True), env)
-    env.close()
-
-
-@pytest.mark.parametrize("name", PARTS)
-def test_its_spec_goes_through_json_and_back(name):
-    env = wrapped(PARTS[name])
-    again = gym.make(gym.envs.registration.EnvSpec.from_json(env.spec.to_json()))
-    assert str(again) == str(env)
-    assert again.spec == env.spec
-    assert again.observation_space == env.observation_space
-
-
 def test_from_the_spec_by_pickle_and_by_deepcopy_comes_a_fresh_environment():
     env = wrapped(PARTS["everything"][:-1])  # Gymnasium's FlattenObservation cannot be pickled
     expected = rollout(env)
@@ -96,7 +76,14 @@ def test_from_the_spec_by_pickle_and_by_deepcopy_comes_a_fresh_environment():
     env.close()
 
 
-@pytest.mark.parametrize(("mode", "how"), [("sync", {}), ("async", {"context": "forkserver"})])
+@pytest.mark.parametrize(
+    ("mode", "how"),
+    [
+        ("sync", {}),
+        ("async", {"context": "forkserver"}),
+        *(pytest.param("async", {"context": way}, marks=pytest.mark.slow) for way in ("fork", "spawn")),
+    ],
+)
 def test_vector_environments_give_the_same_bits(mode, how):
     parts = PARTS["everything"][:-1]
     vector = gym.make_vec(ID, num_envs=2, vectorization_mode=mode, vector_kwargs=how, wrappers=parts, **QUICK)
@@ -150,12 +137,3 @@ def test_stable_baselines3_accepts_it(name):
     assert all("unconventional shape" in text or "image" in text for text in told), told
     assert not told or name in ("belief", "panorama")
     env.close()
-
-
-def test_names_are_imported_when_they_are_asked_for():
-    from stereo_slam_env import envs
-
-    assert {"BeliefObservation", "GazeTask", "StereoDriveEnv"} <= set(envs.__all__)
-    assert all(getattr(envs, name) is not None for name in envs.__all__)
-    with pytest.raises(AttributeError, match="Beleif"):
-        envs.Beleif  # noqa: B018

@@ -40,13 +40,6 @@ def knowledge_of(slam, within=np.inf):
     return Knowledge.of(slam, pose, landmarks.ids[near], landmarks.positions[near])
 
 
-def part_of(knowledge, index):
-    """What is known of the landmarks at `index` only."""
-    rows = np.concatenate([np.arange(6), (6 + 3 * index[:, None] + np.arange(3)).ravel()])
-    covariance = knowledge.covariance[np.ix_(rows, rows)]
-    return Knowledge(knowledge.ids[index], knowledge.pose, knowledge.points[index], covariance)
-
-
 def in_cameras(points_w, cameras):
     """Points (N, 3) of W in each camera frame; (..., N, 3) m."""
     return (points_w - cameras.positions[..., None, :]) @ cameras.R_wc

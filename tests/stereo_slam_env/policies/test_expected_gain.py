@@ -10,7 +10,7 @@ from filters import BodyVelocity, StereoObservation
 from filters.geometry import rotations
 from stereo_slam_env.policies.foresight import CameraPoses, expected_gain, motion_noise
 
-from .looking import in_cameras, knowledge_of, looked_around, part_of, sensor_of, whole_jacobians
+from .looking import knowledge_of, looked_around, sensor_of, whole_jacobians
 
 DT, SIGMAS = 0.1, (0.1, 0.01)
 
@@ -40,35 +40,6 @@ def measure(slam, ids):
 
 
 @pytest.mark.parametrize("gain", ["pose", "map"])
-def test_of_one_look_it_is_what_the_filter_gains(env, gain):
-    slam = copy.deepcopy(env.slam)
-    knowledge, sensor = knowledge_of(slam), sensor_of(env)
-    looks = sensor.information(knowledge.points, here(slam))[None, None]
-    expected = expected_gain(knowledge, looks, np.zeros((1, 6, 6)), gain)[0]
-    before = logdet(slam, knowledge.ids, gain)
-    measure(slam, knowledge.ids[slam.forecast(knowledge.ids).in_view])
-    gained = 0.5 * (before - logdet(slam, knowledge.ids, gain))
-    assert gained > 0.02
-    np.testing.assert_allclose(expected, gained, rtol=1e-6)
-
-
-def test_of_the_map_it_is_half_logdet_S_less_half_logdet_R(env):
-    slam, sensor = env.slam, sensor_of(env)
-    knowledge = knowledge_of(slam)
-    camera = here(slam)
-    seen = np.flatnonzero(sensor.in_view(knowledge.points, camera))
-    part = part_of(knowledge, seen)
-    H_p = sensor.camera.project_jacobian(in_cameras(part.points, camera)) @ camera.R_wc.T
-    H = np.zeros((3 * len(seen), 6 + 3 * len(seen)))
-    for k in range(len(seen)):
-        H[3 * k : 3 * k + 3, :6], H[3 * k : 3 * k + 3, 6 + 3 * k : 9 + 3 * k] = H_p[k] @ part.by_pose[k], H_p[k]
-    R = np.kron(np.eye(len(seen)), sensor.noise.R)
-    half = 0.5 * (np.linalg.slogdet(H @ part.covariance @ H.T + R)[1] - np.linalg.slogdet(R)[1])
-    looks = sensor.information(knowledge.points, camera)[None, None]
-    np.testing.assert_allclose(expected_gain(knowledge, looks, np.zeros((1, 6, 6)), "map")[0], half, rtol=1e-9)
-
-
-@pytest.mark.parametrize("gain", ["pose", "map"])
 @pytest.mark.parametrize("turning", [0.0, -0.5])
 def test_of_a_sequence_of_looks_on_the_way_it_is_what_the_filter_gains(env, gain, turning):
     slam = copy.deepcopy(env.slam)
@@ -92,24 +63,11 @@ def test_of_a_sequence_of_looks_on_the_way_it_is_what_the_filter_gains(env, gain
     np.testing.assert_allclose(expected, gained, rtol=1e-6 if turning == 0.0 else (turning * DT) ** 2 / 12)
 
 
-def test_sequences_are_judged_each_by_itself_and_one_that_sees_nothing_gains_nothing(env):
-    knowledge, sensor = knowledge_of(env.slam), sensor_of(env)
-    looks = sensor.information(knowledge.points, here(env.slam))
-    sequences = np.stack([np.stack([looks, looks]), np.stack([looks, 0 * looks]), np.zeros((2, *looks.shape))])
-    Q = motion_noise(np.ones((2, 3)), 0.01, 0.001)
-    gains = expected_gain(knowledge, sequences, Q, "map")
-    for k in range(3):
-        np.testing.assert_allclose(expected_gain(knowledge, sequences[k : k + 1], Q, "map"), gains[k], rtol=1e-9)
-    assert gains[0] > gains[1] > 0.0
-    assert abs(gains[2]) < 1e-9
-
-
 def test_a_map_of_nothing_has_nothing_to_gain(env):
     nothing = knowledge_of(env.slam, within=0.0)
     assert len(nothing.ids) == 0
-    np.testing.assert_array_equal(
-        expected_gain(nothing, np.zeros((4, 2, 0, 3, 3)), np.zeros((2, 6, 6)), "pose"), np.zeros(4)
-    )
+    gains = expected_gain(nothing, np.zeros((4, 2, 0, 3, 3)), np.zeros((2, 6, 6)), "pose")
+    np.testing.assert_array_equal(gains, np.zeros(4))
 
 
 def test_a_start_that_is_known_exactly_and_odometry_without_error_are_no_trouble(env):
@@ -146,6 +104,7 @@ def test_it_is_that_of_the_whole_information_matrix_put_together_look_by_look(en
     )
     looks = sensor.information(knowledge.points, cameras)
     looks[1, : steps - 1] = 0.0
+    looks[2] = 0.0
     Q = motion_noise(rng.normal(0.0, 1.0, (steps, 3)), 0.02, 0.004)
     size, J = 6 + 3 * len(knowledge.points), whole_jacobians(knowledge)
     seen = looks.any(axis=(3, 4))

@@ -100,20 +100,6 @@ def test_the_oracle_is_nearer_to_the_truth_and_claims_what_everybody_claims():
     assert 0.4 < fixed.final_position_nees.mean() < 2.2  # twelve drives: chi-squared of 36 degrees of freedom
 
 
-def test_looking_ahead_leaves_the_environments_as_they_were():
-    task, seen = GazeTask(arguments=QUICK), []
-    for searches in (0, 2):
-        vector = task.make_vector(2)
-        vector.reset(seed=SEEDS)
-        for _ in range(searches):
-            Oracle(vector.rows, depth=2).act(np.ones(2, dtype=bool))
-        seen.append(vector.step(np.array([1, 7])))
-        vector.close()
-    for key in seen[0][0]:
-        np.testing.assert_array_equal(seen[0][0][key], seen[1][0][key])
-    np.testing.assert_array_equal(seen[0][1], seen[1][1])
-
-
 def test_the_noise_of_a_world_with_lasting_errors_says_so_to_a_filter_that_asks():
     with gym.make("StereoSlam/Gaze-v0", sigma=0.6, lasting=0.8, lasting_time=2.0) as env:
         noise = env.unwrapped.noise

@@ -5,8 +5,8 @@ import pytest
 from numba import njit
 
 from filters.geometry import rotations
-from stereo_slam_env.simulator.contacts import collides, touches
-from stereo_slam_env.simulator.rays import obstacles, traversal
+from stereo_slam_env.simulator.contacts import touches
+from stereo_slam_env.simulator.rays import obstacles
 from stereo_slam_env.world.physics import PhysicsWorld
 from stereo_slam_env.world.scene import Box, Cylinder, Ground, Material, Scene, Sphere
 from stereo_slam_env.world.vehicle import Car
@@ -20,11 +20,6 @@ CLOSE = 1e-3
 @njit
 def touches_one(solid, R, at, half):
     return touches(solid, R, at, half)
-
-
-@njit
-def touches_any(solids, bounds, links, room, R, at, half):
-    return collides(solids, bounds, links, len(bounds), room, R, at, half)
 
 
 def scene_of(*solids):
@@ -70,21 +65,6 @@ def test_a_box_touches_what_it_touches_in_pybullet(kind, world):
     assert 300 < hits < 1700
 
 
-def test_a_box_among_many_solids(world):
-    rng = np.random.default_rng(1)
-    for _ in range(20):
-        solids = [random_solid(kind, rng) for kind in ("box", "cylinder", "sphere")]
-        far = [Box((x, 30.0, 1.0), (1.0, 1.0, 2.0), 0.1, GREY) for x in range(-40, 40, 2)]
-        world.build(scene_of(*far, *solids), Car().size)
-        shapes = obstacles([*far, *solids])
-        for _ in range(20):
-            at, R = random_pose(rng)
-            at[:2] *= 2.5
-            found = touches_any(*shapes, traversal(), tuple(R.ravel()), tuple(at), HALF)
-            assert found == world.ego_collides(at, R)
-            assert found == any(touches_one(row, tuple(R.ravel()), tuple(at), HALF) for row in shapes.solids)
-
-
 @pytest.mark.parametrize("axis", range(3))
 @pytest.mark.parametrize("gap", [-1e-6, 1e-6])
 def test_faces_that_nearly_touch(axis, gap):
@@ -100,11 +80,6 @@ def test_a_solid_inside_a_box_touches_it(kind):
     row = obstacles([solid]).solids[0]
     assert touches_one(row, tuple(np.eye(3).ravel()), tuple(row[:3]), (20.0, 20.0, 20.0))
     assert touches_one(row, tuple(np.eye(3).ravel()), tuple(row[:3] + 5.0), (20.0, 20.0, 20.0))
-
-
-def test_nothing_is_touched_where_nothing_is():
-    shapes = obstacles([])
-    assert not touches_any(*shapes, traversal(), tuple(np.eye(3).ravel()), (0.0, 0.0, 1.0), HALF)
 
 
 def separation(one, other):

@@ -33,17 +33,13 @@ def test_full_throttle_reaches_the_top_speed_and_brakes_to_a_stop_but_not_backwa
     np.testing.assert_array_equal(frames[-1].truth_velocity.linear, 0)
 
 
-def test_positive_steering_turns_right():
-    _, frames = steered([[0, 0.3]] * 10)
-    assert frames[-1].truth.position[0] > 0
-    assert frames[-1].truth_velocity.angular[1] > 0
-
-
 def test_constant_steering_drives_the_circle_of_the_bicycle_model():
     (_, steering, *_), frames = steered([[0, 0.4]] * 80)
     car = Car()
     radius = car.wheelbase / np.tan(0.4 * car.max_steering)
     assert steering == pytest.approx(0.4 * car.max_steering)
+    assert frames[10].truth.position[0] > 0
+    assert frames[10].truth_velocity.angular[1] > 0
     rear = []
     for frame in frames[10:]:
         _, y, _, w = frame.truth.orientation
@@ -69,20 +65,6 @@ def test_without_perturbation_a_scripted_drive_follows_the_nominal_poses(name):
     np.testing.assert_allclose([frame.truth.position for frame in frames], route.positions, atol=1e-9)
     np.testing.assert_allclose(frames[-1].truth.R_wc, rotations.exp([0, route.headings[-1], 0]), atol=1e-9)
     assert simulator.sensed.success[0]
-
-
-def test_perturbations_are_there_and_stay_bounded():
-    route = town()
-    for seed in range(5):
-        frames = drive(vehicle(route=route, seed=seed, perturbation=1.0), [[0, 0]] * (route.frames - 1))[1:]
-        offsets = np.array([frame.truth.position for frame in frames]) - route.positions[1:]
-        tilts = [rotations.log(R.T @ frame.truth.R_wc) for R, frame in zip(route.attitudes[1:], frames, strict=True)]
-        speeds = np.array([np.linalg.norm(frame.truth_velocity.linear) for frame in frames]) - route.speeds
-        assert np.abs(offsets).max() < 1.0
-        assert np.abs(tilts).max() < 0.06
-        assert np.std(offsets, axis=0).min() > 0.02
-        assert np.std(tilts, axis=0).min() > 0.002
-        assert np.std(speeds) == pytest.approx(0.15, rel=0.5)
 
 
 def test_a_car_at_the_start_of_the_loop_has_not_arrived():
@@ -118,19 +100,6 @@ def test_odometry_is_the_mean_velocity_in_the_middle_of_the_step():
         np.testing.assert_allclose(after.odometry.angular, after.truth_velocity.angular, atol=1e-15)
 
 
-def test_the_noise_of_the_odometry_is_white_with_the_declared_covariance():
-    simulator = vehicle(odometry_sigmas=(0.1, 0.01), route=loop())
-    frames = drive(simulator, [[0, 0]] * 700)[1:]
-    exact = drive(vehicle(route=loop()), [[0, 0]] * 700)[1:]
-    measured, true = (
-        np.array([np.concatenate([f.odometry.linear, f.odometry.angular]) for f in each]) for each in (frames, exact)
-    )
-    errors = (measured - true) / np.repeat([0.1, 0.01], 3)
-    np.testing.assert_allclose(errors.std(axis=0), 1.0, rtol=4 / np.sqrt(2 * len(errors)))
-    assert np.abs((errors[1:] * errors[:-1]).mean(axis=0)).max() < 4 / np.sqrt(len(errors))
-    np.testing.assert_allclose(frames[0].odometry.covariance, np.diag(np.repeat([0.01, 0.0001], 3)))
-
-
 @pytest.mark.parametrize("name", ROUTES)
 def test_the_nearest_frame_is_that_of_the_route(name):
     route, rng = ROUTES[name](), np.random.default_rng(0)
@@ -158,15 +127,6 @@ def test_the_end_of_a_straight_route_is_arrived_at_by_a_steered_car():
     assert not simulator.sensed.success[0]
     drive(simulator, [[0, 0]])
     assert simulator.sensed.success[0]
-
-
-def test_a_scripted_drive_moves_by_its_velocity_in_w_and_turns_by_its_rate():
-    """Eq. 6: r' = r + v dt and R' = R exp(omega dt), with the sway in both."""
-    for before, after in pairwise(drive(vehicle(perturbation=3.0, route=town()), [[0, 0]] * 60)):
-        v, omega = after.truth_velocity.linear, after.truth_velocity.angular
-        np.testing.assert_allclose(after.truth.position, before.truth.position + FRAME_PERIOD * v, atol=1e-12)
-        R = before.truth.R_wc @ rotations.exp(FRAME_PERIOD * omega)
-        np.testing.assert_allclose(after.truth.R_wc, R, atol=1e-12)
 
 
 def test_the_sway_is_an_ornstein_uhlenbeck_process_that_a_pull_of_half_a_second_bounds():
@@ -210,6 +170,7 @@ def test_sway_and_odometry_take_the_numbers_of_their_generators_in_order():
         measured = np.append(frame.odometry.linear, frame.odometry.angular)
         np.testing.assert_allclose(measured, expected, atol=1e-12)
         before = frame.truth
+    np.testing.assert_allclose(frame.odometry.covariance, np.diag(np.repeat([0.01, 0.0001], 3)))
 
 
 def test_the_metres_of_a_drive_are_those_of_its_path():

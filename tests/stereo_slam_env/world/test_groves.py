@@ -100,11 +100,3 @@ def test_most_landmarks_are_seen_from_the_lane(straight_scenes):
         assert seen.mean() > 0.75
     finally:
         world.close()
-
-
-def test_same_generator_same_scene():
-    route = ROUTES["right-turn"]()
-    one, two, other = build(route, 3), build(route, 3), build(route, 4)
-    assert one.primitives == two.primitives
-    np.testing.assert_array_equal(one.landmark_points, two.landmark_points)
-    assert one.primitives != other.primitives

@@ -6,29 +6,19 @@ import pytest
 from stereo_slam_env.world.routes import RANDOM_ROUTES, loop, right_turn, straight, town
 
 
-def test_town_is_the_reference_drive():
+def test_scripted_routes_are_the_reference_drives():
     route = town()
     assert route.frames == 800
     assert route.length == pytest.approx(350, rel=0.03)
-    assert route.speeds.max() == pytest.approx(4.9)
-    assert route.speeds.min() == pytest.approx(3.0)
+    assert (route.speeds.max(), route.speeds.min()) == pytest.approx((4.9, 3.0))
     assert np.abs(route.yaw_rates).max() == pytest.approx(0.29)
-
-
-def test_town_turns_left_then_right_and_ends_in_its_first_direction():
-    headings = np.degrees(town().headings)
+    headings = np.degrees(route.headings)
     assert headings[400] == pytest.approx(-80, abs=3)
     assert headings[-1] == pytest.approx(0, abs=1e-6)
-
-
-def test_right_turn_is_90_degrees_to_the_right():
-    route = right_turn()
-    assert np.degrees(route.headings[-1]) == pytest.approx(90, abs=0.1)
-    assert route.positions[-1, 0] > 10
-    assert (route.headings[:5] == 0).all()
-
-
-def test_straight_stays_on_the_axis():
+    turn = right_turn()
+    assert np.degrees(turn.headings[-1]) == pytest.approx(90, abs=0.1)
+    assert turn.positions[-1, 0] > 10
+    assert (turn.headings[:5] == 0).all()
     positions = straight().positions
     np.testing.assert_array_equal(positions[:, :2], 0)
     assert (np.diff(positions[:, 2]) > 0).all()

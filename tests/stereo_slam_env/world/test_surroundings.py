@@ -15,7 +15,6 @@ from stereo_slam_env.world.physics import PhysicsWorld
 from stereo_slam_env.world.road import road_along
 from stereo_slam_env.world.routes import KITTI_PERIOD, ROUTES, kitti_route
 from stereo_slam_env.world.scene import Box
-from stereo_slam_env.world.street import build_street
 from stereo_slam_env.world.surroundings import SURROUNDINGS, build_scene
 
 from .driving import collisions, nominal_poses
@@ -87,13 +86,6 @@ def test_traffic_and_another_look_leave_the_layout_as_it_is(surroundings):
     assert bare == [replace(p, material=None) for p in full.primitives]
     assert {p.material for p in plain.primitives} != {p.material for p in full.primitives}
     assert len(full.moving) > len(plain.moving) == 0
-
-
-def test_the_street_is_the_street():
-    route = ROUTES["right-turn"]()
-    plain, scene = build_street(route, rng(5)), build_scene("street", route, rng(5))
-    assert plain.primitives == scene.primitives
-    np.testing.assert_array_equal(plain.landmark_points, scene.landmark_points)
 
 
 def test_in_the_field_nothing_solid_is_near(route):

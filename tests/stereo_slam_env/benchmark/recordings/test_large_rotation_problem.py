@@ -64,18 +64,11 @@ def test_points_can_be_worse_than_the_odometry():
 
 
 @pytest.mark.parametrize(
-    ("options", "complaint"),
-    [
-        ({"level": 0.0}, "level"),
-        ({"point_level": -0.1}, "point_level"),
-        ({"sight": -1.0}, "sight"),
-        ({"frames": 1}, "frames"),
-        ({"landmarks": 0}, "landmarks"),
-    ],
+    ("option", "value"), [("level", 0.0), ("point_level", -0.1), ("sight", -1.0), ("frames", 1), ("landmarks", 0)]
 )
-def test_impossible_options_are_named(options, complaint):
-    with pytest.raises(ValueError, match=complaint):
-        relative_noise_loop(0, **options)
+def test_impossible_options_are_named(option, value):
+    with pytest.raises(ValueError, match=option):
+        relative_noise_loop(0, **{option: value})
 
 
 def test_only_the_standard_errors_are_overconfident():

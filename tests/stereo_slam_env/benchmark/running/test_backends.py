@@ -15,15 +15,8 @@ from stereo_slam_env.benchmark.running import backends
 from stereo_slam_env.benchmark.running.backends import Backend, BackendName
 from stereo_slam_env.benchmark.scenarios.scenario import filter_choice
 
-SHORT = Scenario(
-    "short",
-    ReferenceSource("short_turn"),
-    filters=(filter_choice("inverse-depth"), filter_choice("euclidean")),
-    seeds=(0, 1),
-    frames=5,
-    gate=None,
-    metrics=("map",),
-)
+FILTERS = (filter_choice("inverse-depth"), filter_choice("euclidean"))
+SHORT = Scenario("short", ReferenceSource("short_turn"), FILTERS, seeds=(0, 1), frames=5, gate=None, metrics=("map",))
 
 
 def where_i_am(number):
@@ -121,9 +114,7 @@ def test_what_a_lost_worker_of_a_cluster_had_is_done_once_more(tmp_path, caplog)
     with Backend("dask", jobs=2).started() as run_all:
         assert sorted(run_all(partial(lost_once, tmp_path), range(4))) == [0, 1, 2, 3]
         assert "a worker was lost" in caplog.text
-        with pytest.raises(
-            ChildProcessError, match=r"\Aworkers were lost twice \([^\n]*\): what is finished is kept\Z"
-        ):
+        with pytest.raises(ChildProcessError, match=r"\Aworkers were lost twice [^\n]*: what is finished is kept\Z"):
             list(run_all(lost_always, range(4)))
 
 

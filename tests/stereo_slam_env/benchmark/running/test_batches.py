@@ -66,11 +66,8 @@ def assert_same_trials(out, other):
 
 def test_recordings_made_at_once_have_the_bytes_of_those_made_one_by_one():
     """Also with traffic, corruptions and odometry; a street each."""
-    corrupted = quick(
-        source=StreetSource({"route": "right-turn", "moving_cars": 3, "noise": "heavy-tailed"}),
-        corruptions=({"kind": "outliers", "share": 0.1},),
-        frames=40,
-    )
+    source = StreetSource({"route": "right-turn", "moving_cars": 3, "noise": "heavy-tailed"})
+    corrupted = quick(source=source, corruptions=({"kind": "outliers", "share": 0.1},), frames=40)
     for scenario in (quick(), corrupted):
         seeds = (3, 0, 11)
         made = [packed_recording(recording) for recording in make_recordings(scenario, seeds)]

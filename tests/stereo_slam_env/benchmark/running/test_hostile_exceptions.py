@@ -20,10 +20,8 @@ class Meta(type):
     def __name__(cls):
         raise RuntimeError("nameless")
 
-
 class NoText(type):
     __name__ = 3
-
 
 class Text(str):
     def strip(self):
@@ -32,43 +30,31 @@ class Text(str):
     def splitlines(self):
         return 3
 
+class Nameless(Exception, metaclass=Meta): ...
 
-class Nameless(Exception, metaclass=Meta):
-    pass
-
-
-class Numbered(Exception, metaclass=NoText):
-    pass
-
+class Numbered(Exception, metaclass=NoText): ...
 
 class Silent(Exception):
     def __str__(self):
         raise SystemExit(3)
 
-
 class Own(Exception):
     def __str__(self):
         return Text("own text")
 
-
-class Basic(BaseException):
-    pass
-
+class Basic(BaseException): ...
 
 class Unsendable(Exception):
     def __reduce__(self):
         raise Basic("not to be sent")
 
-
 class Group(Basic):
     def __str__(self):
         raise self
 
-
 class Deep(Exception):
     def __str__(self):
         return str(self)
-
 
 RAISED = {name: kind for name, kind in globals().items() if isinstance(kind, type) and issubclass(kind, BaseException)}
 OF_PYTHON = KeyboardInterrupt, SystemExit, GeneratorExit, StopIteration, RecursionError
@@ -130,9 +116,8 @@ class Policy:
 def hostile(tmp_path, monkeypatch):
     folder = tmp_path / "site"
     folder.mkdir()
-    points = {
-        f"{name}-{where}": f"{name}_{where}" for name in (*NAMES, *OF_PYTHON) for where in ("start", "frame", "error")
-    }
+    both = [(name, where) for name in (*NAMES, *OF_PYTHON) for where in ("start", "frame", "error")]
+    points = {f"{name}-{where}": f"{name}_{where}" for name, where in both}
     install(folder, "hostile_filters", FILTER, points)
     install(folder, "hostile_policies", POLICY, {"nameless": "Policy"}, "stereo_slam.policies")
     monkeypatch.syspath_prepend(str(folder))
@@ -156,16 +141,9 @@ def test_whatever_a_filter_raises_is_a_failed_trial(hostile, tmp_path, where):
 
 
 def test_whatever_a_policy_raises_is_a_failed_trial(hostile, tmp_path):
-    scenario = Scenario(
-        "gaze",
-        preset("gaze").source
-        if False
-        else __import__("stereo_slam_env.benchmark", fromlist=["preset"]).preset("gaze").source,
-        (FilterChoice("inverse-depth", "inverse-depth"),),
-        policies=(PolicyChoice("nameless", "nameless"), PolicyChoice("fixed", "fixed")),
-        frames=4,
-        metrics=(),
-    )
+    policies = PolicyChoice("nameless", "nameless"), PolicyChoice("fixed", "fixed")
+    filters = (FilterChoice("inverse-depth", "inverse-depth"),)
+    scenario = Scenario("gaze", preset("gaze").source, filters, policies=policies, frames=4, metrics=())
     run_benchmark(scenario, tmp_path / "run", jobs=1)
     found = json.loads((tmp_path / "run" / "summary.json").read_text())["filters"]
     assert "policy: Nameless: hello" in found["nameless"]["failures"][0]

@@ -102,13 +102,12 @@ def test_a_scenario_of_the_simulated_world_can_be_measured_in_images():
 @pytest.mark.parametrize(
     ("scenario", "complaint"),
     [
-        (preset("quick").replaced(search="forecast"), "search 'forecast' needs images: scenario 'quick' has none"),
-        (preset("reference-turn").replaced(search="forecast"), "scenario 'reference-turn' has none"),
+        (preset("reference-turn").replaced(search="forecast"), "search 'forecast' needs images: .* has none"),
         (STREET.replaced(noise={"independent_pixels": 1.0}), "each measurement comes with its own covariance"),
         (STREET.replaced(source=STREET.source.replaced(renderer="foo")), "renderer must be one of 'tiny', 'gl'"),
         (STREET.replaced(source=STREET.source.replaced(rout="town")), "did you mean 'route'"),
     ],
-    ids=["no images", "no pictures of pure geometry", "noise", "renderer", "option"],
+    ids=["no images", "noise", "renderer", "option"],
 )
 def test_what_cannot_be_run_is_refused_before_any_work(scenario, complaint, tmp_path):
     with pytest.raises(ValueError, match=complaint):
@@ -136,14 +135,11 @@ def test_the_same_seed_gives_the_same_stream_and_another_one_another():
     digests = []
     for seed in (3, 3, 4):
         sources._tracked.cache_clear()
-        digests.append(stream_digest(make_recording(short, seed)))
+        recording = make_recording(short, seed)
+        digests.append(stream_digest(recording))
     assert digests[0] == digests[1] != digests[2]
-
-
-def test_the_renderer_is_part_of_the_source():
-    source = json.loads(json.dumps(make_recording(STREET.replaced(frames=2), 0).source))
-    assert source["renderer"] == renderer_identity("tiny")
-    assert source["arguments"]["sensor"] == "images"
+    source = json.loads(json.dumps(recording.source))
+    assert (source["renderer"], source["arguments"]["sensor"]) == (renderer_identity("tiny"), "images")
 
 
 def test_the_images_of_a_scenario_are_those_its_recording_was_made_of():
@@ -180,13 +176,6 @@ def test_images_are_followed_without_a_filter_once_and_calibrated_once(folder, t
     assert [r.failure for r in result.runs] == [None, None]
     assert (len(looked), len(opened)) == (1, 1)
     assert told == [(k + 1, FRAMES) for k in range(FRAMES)]
-
-
-@pytest.mark.usefixtures("in_this_process")
-def test_rendered_drives_are_looked_at_once_a_seed(tmp_path, monkeypatch):
-    drives = counted(monkeypatch, recorder, "record")
-    run_benchmark(STREET.replaced(seeds=(0, 1), frames=2), tmp_path / "out", jobs=1)
-    assert len(drives) == 2
 
 
 def test_a_long_drive_is_refused_before_it_is_driven(monkeypatch):
@@ -230,9 +219,8 @@ def test_landmarks_of_a_guided_search_are_not_judged_by_the_truth_of_other_track
     assert np.isnan(guided.landmark_rmse).all()
     assert guided.traces == ()
     assert np.isfinite(guided.pose_nees).all()
-    write_report(
-        tmp_path, "guided", result.runs, result.summaries, result.figures, result.cells[0].directory.settings()
-    )
+    settings = result.cells[0].directory.settings()
+    write_report(tmp_path, "guided", result.runs, result.summaries, result.figures, settings)
 
 
 def test_without_measurements_everything_else_of_a_drive_stays(folder):

@@ -7,7 +7,6 @@ import signal
 import socket
 import subprocess
 import sys
-import textwrap
 import threading
 import time
 from concurrent.futures import CancelledError
@@ -36,9 +35,8 @@ def run_and_note(work, **options):
         return work(tell)
 
     try:
-        result = run_isolated(
-            noting, **{"silence_limit": LIMIT, "progress": lambda process, _: heard.append(process), **options}
-        )
+        options = {"silence_limit": LIMIT, "progress": lambda process, _: heard.append(process), **options}
+        result = run_isolated(noting, **options)
     except BaseException as error:
         result = error
     return heard[0], result
@@ -408,31 +406,30 @@ def test_a_server_whose_caller_was_killed_before_it_was_ready_ends_in_silence():
     assert (ended.returncode, ended.stdout, ended.stderr) == (0, "", "")
 
 
+KILLED = """
+import os, signal, subprocess, time
+from stereo_slam_env.benchmark.running.isolation import run_isolated
+
+class Mine:  # of a script without a guard
+    def __call__(self, tell):
+        tell(os.getpid(), os.getppid())
+        for detached in (False, True):
+            tell(subprocess.Popen(["sleep", "60"], start_new_session=detached).pid, 0)
+        tell(0, 0)
+        time.sleep(60)
+
+def told(process, server):
+    if process == 0:
+        os.kill(os.getpid(), signal.SIGKILL)
+    print(process, *([server] if server else []), flush=True)
+
+run_isolated(Mine(), silence_limit=60, progress=told)
+"""
+
+
 def test_everything_ends_with_its_caller(tmp_path):
     script = tmp_path / "killed.py"
-    script.write_text(
-        textwrap.dedent(
-            """
-            import os, signal, subprocess, time
-            from stereo_slam_env.benchmark.running.isolation import run_isolated
-
-            class Mine:  # of a script without a guard
-                def __call__(self, tell):
-                    tell(os.getpid(), os.getppid())
-                    for detached in (False, True):
-                        tell(subprocess.Popen(["sleep", "60"], start_new_session=detached).pid, 0)
-                    tell(0, 0)
-                    time.sleep(60)
-
-            def told(process, server):
-                if process == 0:
-                    os.kill(os.getpid(), signal.SIGKILL)
-                print(process, *([server] if server else []), flush=True)
-
-            run_isolated(Mine(), silence_limit=60, progress=told)
-            """
-        )
-    )
+    script.write_text(KILLED)
     ended = subprocess.run(
         [sys.executable, script], stdout=subprocess.PIPE, timeout=60, check=False, env={**os.environ, "PYTHONPATH": "."}
     )

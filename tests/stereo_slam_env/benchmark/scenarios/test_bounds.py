@@ -13,21 +13,15 @@ STREET = 'name = "huge"\nkind = "street"\n'
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
-        (
-            HEAD + SHORT + "seeds = [18446744073709551616]",
-            r"seeds\[0\] must be a whole number <= 9223372036854775807, got 18446744073709551616",
-        ),
+        (HEAD + SHORT + "seeds = [18446744073709551616]", r"seeds\[0\] must be a whole number <= 9223372036854775807"),
         (HEAD + SHORT + "seeds = [9223372036854775808]", r"seeds\[0\] must be .*9\.?22337"),
         (HEAD + SHORT + f"seeds = [{10**400}]", r"seeds\[0\] must be .*, got 10000000000000000000.*\.\.\."),
         (HEAD + SHORT + "seeds = [-1]", r"seeds\[0\] must be .* >= 0, got -1"),
-        (
-            HEAD + 'options = { name = "short_turn", sigma = 1e308 }',
-            r"options.sigma must be a number of at most 1e\+06, got 1e\+308",
-        ),
+        (HEAD + 'options = { name = "short_turn", sigma = 1e308 }', r"options.sigma must be .* 1e\+06, got 1e\+308"),
         (HEAD + 'options = { name = "short_turn", sigma = nan }', "must consist of JSON values"),
         (
             HEAD + 'options = { name = "long_drive", landmarks = 1000000000 }',
-            r"options.landmarks must be a number of at most 10000, got 1000000000|got 1e\+09",
+            r"options.landmarks must be .* 10000, got 1",
         ),
         (STREET + "options = { max_landmarks = 1000000000 }", r"options.max_landmarks must be .* 10000, got 1e\+09"),
         (STREET + "options = { rig = { width = 1000000000 } }", r"options.rig.width must be .* 20000, got 1e\+09"),
@@ -38,11 +32,11 @@ STREET = 'name = "huge"\nkind = "street"\n'
         (HEAD + SHORT + "frame_time_limit = 1e300", r"frame_time_limit must be a number <= 1000000.0, got 1e\+300"),
         (
             HEAD + SHORT + 'corruptions = [{ kind = "latency", frames = 1000000000 }]',
-            r"corruptions\[0\].frames must be .*, got 1e\+09",
+            r"corruptions\[0\].frames must be",
         ),
         (
             HEAD + SHORT + "corruptions = [" + 20_000 * '{ kind = "latency", frames = 1 },' + "]",
-            r"corruptions must be a list of length <= 100, got \[{.*\.\.\.",
+            r"length <= 100, .*\.\.",
         ),
         (
             HEAD + SHORT + '[[filters]]\nname = "inverse-depth"\noptions = { iterations = 1000000000 }',

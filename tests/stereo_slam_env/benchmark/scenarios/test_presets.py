@@ -1,8 +1,5 @@
 """The ready-made scenarios (0.2 s)."""
 
-import re
-from pathlib import Path
-
 import pytest
 
 from stereo_slam_env.benchmark.campaign import check_study
@@ -64,17 +61,8 @@ def test_landmarks_with_and_without_anchors_are_crossed_with_the_errors():
     assert all(cell.scenario.use_odometry and cell.scenario.gate is None for cell in study.cells)
 
 
-def test_the_manual_lists_all_of_them():
-    manual = (Path(__file__).resolve().parents[4] / "docs" / "benchmark.md").read_text(encoding="utf-8")
-    listed = re.findall(r"^\| `([a-z-]+)` \| (.*) \|$", manual.partition("## Presets")[2].partition("\n## ")[0], re.M)
-    assert dict(listed) == dict(presets())
-
-
 def test_an_unknown_preset_is_answered_with_the_known_ones():
     with pytest.raises(ValueError, match=r"preset must be one of quick, .*, got 'quik', did you mean 'quick'"):
         preset("quik")
-
-
-def test_a_grid_is_not_one_scenario():
     with pytest.raises(ValueError, match="'mismatch' is a grid of 12 scenarios"):
         preset("mismatch")

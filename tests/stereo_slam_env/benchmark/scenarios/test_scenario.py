@@ -28,15 +28,9 @@ def test_the_euclidean_filter_has_its_guard_as_a_visible_option():
 
 
 def test_filters_can_be_named_or_spelt_out():
-    data = {
-        "name": "s",
-        "kind": "street",
-        "filters": ["euclidean", {"name": "inverse-depth", "label": "tight", "options": {"gate": 0.5}}],
-    }
-    assert Scenario.from_dict(data).filters == (
-        filter_choice("euclidean"),
-        FilterChoice("tight", "inverse-depth", {"gate": 0.5}),
-    )
+    spelt_out = {"name": "inverse-depth", "label": "tight", "options": {"gate": 0.5}}
+    scenario = Scenario.from_dict({"name": "s", "kind": "street", "filters": ["euclidean", spelt_out]})
+    assert scenario.filters == (filter_choice("euclidean"), FilterChoice("tight", "inverse-depth", {"gate": 0.5}))
 
 
 def test_the_assumed_noise_is_that_of_the_recording_unless_said_otherwise():
@@ -60,10 +54,7 @@ def test_errors_that_last_do_so_with_any_assumed_noise():
         ({"name": "s", "sede": [1]}, "no key 'sede', did you mean 'seeds'"),
         ({}, "must have a name"),
         ({"name": "s", "kind": "streat"}, "did you mean 'street'"),
-        (
-            {"name": "s", "gate": 1.5},
-            r"gate must be a probability between 0 and 1, or None for no gate, got 1\.5",
-        ),
+        ({"name": "s", "gate": 1.5}, r"gate must be a probability between 0 and 1, or None for no gate, got 1\.5"),
         ({"name": "s", "gate": "none"}, "gate must be a probability between 0 and 1, or None for no gate, got 'none'"),
         ({"name": "s", "seeds": []}, "seeds must be a list of length >= 1"),
         ({"name": "s", "seeds": [1, 1]}, "seeds must be different"),
@@ -85,7 +76,7 @@ def test_errors_that_last_do_so_with_any_assumed_noise():
         ({"name": "s", "filters": [{"name": "euclidean", "option": {}}]}, "did you mean 'options'"),
         (
             {"name": "s", "filters": [{"name": "euclidean", "label": "../x"}]},
-            r"^filters\[0\].label must be text of letters, digits and . _ \+ -, .*, got '../x'$",
+            r"^filters\[0\].label must be .* got '../x'$",
         ),
         ({"name": "s", "options": {"x": float("nan")}}, "must consist of JSON values"),
         ({"name": "s", "search": "forecas"}, "search must be one of flow, .*did you mean 'forecast'"),

@@ -17,30 +17,18 @@ def written(tmp_path, text, name="s.toml"):
 
 
 def test_one_scenario(tmp_path):
-    study = load_study(
-        written(
-            tmp_path,
-            """
-            description = "what it is for"
-            name = "mine"
-            kind = "street"
-            seeds = 3
-            gate = false
-            noise = { independent_pixels = 2.0 }
-            corruptions = [{ kind = "outliers", share = 0.1 }]
-            metrics = ["map"]
-
-            [options]
-            route = "town"
-            sigma = 2.0
-
-            [[filters]]
-            name = "inverse-depth"
-            label = "paper"
-            options = { error = "so3" }
-            """,
-        )
-    )
+    text = """
+        description = "what it is for"
+        name = "mine"
+        kind = "street"
+        seeds = 3
+        gate = false
+        corruptions = [{ kind = "outliers", share = 0.1 }]
+        metrics = ["map"]
+        options = { route = "town", sigma = 2.0 }
+        filters = [{ name = "inverse-depth", label = "paper", options = { error = "so3" } }]
+    """
+    study = load_study(written(tmp_path, text))
     assert not study.is_grid
     scenario = study.only_scenario()
     assert (scenario.name, scenario.seeds, scenario.gate, scenario.metrics) == ("mine", (0, 1, 2), None, ("map",))
@@ -59,10 +47,7 @@ def test_a_grid_has_a_cell_for_every_combination():
     assert [dict(cell.factors) for cell in study.cells] == [
         {"options.sigma": sigma, "noise.independent_pixels": assumed} for sigma in (0.5, 2.0) for assumed in (1.0, 3.0)
     ]
-    assert [cell.name for cell in study.cells][:2] == [
-        "sigma-0.5_independent_pixels-1.0",
-        "sigma-0.5_independent_pixels-3.0",
-    ]
+    assert [cell.name for cell in study.cells][:2] == [f"sigma-0.5_independent_pixels-{n}" for n in (1.0, 3.0)]
     last = study.cells[-1].scenario
     assert last.source.options == {"name": "short_turn", "sigma": 2.0}
     assert last.assumed_noise(StereoNoise.independent_pixels(9.0)) == StereoNoise.independent_pixels(3.0)
@@ -89,12 +74,8 @@ def test_cells_differ_in_what_they_say():
 
 
 def test_a_factorial_makes_the_filters():
-    crossed = {
-        "filter": "inverse-depth",
-        "options": {"gate": 0.9},
-        "measurement": ["joint", "left"],
-        "iterations": [1, 2],
-    }
+    levels = {"measurement": ["joint", "left"], "iterations": [1, 2]}
+    crossed = {"filter": "inverse-depth", "options": {"gate": 0.9}, **levels}
     study = study_from({**BASE, "factorial": crossed})
     assert study.factorial == {"measurement": ("joint", "left"), "iterations": (1, 2)}
     labels = [choice.label for choice in study.only_scenario().filters]
@@ -116,9 +97,8 @@ def test_recordings_that_are_not_there_are_left_out(tmp_path):
 
 
 def test_a_study_survives_json():
-    study = study_from(
-        {**BASE, "factorial": {"filter": "inverse-depth", "iterations": [1, 2]}, "grid": {"frames": [5]}}
-    )
+    crossed = {"filter": "inverse-depth", "iterations": [1, 2]}
+    study = study_from({**BASE, "factorial": crossed, "grid": {"frames": [5]}})
     assert Study.from_dict(json.loads(json.dumps(study.as_dict()))) == study
 
 

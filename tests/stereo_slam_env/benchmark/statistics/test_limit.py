@@ -52,11 +52,6 @@ def test_an_interval_that_ends_at_100_percent_has_it_in_it(percent, interval, re
     assert LimitReached(percent, interval, 8).reach is reach
 
 
-def test_an_interval_that_only_reaches_100_percent_leaves_it_open():
-    said = judge([reached(np.linspace(40, 125, 8))], FIGURES).answers["limit"]
-    assert "of the Cramér–Rao bound, 0.5 m, so it may be optimal." in said
-
-
 def test_no_more_than_100_percent_of_what_theory_allows_is_ever_claimed():
     for efficiencies in (np.linspace(60, 150, 8), np.linspace(110, 130, 8), [112.0]):
         said = judge([reached(efficiencies)], FIGURES).answers["limit"]

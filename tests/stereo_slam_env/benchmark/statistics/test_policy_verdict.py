@@ -43,11 +43,8 @@ def test_a_policy_that_claims_less_and_is_no_better_is_not():
     found = verdict.comparisons["boasts"]
     assert (found.agreement, found.consistency) == (Agreement.DISAGREE, Consistency.OVERCONFIDENT)
     assert "claims 50 % less uncertainty" in found.words
-    open_ones = {"along the drive": found.path, "at the end": found.final}
-    said = "; ".join(f"{where} {signed(d.percent)} %, {d.interval_words}" for where, d in open_ones.items())
-    assert f"the true position error does not differ significantly ({said}): " in found.words
-    assert "claim and truth disagree; and it is overconfident, by the mean of 24 runs: pose NEES / 6" in found.words
-    assert "Claim and truth disagree." in verdict.headline
+    assert "the true position error does not differ significantly (" in found.words
+    assert "claim and truth disagree; and it is overconfident, by the mean of 24 runs" in found.words
     assert "Not to be taken at its word: boasts;" in verdict.headline
 
 
@@ -84,18 +81,11 @@ def test_what_the_truth_says_to_a_claim(claim, truth, expected):
     assert agreement_of(difference(claim - 0.05, claim + 0.05), [difference(*truth)] * 2) is expected
 
 
-def test_where_nothing_is_shown_that_is_said():
-    found = judged(SAME)[0].comparisons["other"]
-    assert found.agreement is Agreement.NOTHING_SHOWN
-    assert found.words.startswith("other claims exactly the uncertainty of fixed")
-
-
 def test_few_runs_show_nothing():
     found = judged(BETTER, seeds=range(3))[0].comparisons["greedy"]
     assert found.agreement is Agreement.NOTHING_SHOWN
-    assert "neither claim nor truth shows a difference, for 3 paired runs are too few, 6 are needed" in found.words
-    no_interval = f"along the drive {signed(found.path.percent)} %; at the end {signed(found.final.percent)} %):"
-    assert no_interval in found.words
+    assert "3 paired runs are too few, 6 are needed" in found.words
+    assert f"along the drive {signed(found.path.percent)} %; at the end" in found.words  # no interval
 
 
 def test_intervals_grow_with_the_number_of_policies():
@@ -121,27 +111,6 @@ def test_the_baseline_must_take_part():
 def test_the_first_screen_has_a_row_a_policy_and_a_sentence_for_each():
     verdict, summaries = judged(BETTER, NO_BETTER)
     markup = policy_overview(summaries, verdict)
-    assert markup.count("<tr>") == 1 + 3
-    assert markup.count("<li>") == 2
-    for said in (
-        "What does it claim at the end?",
-        "How wrong is it then?",
-        "baseline",
-        ">yes<",
-        ">no<",
-        "not significant",
-    ):
-        assert said in markup, said
-
-
-def test_the_headline_holds_the_best_against_the_baseline_and_no_other():
-    verdict, summaries = judged(BETTER, WORSE)
-    account = {
-        s.filter_name: f"σ {s.final_position_sigma_m:.3g} m, log det {s.final_pose_logdet:.1f}, "
-        f"true error {s.end_error_m:.3g} m".replace("-", "−")
-        for s in summaries
-    }
-    first = verdict.headline.split(". ")[0]
-    assert first.startswith("greedy leaves the pose least uncertain")
-    assert first.index(account["greedy"]) < first.index("; fixed: ") < first.index(account["fixed"])
-    assert "dreams" not in first
+    assert (markup.count("<tr>"), markup.count("<li>")) == (1 + 3, 2)
+    words = ("What does it claim at the end?", "How wrong is it then?", "baseline", ">yes<", ">no<", "not significant")
+    assert [said for said in words if said not in markup] == []

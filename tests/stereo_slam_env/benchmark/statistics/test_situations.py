@@ -182,14 +182,6 @@ def test_the_table_of_answers_calls_worse_only_what_is_shown_to_be(count):
         assert "failed 1/1" in page
 
 
-def test_a_policy_is_judged_with_the_same_reserve():
-    for count, words in ((1, "as far as one run can tell"), (8, "by the mean of 8 runs")):
-        summaries, figures = situation((GOOD, BOLD), count)
-        found = judge_policies(summaries, figures, baseline="good").comparisons["bold"]
-        assert f"it is overconfident, {words}: pose NEES / 6" in found.words
-        assert ("1 paired run is too few, 6 are needed" in found.words) == (count == 1)
-
-
 def test_policies_that_claim_the_same_are_not_ranked():
     runs = make_runs((GOOD,), range(8), 60)
     runs += [replace(run, filter_name="twin") for run in runs]

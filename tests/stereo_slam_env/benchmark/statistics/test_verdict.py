@@ -54,19 +54,10 @@ def test_equal_filters_are_not_ranked():
     assert false_alarms / 200 < 0.06
 
 
-def test_more_comparisons_need_more_evidence():
-    noise = np.exp(0.1 * np.random.default_rng(3).standard_normal(10))
-    narrow, wide = (compared(HARDNESS, 1.1 * HARDNESS * noise, n) for n in (1, 6))
-    assert wide.difference.interval_percent[0] < narrow.difference.interval_percent[0]
-    assert wide.difference.interval_percent[1] > narrow.difference.interval_percent[1]
-    assert wide.difference.p_value == min(1.0, 6 * narrow.difference.p_value)
-
-
 @pytest.mark.parametrize(
     ("ours", "theirs", "says"),
     [
         ([0.10], [0.20], "the error of other is 100 % larger on this drive, but one drive proves nothing"),
-        ([0.10, 0.14, 0.11], [0.12, 0.13, 0.15], "3 runs are too few to compare it with other, 6 are needed"),
         ([0.10, 0.11, 0.12], [0.20, 0.22, 0.21], "3 runs are too few to compare it with other, 6 are needed"),
         ([0.10, 0.11, 0.12], [0.10, 0.11, 0.12], "the error of other is the same in all 3 runs"),
     ],
@@ -76,19 +67,6 @@ def test_few_runs_show_nothing(ours, theirs, says):
     assert not comparison.shown
     assert comparison.difference.interval_percent is None
     assert says in comparison.words
-
-
-def test_a_gap_in_too_few_runs_for_so_many_comparisons_is_not_shown():
-    comparison = compared(HARDNESS[:6], 2 * HARDNESS[:6] * np.linspace(0.9, 1.1, 6), comparisons=2)
-    assert not comparison.shown
-    assert comparison.difference.interval is None
-    assert comparison.words.startswith("6 runs are too few to compare it with other, 7 are needed (")
-
-
-def test_a_filter_that_completed_nothing_is_not_compared_by_number():
-    comparison = compared([0.1] * 6, [np.nan] * 6, runs=6, diverged=6, failures=("no",) * 6)
-    assert np.isnan(comparison.difference.percent)
-    assert comparison.words == "other failed in 6 of 6 runs"
 
 
 @pytest.mark.parametrize(
@@ -106,14 +84,13 @@ def test_one_divergence_may_be_chance_and_many_are_not(lost, words):
 
 @pytest.mark.parametrize(
     ("anees", "state"),
-    [(6.0, Consistency.CONSISTENT), (20.0, Consistency.OVERCONFIDENT), (1.0, Consistency.CAUTIOUS)],
+    [
+        *((6.0, Consistency.CONSISTENT), (20.0, Consistency.OVERCONFIDENT)),
+        *((1.0, Consistency.CAUTIOUS), (None, Consistency.UNKNOWN)),
+    ],
 )
 def test_consistency_is_the_place_in_the_band(anees, state):
     assert consistency(summary(pose_anees=anees, pose_anees_band=(4.0, 8.0))) is state
-
-
-def test_without_truth_consistency_is_not_known():
-    assert consistency(summary(pose_anees=None)) is Consistency.UNKNOWN
 
 
 def test_a_filter_that_diverged_is_never_the_best():
@@ -125,15 +102,6 @@ def test_a_filter_that_diverged_is_never_the_best():
     verdict = judge(summaries, figures)
     assert verdict.best != "lucky"
     assert "lucky, the first of the 3 filters, diverged in 1 of 5 runs, which may be chance." in verdict.headline
-
-
-def test_the_headline_names_the_winner_its_consistency_and_its_cost():
-    clear = (Behaviour("sharp", 0.02), Behaviour("blunt", 0.4))
-    runs = make_runs(clear, seeds=range(8), frames=120)
-    headline = judge(*scored(runs)).headline
-    assert headline.startswith("sharp is the most accurate")
-    assert "NEES" in headline
-    assert "ms a frame" in headline
 
 
 def test_the_headline_answers_every_question_in_its_own_sentence():
@@ -151,26 +119,21 @@ def test_the_headline_answers_every_question_in_its_own_sentence():
 
 
 def test_many_rivals_do_not_make_a_long_headline():
-    behaviours = [Behaviour(f"near-{k}", 0.1) for k in range(7)] + [
-        Behaviour(f"far-{k}", 1.0 + 0.1 * k) for k in range(5)
-    ]
+    behaviours = [Behaviour(f"near-{k}", 0.1) for k in range(7)]
+    behaviours += [Behaviour(f"far-{k}", 1.0 + 0.1 * k) for k in range(5)]
     runs = make_runs(behaviours, seeds=range(10), frames=60)
     best = judge(*scored(runs)).answers["best"]
     assert "and 3 more are not significant; the error of far-" in best
     assert best.endswith("; and 2 more: at 95 % confidence, 10 paired runs.")
 
 
-@pytest.mark.parametrize(
-    ("seeds", "words"),
-    [
+def test_too_few_runs_for_many_rivals_are_called_that_and_not_a_result():
+    behaviours = [Behaviour("sharp", 0.02), *(Behaviour(f"blunt-{k}", 1.0) for k in range(5))]
+    for seeds, words in (
         (1, "One drive proves nothing about blunt-0, blunt-1, blunt-2 and 2 more."),
         (6, "6 runs are too few to compare it with blunt-0, blunt-1, blunt-2 and 2 more, 8 are needed."),
-    ],
-)
-def test_too_few_runs_for_many_rivals_are_called_that_and_not_a_result(seeds, words):
-    behaviours = [Behaviour("sharp", 0.02), *(Behaviour(f"blunt-{k}", 1.0) for k in range(5))]
-    best = judge(*scored(make_runs(behaviours, seeds=range(seeds), frames=60))).answers["best"]
-    assert words in best
+    ):
+        assert words in judge(*scored(make_runs(behaviours, seeds=range(seeds), frames=60))).answers["best"]
 
 
 def test_too_few_runs_are_those_of_the_rivals_that_have_so_few():
@@ -197,21 +160,16 @@ def test_each_filter_is_held_against_each_other_one_by_every_question():
     assert (worse.finding, better.finding) == (Finding.WORSE, Finding.BETTER)
     assert better.estimate == -worse.estimate
     assert table.cell(TIME, "euclidean", "dual-bearing").finding is Finding.BETTER
-    assert "farther from its ideal" in sentence(
-        "change", POSE_NEES, table.cell(POSE_NEES, "euclidean", "inverse-depth")
-    )
+    worse_nees = table.cell(POSE_NEES, "euclidean", "inverse-depth")
+    assert "farther from its ideal" in sentence("change", POSE_NEES, worse_nees)
     assert table.cell(POSITION, "inverse-depth", "inverse-depth") is None
 
 
 def test_all_may_be_held_against_a_baseline():
     runs = make_runs(THREE, seeds=range(8), frames=60)
     table = compare_all(*scored(runs), baseline="dual-bearing")
-    assert {(name, against) for _, name, against in table.cells} == {
-        ("inverse-depth", "dual-bearing"),
-        ("dual-bearing", "inverse-depth"),
-        ("euclidean", "dual-bearing"),
-        ("dual-bearing", "euclidean"),
-    }
+    pairs = {("inverse-depth", "dual-bearing"), ("euclidean", "dual-bearing")}
+    assert {(name, against) for _, name, against in table.cells} == pairs | {pair[::-1] for pair in pairs}
     with pytest.raises(ValueError, match="baseline must be one of inverse-depth, dual-bearing, euclidean, got 'dual'"):
         compare_all(*scored(runs), baseline="dual")
 
@@ -224,27 +182,9 @@ def test_a_filter_without_a_common_run_is_told_in_a_sentence_of_its_own():
     assert f" No run to compare with {other}." in verdict.answers["best"]
 
 
-def test_near_equals_are_called_so():
-    runs = make_runs(THREE[:2], seeds=range(8), frames=120)
-    assert "difference from" in judge(*scored(runs)).headline
-
-
-def test_no_truth_and_no_survivor_have_their_own_words():
-    runs = make_runs(seeds=[None], frames=60, truth="none")
-    assert "no ground truth" in judge(*scored(runs)).headline
+def test_no_survivor_has_its_own_words():
     runs = make_runs(THREE_ONE_DIVERGING[2:], frames=240)
     assert judge(*scored(runs)).headline == "There is no verdict: euclidean diverged in 5 of 5 runs."
-    failed = [replace(run, failure="frame 3: gone") for run in make_runs(THREE, frames=20)]
-    assert judge(*scored(failed)).headline == (
-        "None came through every run: inverse-depth failed in 5 of 5 runs; dual-bearing failed in 5 of 5 runs; "
-        "euclidean failed in 5 of 5 runs."
-    )
-
-
-def test_a_run_of_three_frames_is_too_short_and_not_without_truth():
-    headline = judge(*scored(make_runs(frames=3))).headline
-    assert headline.startswith("Too short for a verdict: 2 frames have ground truth")
-    assert "no ground truth" not in headline
 
 
 def test_divergence_is_judged_by_the_limit_of_the_scenario():
@@ -276,21 +216,3 @@ def test_equal_filters_tie():
     alone = judge(*scored([run for run in [*runs, *copies] if run.filter_name != "clumsy"]))
     assert alone.answers["best"].startswith("twin and copy tie: their position error is ")
     assert not alone.is_shown
-
-
-def test_the_headline_speaks_in_percent_and_in_one_unit_of_nees():
-    clear = (Behaviour("sharp", 0.02, milliseconds=9.0), Behaviour("blunt", 0.4))
-    headline = judge(*scored(make_runs(clear, seeds=range(8), frames=120))).headline
-    assert re.search(r"The error of blunt is [\d,]+ % larger \(\+", headline)
-    assert "times" not in headline
-    nees = r"The pose NEES / 6 of sharp is [01]\.\d\d, inside its band \(0\.\d\d to 1\.\d\d\)"
-    assert re.search(nees, headline)
-
-
-def test_a_divergence_that_may_be_chance_makes_nobody_the_most_accurate():
-    runs = make_runs((THREE[0], replace(THREE[0], name="unlucky", error_m=0.101)), seeds=range(8), frames=60)
-    runs = [replace(r, failure="frame 3: gone") if r.filter_name == "unlucky" and r.seed == 0 else r for r in runs]
-    best = judge(*scored(runs)).answers["best"]
-    assert "most accurate" not in best
-    assert "has the smallest position error of the filters that never diverged, " in best
-    assert best.endswith(" unlucky failed in 1 of 8 runs, which may be chance.")

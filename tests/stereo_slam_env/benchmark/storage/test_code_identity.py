@@ -4,7 +4,6 @@ import os
 import shutil
 import subprocess
 import sys
-import time
 from functools import partial
 
 import pytest
@@ -51,11 +50,14 @@ def test_a_copy_elsewhere_is_the_same_code(copy):
     [
         ("stereo_slam_env/world/physics.py", "_SURFACE_GAP = 0.05", "_SURFACE_GAP = 0.06"),
         ("filters/catalogue/presets.py", '="shared-anchor"', '="inverse-depth"'),
-        (KERNELS, "import numpy as np\n", "import numpy as np\n\nnp.seterr(all='raise')\n"),
         (KERNELS, '"""', '"""Edited. '),
+        ("stereo_slam_env/report/page.css", "{", "{ "),
+        ("stereo_slam_env/viewer/watched_drive.py", '"""', '"""Edited. '),
+        ("stereo_slam_env/benchmark/campaign.py", '"""', '"""Edited. '),
     ],
 )
 def test_whatever_is_edited_changes_it(copy, file, old, new):
+    """There is no list of what "makes no result": such a list can only be wrong in favour of a stale one."""
     before = digest(copy)
     edit(copy / file, old, new)
     assert digest(copy) != before
@@ -68,22 +70,6 @@ def test_a_new_module_and_a_trained_network_count(copy):
     (network,) = (copy / "stereo_slam_env").rglob("*.npz")
     network.write_bytes(network.read_bytes() + b"\0")
     assert len({*digests, digest(copy)}) == 3
-
-
-@pytest.mark.parametrize(
-    "file",
-    [
-        "stereo_slam_env/report/page.css",
-        "stereo_slam_env/viewer/watched_drive.py",
-        "stereo_slam_env/benchmark/campaign.py",
-    ],
-)
-def test_everything_of_ours_counts(copy, file):
-    """There is no list of what "makes no result": such a list can only be wrong in favour of a stale one."""
-    before = digest(copy)
-    with (copy / file).open("a") as stream:
-        stream.write("\nx = 1\n")
-    assert digest(copy) != before
 
 
 def test_what_python_and_editors_keep_does_not_count(copy):
@@ -101,12 +87,6 @@ def test_a_run_is_kept_as_long_as_its_code_is(copy, tmp_path, monkeypatch):
     assert finished.missing() == []
     edit(copy / "stereo_slam_env/world/physics.py", "_SURFACE_GAP = 0.05", "_SURFACE_GAP = 0.06")
     assert len(finished.missing()) == 2
-
-
-def test_it_takes_no_time(copy):
-    began = time.process_time()
-    digest(copy)
-    assert time.process_time() - began < 1.0
 
 
 def test_a_run_reads_the_code_once_and_its_workers_never(copy, tmp_path):

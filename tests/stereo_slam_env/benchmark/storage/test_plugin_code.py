@@ -95,7 +95,19 @@ def edit(path, old, new):
     path.write_text(text.replace(old, new, 1), encoding="utf-8")
 
 
+def counts(digest, path, old, new):
+    """Whether there is a digest, and an edited file changes it."""
+    before = digest()
+    assert before is not None
+    edit(path, old, new)
+    return digest() != before
+
+
 LAB = FilterChoice("lab", "lab")
+
+
+def of_lab():
+    return digest_of_choice(LAB)
 
 
 # ---- the command ----------------------------------------------------------------------------------------------------
@@ -127,11 +139,8 @@ def test_a_filter_that_now_raises_does_not_return_its_old_result(project, tmp_pa
     shutil.copytree(tmp_path / "a", tmp_path / "b")
     of_ours = tmp_path / "b" / "trials" / "seed-0000" / "inverse-depth.npz"
     written = of_ours.stat().st_mtime_ns
-    edit(
-        project / "lab_filter" / "slam.py",
-        "super().predict(dt",
-        'raise RuntimeError("edited")\n        super().predict(dt',
-    )
+    raising = 'raise RuntimeError("edited")\n        super().predict(dt'
+    edit(project / "lab_filter" / "slam.py", "super().predict(dt", raising)
     after = bench(project, tmp_path / "b")
     assert after["lab"]["failures"] == ["seed 0, frame 1: RuntimeError: edited"]
     assert of_ours.stat().st_mtime_ns == written
@@ -156,31 +165,21 @@ def test_a_filter_that_now_raises_does_not_return_its_old_result(project, tmp_pa
     ],
 )
 def test_the_package_of_a_filter_counts_and_what_it_imports_from_beside_it(project, file, old, new):
-    before = digest_of_choice(LAB)
-    assert before is not None
-    edit(project / file, old, new)
-    assert digest_of_choice(LAB) != before
+    assert counts(of_lab, project / file, old, new)
 
 
-def test_what_it_does_not_import_makes_no_difference(project):
-    before = digest_of_choice(LAB)
-    edit(project / "bystander.py", "x = 1", "x = 2")
-    assert digest_of_choice(LAB) == before
-
-
-def test_an_import_within_a_line_counts(project):
+def test_what_it_does_not_import_makes_no_difference_and_an_import_within_a_line_does(project):
+    assert not counts(of_lab, project / "bystander.py", "x = 1", "x = 2")
     with (project / "lab_filter" / "slam.py").open("a") as stream:
         stream.write("\nif True: x = 1; import bystander\n")
-    before = digest_of_choice(LAB)
-    edit(project / "bystander.py", "x = 1", "x = 2")
-    assert digest_of_choice(LAB) != before
+    assert counts(of_lab, project / "bystander.py", "x = 2", "x = 3")
 
 
 def test_a_filter_that_cannot_be_loaded_is_another_one_as_soon_as_it_can(project):
     """Also where the reason is not in its own code."""
-    working = digest_of_choice(LAB)
+    working = of_lab()
     (project / "lab_numbers.py").rename(project / "elsewhere.py")
-    broken = digest_of_choice(LAB)
+    broken = of_lab()
     (project / "elsewhere.py").rename(project / "lab_numbers.py")
     for name in ("lab_numbers", "lab_filter.tuning", "lab_filter.slam"):
         sys.modules.pop(name, None)
@@ -191,16 +190,14 @@ def test_a_filter_that_cannot_be_loaded_is_another_one_as_soon_as_it_can(project
 
 def test_a_broken_file_counts_too(project):
     edit(project / "lab_filter" / "unused.py", "x = 1", "x = (")
-    before = digest_of_choice(LAB)
-    edit(project / "lab_filter" / "unused.py", "x = (", "x = ((")
-    assert digest_of_choice(LAB) != before
+    assert counts(of_lab, project / "lab_filter" / "unused.py", "x = (", "x = ((")
 
 
 def test_ours_have_no_code_of_their_own():
-    assert digest_of_choice(FilterChoice("inverse-depth", "inverse-depth")) is None
-    assert digest_of_choice(FilterChoice("dead-reckoning", "dead-reckoning")) is None
     sweep = FilterChoice("sweep", "inverse-depth", policy=PolicyChoice("sweep", "sweep"))
-    assert digest_of_choice(sweep) is None
+    for choice in (FilterChoice("a", "inverse-depth"), FilterChoice("b", "dead-reckoning"), sweep):
+        assert digest_of_choice(choice) is None
+    assert plugin_digest(InverseDepthStereoEKF) is None
     assert digest_of_source(ReferenceSource("short_turn")) is None
 
 
@@ -235,10 +232,7 @@ def named(tmp_path, monkeypatch):
 @pytest.mark.parametrize("group", NAMED)
 def test_a_part_that_an_option_names_counts(named, group):
     file, choice = named(group), FilterChoice("a", "inverse-depth", NAMED[group])
-    before = digest_of_choice(choice)
-    assert before is not None
-    edit(file, "1.0", "2.0")
-    assert digest_of_choice(choice) != before
+    assert counts(lambda: digest_of_choice(choice), file, "1.0", "2.0")
     of_policy = FilterChoice("a", "inverse-depth", policy=PolicyChoice("sweep", "sweep", NAMED[group]))
     assert digest_of_choice(of_policy) is not None
     assert digest_of_choice(FilterChoice("a", "inverse-depth", {"landmark": "euclidean"})) is None
@@ -256,23 +250,18 @@ def test_a_part_that_an_option_names_counts(named, group):
 )
 def test_what_makes_a_recording_counts(named, group, options, corruptions):
     file, source = named(group), FactorySource("os:getcwd", options)
-    before = digest_of_source(source, corruptions)
-    assert before is not None
-    edit(file, "1.0", "2.0")
-    assert digest_of_source(source, corruptions) != before
+    assert counts(lambda: digest_of_source(source, corruptions), file, "1.0", "2.0")
 
 
 @pytest.mark.parametrize("text", ["lab_filter.part:Part", "lab_filter:Env-v0"])
 def test_a_module_that_is_named_counts_and_is_not_imported(named, text):
     file = named("other.group")
     edit(file, "class", "raise SystemExit(3)\n\n\nclass")
-    digests = [digest_of_choice(FilterChoice("a", "inverse-depth", {"of": {"call": text}}))]
-    digests += [digest_of_source(FactorySource(text)), digest_of_source(FactorySource("os:getcwd", {"deep": [text]}))]
-    assert None not in digests
-    edit(file, "1.0", "2.0")
-    again = [digest_of_choice(FilterChoice("a", "inverse-depth", {"of": {"call": text}}))]
-    again += [digest_of_source(FactorySource(text)), digest_of_source(FactorySource("os:getcwd", {"deep": [text]}))]
-    assert all(one != other for one, other in zip(digests, again, strict=True))
+    choice = FilterChoice("a", "inverse-depth", {"of": {"call": text}})
+    assert counts(lambda: digest_of_choice(choice), file, "1.0", "2.0")
+    assert counts(lambda: digest_of_source(FactorySource(text)), file, "2.0", "3.0")
+    deep = FactorySource("os:getcwd", {"deep": [text]})
+    assert counts(lambda: digest_of_source(deep), file, "3.0", "4.0")
 
 
 def test_a_registered_environment_counts(named):
@@ -282,20 +271,14 @@ def test_a_registered_environment_counts(named):
     gymnasium.register("Lab/Mine-v0", "lab_filter.part:Part")
     try:
         source = FactorySource("os:getcwd", {"environment": "Lab/Mine-v0"})
-        before = digest_of_source(source)
-        assert before is not None
-        edit(file, "1.0", "2.0")
-        assert digest_of_source(source) != before
+        assert counts(lambda: digest_of_source(source), file, "1.0", "2.0")
     finally:
         del gymnasium.registry["Lab/Mine-v0"]
 
 
 def test_an_edited_part_and_front_end_leave_no_result_in_the_folder(named, tmp_path):
-    scenario = Scenario(
-        "one",
-        FactorySource("os:getcwd", {"front_end": "mine"}),
-        (FilterChoice("a", "inverse-depth", {"landmark": "mine"}),),
-    )
+    filters = (FilterChoice("a", "inverse-depth", {"landmark": "mine"}),)
+    scenario = Scenario("one", FactorySource("os:getcwd", {"front_end": "mine"}), filters)
     file = named("stereo_slam.landmarks")
     directory = RunDirectory(tmp_path / "run", Study.of(scenario).cells[0], tmp_path / "run")
     plugins = dict(directory._plugins)
@@ -316,23 +299,18 @@ def test_a_script_counts_with_what_it_imports(tmp_path, monkeypatch):
     (tmp_path / "lone_other.py").write_text("x = 1\n")
     monkeypatch.syspath_prepend(str(tmp_path))
     make = importlib.import_module("lone_filter").make
-    digests = [plugin_digest(make)]
-    edit(tmp_path / "lone_math.py", "return 1", "return 2")
-    digests.append(plugin_digest(make))
-    edit(tmp_path / "lone_filter.py", "lone_math.f()", "2 * lone_math.f()")
-    digests.append(plugin_digest(make))
-    assert len(set(digests)) == 3
+    assert counts(lambda: plugin_digest(make), tmp_path / "lone_math.py", "return 1", "return 2")
+    assert counts(lambda: plugin_digest(make), tmp_path / "lone_filter.py", "lone_math.f()", "2 * lone_math.f()")
+    digest = plugin_digest(make)
     edit(tmp_path / "lone_other.py", "x = 1", "x = 2")
-    assert plugin_digest(partial(make, camera=None)) == digests[-1]
+    assert plugin_digest(partial(make, camera=None)) == digest
 
 
 def test_a_base_class_of_another_project_counts(project, tmp_path, monkeypatch):
     (tmp_path / "heirs.py").write_text("from lab_filter.slam import LabFilter\n\n\nclass Heir(LabFilter):\n    pass\n")
     monkeypatch.syspath_prepend(str(tmp_path))
     heir = importlib.import_module("heirs").Heir
-    before = plugin_digest(heir)
-    edit(project / "lab_numbers.py", "FACTOR = 1.0", "FACTOR = 2.0")
-    assert plugin_digest(heir) != before
+    assert counts(lambda: plugin_digest(heir), project / "lab_numbers.py", "FACTOR = 1.0", "FACTOR = 2.0")
 
 
 def test_an_installed_distribution_counts_with_its_data(project, monkeypatch):
@@ -340,14 +318,9 @@ def test_an_installed_distribution_counts_with_its_data(project, monkeypatch):
     monkeypatch.setattr("stereo_slam_env.benchmark.storage.code_identity._INSTALLED", (project.resolve(),))
     record = project / "lab_filter-1.0.dist-info" / "RECORD"
     record.write_text("lab_filter/weights.bin,sha256=aaa,3\n")
-    digests = [digest_of_choice(LAB)]
-    record.write_text("lab_filter/weights.bin,sha256=bbb,3\n")
-    digests.append(digest_of_choice(LAB))
-    edit(project / "lab_filter" / "slam.py", "scaled(noise)", "noise")  # by hand, where it lies
-    digests.append(digest_of_choice(LAB))
-    edit(record.with_name("METADATA"), "Version: 1.0", "Version: 1.1")
-    digests.append(digest_of_choice(LAB))
-    assert len(set(digests)) == 4
+    assert counts(of_lab, record, "aaa", "bbb")
+    assert counts(of_lab, project / "lab_filter" / "slam.py", "scaled(noise)", "noise")  # by hand, where it lies
+    assert counts(of_lab, record.with_name("METADATA"), "Version: 1.0", "Version: 1.1")
 
 
 NOTEBOOK = """
@@ -407,11 +380,4 @@ def test_a_function_that_makes_recordings_counts(tmp_path, monkeypatch):
     (tmp_path / "lone_source.py").write_text("raise SystemExit(3)\n\ndef make(seed):\n    return seed\n")
     monkeypatch.syspath_prepend(str(tmp_path))
     source = FactorySource("lone_source:make")
-    before = digest_of_source(source)
-    assert before is not None
-    edit(tmp_path / "lone_source.py", "return seed", "return seed + 1")
-    assert digest_of_source(source) != before
-
-
-def test_a_filter_of_ours_is_known_as_such_by_its_class():
-    assert plugin_digest(InverseDepthStereoEKF) is None
+    assert counts(lambda: digest_of_source(source), tmp_path / "lone_source.py", "return seed", "return seed + 1")

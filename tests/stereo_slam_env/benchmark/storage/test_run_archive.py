@@ -37,6 +37,20 @@ def same(a, b):
             assert x == y
 
 
+NOTHING = object()
+
+
+def stored(path, run, whole=True, about=None, **arrays):
+    """The file of a run with other arrays, or other words about it."""
+    path.write_bytes(packed_run(run, {}, whole=whole))
+    with np.load(path) as archive:
+        kept = {name: archive[name] for name in archive.files}
+    about = {**json.loads(str(kept["about"])), **(about or {})}
+    about = {key: value for key, value in about.items() if value is not NOTHING}
+    np.savez(path, **{**kept, **arrays, "about": np.array(json.dumps(about))})
+    return path
+
+
 def test_a_run_comes_back_as_it_was(tmp_path, run):
     (tmp_path / "run.npz").write_bytes(packed_run(run, {"from": "here", "n": 3}))
     loaded = load_run(tmp_path / "run.npz")
@@ -46,13 +60,8 @@ def test_a_run_comes_back_as_it_was(tmp_path, run):
 
 
 def test_a_run_kept_before_it_said_what_its_truth_is_has_a_true_one(tmp_path, run):
-    (tmp_path / "run.npz").write_bytes(packed_run(run, {}))
-    with np.load(tmp_path / "run.npz") as archive:
-        arrays = {name: archive[name] for name in archive.files}
-    about = json.loads(str(arrays["about"]))
-    assert about.pop("truth_from")["kind"] == "odometry"
-    np.savez(tmp_path / "old.npz", **arrays | {"about": np.array(json.dumps(about))})
-    assert load_run(tmp_path / "old.npz").run.reference == GIVEN_TRUTH
+    assert load_run(stored(tmp_path / "run.npz", run)).run.reference.kind == "odometry"
+    assert load_run(stored(tmp_path / "old.npz", run, about={"truth_from": NOTHING})).run.reference == GIVEN_TRUTH
 
 
 @pytest.mark.parametrize("keep", [0, 100, -200])
@@ -64,26 +73,15 @@ def test_a_truncated_run_is_named_with_the_remedy(tmp_path, run, keep):
     assert "\n" not in str(e.value)
 
 
-@pytest.mark.parametrize("frames", [2**57, -1, 3.5, None])
-def test_a_number_of_frames_that_cannot_be_is_damage(tmp_path, run, frames):
-    (tmp_path / "run.npz").write_bytes(packed_run(run, {}, whole=False))
-    with np.load(tmp_path / "run.npz") as archive:
-        arrays = {name: archive[name] for name in archive.files}
-    about = json.loads(str(arrays["about"])) | {"frames": frames, "series": []}
-    np.savez(tmp_path / "run.npz", **arrays | {"about": np.array(json.dumps(about))})
-    with pytest.raises(ValueError, match=r"damaged \(frames must be 0 to 10000000, got "):
-        load_run(tmp_path / "run.npz")
-
-
-@pytest.mark.parametrize("count", [2**57, -1])
-def test_a_number_of_measurements_that_cannot_be_is_damage(tmp_path, run, count):
-    (tmp_path / "run.npz").write_bytes(packed_run(run, {}))
-    with np.load(tmp_path / "run.npz") as archive:
-        arrays = {name: archive[name] for name in archive.files}
-    arrays["count.used"] = np.full(len(run), count)
-    np.savez(tmp_path / "run.npz", **arrays)
-    with pytest.raises(ValueError, match=r"damaged \(counts must be integers from 0 to 1000000\)"):
-        load_run(tmp_path / "run.npz")
+def test_numbers_that_cannot_be_are_damage(tmp_path, run):
+    for frames in (2**57, -1, 3.5, None):
+        path = stored(tmp_path / "run.npz", run, whole=False, about={"frames": frames, "series": []})
+        with pytest.raises(ValueError, match=r"damaged \(frames must be 0 to 10000000, got "):
+            load_run(path)
+    for count in (2**57, -1):
+        path = stored(tmp_path / "run.npz", run, **{"count.used": np.full(len(run), count)})
+        with pytest.raises(ValueError, match=r"damaged \(counts must be integers from 0 to 1000000\)"):
+            load_run(path)
 
 
 def test_a_run_of_an_older_format_is_named_with_the_remedy(tmp_path, run, monkeypatch):

@@ -25,17 +25,6 @@ from ..small_recordings import small_recording
 SCENARIO = Scenario(
     "small", ReferenceSource("short_turn"), filters=(filter_choice("euclidean"),), seeds=(0, 1), metrics=("map",)
 )
-DESIGNED_KEYS = {
-    "position_rmse_m",
-    "ate_rigid_m",
-    "end_drift_percent",
-    "pose_anees",
-    "pose_anees_band",
-    "nis",
-    "ms_per_frame",
-    "frames",
-    "diverged",
-}
 
 
 def opened(out, scenario):
@@ -49,12 +38,8 @@ def fill(out, scenario=SCENARIO, failure=None):
     directory = opened(out, scenario)
     for seed, choice in directory.missing():
         recording = small_recording(seed)
-        about = {
-            "name": recording.name,
-            "frames": len(recording),
-            "stream_sha256": stream_digest(recording),
-            "R": recording.noise.R.tolist(),
-        }
+        about = {"name": recording.name, "frames": len(recording), "R": recording.noise.R.tolist()}
+        about["stream_sha256"] = stream_digest(recording)
         directory.save_recording(seed, packed_recording(recording), about)
         run = run_filter(recording, choice.name, choice.options, seed=seed, label=choice.label)
         content = packed_run(replace(run, failure=failure), directory.provenance(seed, choice))
@@ -72,7 +57,10 @@ def test_the_summary_has_the_designed_keys_and_every_other_figure(finished):
     summary = json.loads((finished.out / "summary.json").read_text())
     assert summary["version"] == store.VERSION
     row = summary["filters"]["euclidean"]
-    assert set(row) >= DESIGNED_KEYS
+    designed = (
+        "position_rmse_m ate_rigid_m end_drift_percent pose_anees pose_anees_band nis ms_per_frame frames diverged"
+    )
+    assert set(row) >= set(designed.split())
     assert set(row) >= {f.name for f in fields(FilterSummary)} - {"filter_name", "figures"}
     assert row["runs"] == 2
     assert [r["seed"] for r in summary["recordings"]] == [0, 1]
@@ -88,8 +76,9 @@ def test_nan_never_reaches_json(tmp_path):
 
 
 def test_the_table_is_written_as_csv_too(finished):
-    with (finished.out / "summary.csv").open() as stream:
-        (row,) = csv.DictReader(stream)
+    text = (finished.out / "summary.csv").read_text()
+    assert not set(text) & set("{}[]")
+    (row,) = csv.DictReader(text.splitlines())
     summary = json.loads((finished.out / "summary.json").read_text())["filters"]["euclidean"]
     assert row["filter"] == "euclidean"
     assert float(row["ate_rigid_m"]) == summary["ate_rigid_m"]
@@ -97,12 +86,6 @@ def test_the_table_is_written_as_csv_too(finished):
     low, high = (float(row[f"pose_anees_per_dof_{end}"]) for end in ("low", "high"))
     assert (low, high) == pytest.approx(tuple(end / 6 for end in summary["pose_anees_band"]))
     assert (row["runs"], row["failed"], row["option.min_disparity"]) == ("2", "0", "4.0")
-
-
-def test_no_cell_of_the_csv_is_a_table_of_its_own(finished):
-    text = (finished.out / "summary.csv").read_text()
-    assert not set(text) & set("{}[]")
-    assert len({line.count(",") for line in text.splitlines()}) == 1
 
 
 def test_the_settings_are_the_exact_inputs(finished):
@@ -113,16 +96,12 @@ def test_the_settings_are_the_exact_inputs(finished):
     assert settings["scenario"]["filters"][0]["options"] == {"min_disparity": 4.0}
 
 
-def test_trajectories_are_in_tum_format(finished):
+def test_trajectories_are_in_the_formats_of_tum_and_kitti(finished):
     run = finished.load()[0][0]
     estimate = np.loadtxt(finished.out / "trajectories" / "seed-0000" / "euclidean.tum")
     np.testing.assert_allclose(estimate, np.column_stack([run.timestamps, run.positions, run.orientations]), atol=1e-9)
     truth = np.loadtxt(finished.out / "trajectories" / "seed-0000" / "truth.tum")
     np.testing.assert_allclose(truth[:, 1:4], run.true_positions, atol=1e-9)
-
-
-def test_trajectories_are_in_kitti_format(finished):
-    run = finished.load()[0][0]
     rows = np.loadtxt(finished.out / "trajectories" / "seed-0000" / "euclidean.kitti").reshape(-1, 3, 4)
     np.testing.assert_allclose(rows[:, :, 3], run.positions, atol=1e-9)
     np.testing.assert_allclose(rows[:, :, :3], rotations.matrix(run.orientations), atol=1e-9)
@@ -140,11 +119,6 @@ def test_only_what_is_not_there_is_missing(finished):
     assert finished.missing() == [(1, SCENARIO.filters[0])]
     with pytest.raises(ValueError, match=r"euclidean\.npz is missing: the run is not finished"):
         finished.load()
-
-
-def test_trials_of_other_code_are_run_again(finished, monkeypatch):
-    monkeypatch.setattr(store, "code_digest", lambda: "another")
-    assert len(finished.missing()) == 2
 
 
 def test_more_seeds_and_filters_may_join(finished):
