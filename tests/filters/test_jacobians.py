@@ -65,10 +65,7 @@ def _(s: Situation):
 @case("camera.project_scaled")
 def _(s: Situation):
     rays, scales = CAMERA.ray(s.uvd), s.uvd[:, 2] / CAMERA.disparity_constant
-    return (
-        lambda e: CAMERA.project_scaled(rays + e[:3], scales + e[3]),
-        CAMERA.project_scaled_jacobian(rays, scales),
-    )
+    return (lambda e: CAMERA.project_scaled(rays + e[:3], scales + e[3]), CAMERA.project_scaled_jacobian(rays, scales))
 
 
 # --- rotations and error definitions --------------------------------------------------------------------------

@@ -8,14 +8,7 @@ from typing import Any
 
 import pytest
 
-from filters import (
-    MotionModel,
-    StereoEKF,
-    StereoFilter,
-    VelocityDriven,
-    available_filters,
-    make_filter,
-)
+from filters import MotionModel, StereoEKF, StereoFilter, VelocityDriven, available_filters, make_filter
 from filters.catalogue.registry import NOT_OPEN, FilterFactory, MadeFilter, make_with_common_options
 from filters.checks.conformance import REFERENCE_CAMERA, REFERENCE_NOISE
 from filters.geometry.vectors import plus

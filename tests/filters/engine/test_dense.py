@@ -109,11 +109,7 @@ def project(recipe: Recipe, state: FilterState) -> np.ndarray:
     u, v = CAMERA.fx * h[:, 0] / h[:, 2], CAMERA.fy * h[:, 1] / h[:, 2]
     d = CAMERA.disparity_constant * rho / h[:, 2]
     return np.column_stack(
-        [
-            CAMERA.cx + (1 + focal) * u,
-            CAMERA.cy + (1 + focal) * v,
-            (1 + focal) * (1 + baseline) * d + o,
-        ]
+        [CAMERA.cx + (1 + focal) * u, CAMERA.cy + (1 + focal) * v, (1 + focal) * (1 + baseline) * d + o]
     ).ravel()
 
 

@@ -249,13 +249,7 @@ def shown(folder, program, *, terminal=False):
     environment |= {"PYTHONPATH": os.pathsep.join([str(folder), str(ROOT)]), "XDG_CACHE_HOME": str(folder / "home")}
     command = [*([sys.executable, "-c", IN_TERMINAL] if terminal else []), sys.executable, "-c", program]
     done = subprocess.run(
-        command,
-        cwd=folder,
-        env=environment,
-        capture_output=True,
-        stdin=subprocess.DEVNULL,
-        check=True,
-        timeout=280,
+        command, cwd=folder, env=environment, capture_output=True, stdin=subprocess.DEVNULL, check=True, timeout=280
     )
     written = (done.stdout if terminal else done.stderr).decode()
     return written.replace("\r\n", "\n").removesuffix("\x1b[0m")  # colours off: Numba's colorama at the end

@@ -10,15 +10,7 @@ import pytest
 from scipy.linalg import block_diag
 from scipy.optimize import least_squares
 
-from filters import (
-    ConstantVelocity,
-    LeftThenRight,
-    Stacked,
-    Start,
-    StereoEKF,
-    StereoNoise,
-    StereoObservation,
-)
+from filters import ConstantVelocity, LeftThenRight, Stacked, Start, StereoEKF, StereoNoise, StereoObservation
 from filters.geometry import symmetric
 
 from ..dense import linearised, retracted

@@ -18,14 +18,8 @@ from ..slots import LANDMARKS
 CAMERA = StereoCamera(721.5, 721.5, 672.0, 195.5, 0.571, 1344, 391)
 NOISE = StereoNoise.diagonal(1.0, 1.0, 2.0)
 DEPTHS = (15.0, 30.0, 45.0, 70.0, 150.0)
-COVERAGE = {
-    "inverse-depth": (0.951, 0.951, 0.951, 0.951, 0.951),
-    "euclidean": (0.942, 0.920, 0.892, 0.844, 0.736),
-}
-KOLMOGOROV_SMIRNOV = {
-    "inverse-depth": (0.0, 0.0, 0.0, 0.0, 0.0),
-    "euclidean": (0.021, 0.042, 0.063, 0.096, 0.185),
-}
+COVERAGE = {"inverse-depth": (0.951, 0.951, 0.951, 0.951, 0.951), "euclidean": (0.942, 0.920, 0.892, 0.844, 0.736)}
+KOLMOGOROV_SMIRNOV = {"inverse-depth": (0.0, 0.0, 0.0, 0.0, 0.0), "euclidean": (0.021, 0.042, 0.063, 0.096, 0.185)}
 SAMPLES = 40_000
 
 

@@ -7,14 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from filters import (
-    ConstantVelocity,
-    MovedLandmarks,
-    Start,
-    StereoEKF,
-    StereoObservation,
-    Variable,
-)
+from filters import ConstantVelocity, MovedLandmarks, Start, StereoEKF, StereoObservation, Variable
 from filters.geometry import rotations, symmetric
 
 from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, drive, run, start

@@ -9,16 +9,7 @@ import pytest
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
-from filters import (
-    ErrorDefinition,
-    LeftInvariant,
-    Pose,
-    RightInvariant,
-    Start,
-    StereoEKF,
-    StereoObservation,
-    jacobian,
-)
+from filters import ErrorDefinition, LeftInvariant, Pose, RightInvariant, Start, StereoEKF, StereoObservation, jacobian
 from filters.geometry import rotations, symmetric
 from filters.geometry.poses import relative_jacobian
 

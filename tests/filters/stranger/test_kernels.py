@@ -8,14 +8,7 @@ import numpy as np
 import pytest
 from numba import config
 
-from filters import (
-    RangeBearing,
-    RightInvariant,
-    StereoEKF,
-    Strapdown,
-    check_part,
-    kernel,
-)
+from filters import RangeBearing, RightInvariant, StereoEKF, Strapdown, check_part, kernel
 
 from ..drives import CAMERA, INDEPENDENT_PIXELS, drive
 from .parts import DoubleSphere, OnS3

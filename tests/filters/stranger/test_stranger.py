@@ -113,8 +113,7 @@ def test_a_wrong_input_changes_nothing() -> None:
     slam = StereoEKF(CAMERA, INDEPENDENT_PIXELS, motion=Strapdown())
     before = slam.pose.position
     with pytest.raises(
-        ValueError,
-        match=r"^inertial must be given in every predict with motion=Strapdown\(\): pass InertialSamples",
+        ValueError, match=r"^inertial must be given in every predict with motion=Strapdown\(\): pass InertialSamples"
     ):
         slam.predict(DT)
     np.testing.assert_array_equal(slam.pose.position, before)

@@ -67,11 +67,7 @@ def test_without_pictures_there_is_no_file(tmp_path):
 
 @pytest.mark.parametrize(
     ("name", "message"),
-    [
-        ("out.avi", r"out\.avi must end in \.mp4"),
-        ("no/out.mp4", "no does not exist"),
-        ("folder.mp4", "it is a folder"),
-    ],
+    [("out.avi", r"out\.avi must end in \.mp4"), ("no/out.mp4", "no does not exist"), ("folder.mp4", "it is a folder")],
 )
 def test_what_cannot_be_written_is_said_before_the_first_picture(tmp_path, name, message):
     (tmp_path / "folder.mp4").mkdir()
