@@ -233,22 +233,6 @@ def test_a_wild_track_is_gated_and_a_point_behind_is_no_point() -> None:
     assert wild not in np.concatenate([report.updated for report in reports])
 
 
-def test_a_window_of_a_user_lives_beside_the_clones() -> None:
-    """`correct` with a clone that stays, a speed of zero, a position from outside: as of every filter."""
-    slam = make_filter("msckf", camera=CAMERA, noise=INDEPENDENT_PIXELS)
-    assert isinstance(slam, StereoEKF)
-    start(slam)
-    slam.clone_pose("start")
-    for _ in run(slam, drive(0, 15)):
-        pass
-    before = slam.relative_pose("start").covariance
-    start_at, now = slam.belief("start").value[:3], slam.pose.position
-    told = slam.correct(start_at - now, {"pose": np.eye(3, 6), "start": -np.eye(3, 6)}, 0.01**2 * np.eye(3), gate=1e-6)
-    assert not told.used  # it has moved: no loop
-    slam.correct(np.zeros(3), {"pose": np.eye(3, 6)}, 0.01**2 * np.eye(3))
-    assert np.trace(slam.relative_pose("start").covariance[:3, :3]) < np.trace(before[:3, :3])
-
-
 def test_forgotten_tracks_correct_nothing() -> None:
     frames = drive(0, 6, missed=0.0)
     slam = make_filter("msckf", camera=CAMERA, noise=INDEPENDENT_PIXELS, map_landmarks=0)

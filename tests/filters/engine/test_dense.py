@@ -247,16 +247,6 @@ def test_passes_with_the_prior_held_end_at_the_most_probable_state(landmark: str
     np.testing.assert_allclose(delta / sigmas, expected / sigmas, atol=1e-4)
 
 
-def test_a_random_walk_adds_its_variance() -> None:
-    recipe = recipe_with("inverse-depth")
-    walking = with_plan(recipe, walk=np.linspace(0.0, 1.0, recipe.plan.leading))
-    still, moving = started(recipe), started(walking)
-    for engine in (still, moving):
-        engine.step(0.1, None)
-    added = np.diag(0.1 * np.linspace(0.0, 1.0, recipe.plan.leading))
-    np.testing.assert_allclose(exported(moving).P - exported(still).P, added, atol=1e-15)
-
-
 @pytest.mark.parametrize("iterations", [1, 2])
 def test_a_measurement_without_a_cholesky_factor_is_left_out_alone(iterations: int) -> None:
     recipe = recipe_with("shared-anchor", iterations=iterations)

@@ -45,8 +45,7 @@ def mean_nees(share: float, **options: object) -> float:
         frames = walking(seed, share)
         slam = StereoEKF(CAMERA, INDEPENDENT_PIXELS, landmark="shared-anchor", **options)
         slam.reset(START)
-        for _ in run(slam, frames):
-            pass
+        list(run(slam, frames))
         error, covariance = slam.pose_error(frames[-1].position, frames[-1].orientation)
         values.append(nees(error[None], covariance[None])[0] / 6)
     return float(np.mean(values))

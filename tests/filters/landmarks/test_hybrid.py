@@ -10,7 +10,7 @@ import pytest
 from filters import FilterBatch, Hybrid, InverseDepthStereoEKF, Start, StereoEKF, StereoObservation
 from filters.geometry import rotations, symmetric
 
-from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, SPEED, START_COVARIANCE, drive, finish, run, start
+from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, SPEED, START_COVARIANCE, drive, finish, start
 from ..slots import ERRORS
 
 
@@ -119,25 +119,6 @@ def test_the_change_is_a_linear_map_of_the_covariance() -> None:
     np.testing.assert_allclose(symmetric.full(after.P)[np.ix_(kept, kept)], expected, rtol=1e-8, atol=1e-14)
 
 
-def test_an_anchor_leaves_with_the_last_landmark_that_needs_it() -> None:
-    hybrid = start(filter_with(linearity_limit=0.5))
-    frames = drive(7, 12, visible=10, missed=0.0, depths=(6.0, 20.0))
-    for _ in run(hybrid, frames):
-        state = hybrid.state
-        anchors = np.unique(state.anchor_block[state.anchor_block >= 0])
-        assert hybrid.state_size == 12 + 3 * (len(state) + len(anchors))
-    assert are_points(hybrid).sum() > 0
-
-
-def test_landmarks_change_over_as_they_become_certain() -> None:
-    hybrid = start(filter_with(linearity_limit=0.1))
-    shares = []
-    for _ in run(hybrid, drive(8, 25, missed=0.0)):
-        shares.append(are_points(hybrid).mean())
-    assert shares[0] < 0.2
-    assert max(shares) > 0.6
-
-
 class ByNumbers(Hybrid):
     """The same functions in Python."""
 
@@ -200,8 +181,3 @@ def test_a_batch_tells_of_points_and_rays() -> None:
         J[:, 3:6] = rotations.skew(expected[i])
         rows = np.concatenate([np.arange(6), 6 + 3 * i + np.arange(3)])
         np.testing.assert_allclose(seen.covariances[i], J @ joint[np.ix_(rows, rows)] @ J.T, rtol=1e-6, atol=1e-9)
-
-
-def test_a_threshold_that_is_not_positive_is_refused() -> None:
-    with pytest.raises(ValueError, match="linearity_limit"):
-        filter_with(linearity_limit=-1.0)

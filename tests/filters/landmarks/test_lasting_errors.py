@@ -124,8 +124,7 @@ def test_a_batch_holds_them_too() -> None:
 
 def test_an_unseen_landmark_forgets_its_error_and_not_its_place() -> None:
     slam = start(StereoEKF(CAMERA, WHITE, drop_unseen=False, **PARTS))
-    for _ in run(slam, lasting_drive(5, 6)):
-        pass
+    list(run(slam, lasting_drive(5, 6)))
     identity = int(slam.ids[0])
     H = np.zeros((3, 9))
     H[:, 6:] = np.eye(3)  # the anchor's three numbers, the place, and the errors

@@ -99,16 +99,6 @@ def test_what_is_learnt_of_a_clone_is_what_a_dense_filter_learns() -> None:
     assert (np.diag(after.covariance) < np.diag(before.covariance)).all()
 
 
-def test_a_clone_stays_where_it_is_while_landmarks_come_and_go() -> None:
-    slam = driven(drive(43, 4, visible=12))
-    slam.clone_pose("here")
-    before = slam.belief("here")
-    slam.forget(slam.landmarks.ids[1:])
-    after = slam.belief("here")
-    np.testing.assert_array_equal(after.value, before.value)
-    np.testing.assert_array_equal(after.covariance, before.covariance)
-
-
 def test_names_of_clones_are_checked() -> None:
     slam = make()
     slam.clone_pose("here")

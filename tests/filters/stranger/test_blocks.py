@@ -154,10 +154,7 @@ def test_a_number_that_no_measurement_tells_keeps_its_prior_and_changes_nothing(
                 covariance=START_COVARIANCE,
             )
         )
-        for k, frame in enumerate(drive(11, 4, depths=DEPTHS)):
-            if k:
-                slam.predict(DT)
-            slam.update(frame.observation)
+        list(run(slam, drive(11, 4, depths=DEPTHS)))
         found.append(np.concatenate([slam.pose.covariance.ravel(), slam.landmarks.positions.ravel()]))
         if isinstance(landmark, Scaled):
             state = slam.state

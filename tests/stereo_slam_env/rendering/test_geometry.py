@@ -154,14 +154,6 @@ def test_the_depth_of_a_moving_body_is_right(name):
 
 
 @both_back_ends
-def test_what_has_moved_away_is_not_drawn(name):
-    with drawing(name, scene_of(moving=[CROSSING])) as renderer:
-        away = Pose(np.zeros(3), rotations.exp_quaternion([0.0, 0.9, 0.0]))
-        image = renderer.render_pair(away, 0.0).left
-    assert not is_red(image).any()
-
-
-@both_back_ends
 def test_a_twentieth_of_the_contrast_is_left_at_the_visibility(name):
     black = Material((0.0, 0.0, 0.0))
     for visibility, distance, share in ((30.0, 30.0, 0.05), (30.0, 10.0, 0.37), (60.0, 30.0, 0.22)):
