@@ -140,6 +140,7 @@ def test_a_refused_call_names_the_argument_and_leaves_every_bit_as_it_was(call: 
         *(({"landmark": part}, "landmark must be one of") for part in ("homogeneous", ["euclidean"])),
         ({"measurement": "jont"}, "did you mean 'joint'"),
         ({"error": "so4"}, "did you mean 'so3'"),
+        ({"update": "unscented", "error": "first-estimates"}, "error must linearise at the state with update=Unsc"),
         ({"motion": "constant"}, "motion must be"),
         ({"tail_dof": 0.0}, "tail_dof must be a finite number > 0"),
         ({"consensus": True, "gate": None}, "gate must be a probability with consensus=True"),

@@ -10,7 +10,7 @@ from filters import LeftInvariant, RightInvariant
 from filters.geometry import rotations, symmetric
 from filters.motions.motion_model import POSITION, ROTATION
 
-from ..dense import gamma, minus, moved_by, plus
+from ..dense import gamma, minus, moved_by
 from ..numeric import numeric_jacobian, relative_difference
 from ..slots import ERRORS, LANDMARKS
 from ..stranger.biased import Biased, BiasedPair
@@ -98,14 +98,3 @@ def test_pose_error_is_the_correction_that_leads_to_the_truth(error: str) -> Non
     if isinstance(definition, LeftInvariant):
         expected[POSITION] = R_wc.T @ delta[POSITION]
     np.testing.assert_allclose(actual, expected, rtol=0, atol=1e-8)
-
-
-def test_a_clone_is_corrected_like_a_pose() -> None:
-    slam = some_filter("shared-anchor", "so3")
-    slam.clone_pose("then")
-    state = slam.state
-    root = np.random.default_rng(4).standard_normal((len(state.P), len(state.P) + 5))
-    state.P = np.asfortranarray(root @ root.T)
-    slam.state = state
-    delta = small_correction(state, 1)
-    np.testing.assert_allclose(minus(plus(state, delta), moved_by(slam, delta)[0]), 0.0, rtol=0, atol=1e-7)

@@ -149,14 +149,12 @@ def test_kernels_ask_for_the_change_in_the_frame_in_which_it_is_due() -> None:
     """Where another place of the camera, or another variance than that of rho, would have it come later."""
     told = []
     for landmark in (Hybrid(0.15), ByNumbers(0.15)):
-        slam = StereoEKF(CAMERA, INDEPENDENT_PIXELS, gate=None, landmark=landmark)
+        slam, changed = StereoEKF(CAMERA, INDEPENDENT_PIXELS, gate=None, landmark=landmark), []
         slam.reset(Start((0.0, 0.0, -10.0), linear_velocity=(0.0, 0.0, SPEED), covariance=START_COVARIANCE))
-        changed = []
         for k in range(8):
             if k:
                 slam.predict(DT)
-            point_c = np.array([[1.0, -1.0, 20.0 - k * SPEED * DT]])
-            slam.update(StereoObservation([1], CAMERA.project(point_c)))
+            slam.update(StereoObservation([1], CAMERA.project([[1.0, -1.0, 20.0 - k * SPEED * DT]])))
             changed.append(bool(are_points(slam)[0]))
         told.append(changed)
     assert told[0] == told[1] == sorted(told[1])

@@ -89,6 +89,7 @@ def uncompilable(base: type, name: str) -> object:
             return arguments
         return getattr(base, name)(self, *arguments)
 
+    function.__qualname__ = f"ByTable.{name}"
     return type("ByTable", (base,), {name: function})()
 
 
