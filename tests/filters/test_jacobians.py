@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from filters import BodyVelocity, MotionModel
 from filters.geometry import rotations
 from filters.geometry.derivatives import columns_of
-from filters.geometry.poses import AdditiveQuaternion, RotationVector, additive_transport_of
+from filters.geometry.poses import AdditiveQuaternion, RotationVector
 from filters.landmarks.landmark_model import LandmarkModel
 from filters.measurements.measurement_model import MeasurementModel
 from filters.motions.motion_model import CameraState
@@ -74,28 +74,6 @@ def _(s: Situation):
     return lambda e: (here * Rotation.from_rotvec(s.delta + e)).as_rotvec(), rotations.right_jacobian(s.delta)
 
 
-@case("rotations.right_jacobian of the turn of a step")
-def _(s: Situation):
-    turn = s.dt * s.camera.angular_velocity
-    here = Rotation.from_rotvec(turn).inv()
-    return lambda e: (here * Rotation.from_rotvec(turn + e)).as_rotvec(), rotations.right_jacobian(turn)
-
-
-@case("rotations.left_jacobian_derivative_of", FINITE_POINTS)
-def _(s: Situation):
-    vectors = s.points_c
-    claimed = [np.reshape(rotations.left_jacobian_derivative_of(*s.delta, *v), (3, 3)) for v in vectors]
-    return lambda e: vectors @ rotations.right_jacobian(-s.delta - e).T, np.array(claimed)
-
-
-@case("retractions.additive_transport_of")
-def _(s: Situation):
-    error, q = AdditiveQuaternion(), s.camera.orientation
-    here = error.retract(q, s.delta)
-    claimed = np.reshape(additive_transport_of(*s.delta), (3, 3))
-    return lambda e: error.local(here, error.retract(q, s.delta + e)), claimed
-
-
 for _name, _error in {"quaternion": AdditiveQuaternion(), "so3": RotationVector()}.items():
 
     @case(f"{_name}: the error is the rotation vector to first order")
@@ -103,12 +81,6 @@ for _name, _error in {"quaternion": AdditiveQuaternion(), "so3": RotationVector(
         q = s.camera.orientation
         R = Rotation.from_quat(q)
         return lambda e: (R.inv() * Rotation.from_quat(error.retract(q, e))).as_rotvec(), np.eye(3)
-
-    @case(f"{_name}: local is the inverse of retract")
-    def _(s: Situation, error=_error):
-        q = s.camera.orientation
-        return lambda e: error.local(q, error.retract(q, s.delta + e)), np.eye(3)
-
 
 # --- motion ---------------------------------------------------------------------------------------------------
 

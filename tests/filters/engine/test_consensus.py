@@ -50,17 +50,6 @@ def test_outliers_that_a_vague_prediction_lets_through_are_found(measurement: st
     assert caught[True] > caught[False]
 
 
-def test_without_outliers_nearly_all_are_used_and_the_estimate_is_nearly_that_of_the_gate_alone() -> None:
-    with_test, without = Scene(1, consensus=True), Scene(1)
-    observation = with_test.observe(np.zeros(0, dtype=int))
-    report = with_test.slam.update(observation)
-    without.slam.update(observation)
-    assert len(report.updated) >= COUNT - 2
-    apart = with_test.slam.pose.position - without.slam.pose.position
-    sigmas = np.sqrt(np.diag(without.slam.pose.covariance)[:3])
-    assert np.abs(apart / sigmas).max() < 1.0
-
-
 @pytest.mark.parametrize("seed", range(4))
 def test_it_is_the_best_of_all_single_updates_written_out(seed: int) -> None:
     """Which measurements are believed first: against a loop over hypotheses with a dense Kalman update each."""

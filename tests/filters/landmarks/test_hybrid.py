@@ -23,16 +23,6 @@ def are_points(hybrid: StereoEKF) -> np.ndarray:
     return hybrid.state.anchor_block < 0
 
 
-def assert_index(position, anchors, parameters, sigma, expected, rtol: float) -> None:
-    """The linearity index of each landmark is the limit below which it becomes a point."""
-    variances = np.column_stack([np.zeros((len(sigma), 2)), sigma**2])
-    for k, index in enumerate(expected):
-        one, above, below = slice(k, k + 1), index * (1.0 + rtol), index * (1.0 - rtol)
-        given = (anchors[one] - position)[0], parameters[one][0], variances[one][0]
-        assert Hybrid(linearity_limit=above).becomes_point(*given)
-        assert not Hybrid(linearity_limit=below).becomes_point(*given)
-
-
 def test_index_is_civeras_formula() -> None:
     """4 sigma_d |cos alpha| / d_1 with sigma_d = sigma_rho / rho^2, computed here with points and angles."""
     rng = np.random.default_rng(1)
@@ -44,19 +34,10 @@ def test_index_is_civeras_formula() -> None:
     d1 = np.linalg.norm(now, axis=1)
     cos_alpha = np.sum(first * now, axis=1) / np.linalg.norm(first, axis=1) / d1
     expected = 4 * sigma / parameters[:, 2] ** 2 * np.abs(cos_alpha) / d1
-    far = parameters[:, 2] > 0.0
-    assert_index(position, anchors[far], parameters[far], sigma[far], expected[far], 1e-12)
-
-
-def test_at_first_sight_the_index_is_four_sigma_of_the_disparity_over_disparity() -> None:
-    hybrid = start(filter_with(linearity_limit=None))
-    disparities = np.array([5.0, 10.0, 40.0])
-    uvd = np.column_stack([np.full(3, CAMERA.cx), np.full(3, CAMERA.cy), disparities])
-    hybrid.update(StereoObservation(np.arange(3), uvd))
-    state = hybrid.state
-    rho = symmetric.full(state.P)[12:, 12:][3 * state.parameter_block + 2, 3 * state.parameter_block + 2]
-    expected = 4 * np.sqrt(INDEPENDENT_PIXELS.R[2, 2]) / disparities
-    assert_index(state.camera.position, state.anchors(), state.parameters(), np.sqrt(rho), expected, 1e-3)
+    for anchor, y, variance, index in zip(anchors, parameters, sigma**2, expected, strict=True):
+        given = anchor - position, y, np.array([0.0, 0.0, variance])
+        assert Hybrid(linearity_limit=index * (1.0 + 1e-12)).becomes_point(*given)
+        assert not Hybrid(linearity_limit=index * (1.0 - 1e-12)).becomes_point(*given)
 
 
 @pytest.mark.parametrize("rho", [0.0, -0.01])

@@ -66,6 +66,7 @@ def test_a_name_cannot_stand_for_two_variables() -> None:
         ({"covariance": np.eye(3)}, "variable 'disparity-errors' must have 2 numbers and 2 errors, got 2, 3"),
         ({"retraction": RotationVector()}, "variable 'disparity-errors' must have 4 numbers and 3 errors, got 2, 2"),
         ({"retraction": "addition"}, "retraction of variable 'disparity-errors' must be addition or RotationVector"),
+        ({"in_world": True}, r"value of variable 'disparity-errors' must have shape \(3,\), got \(2,\)$"),
         ({"random_walk": [0.1]}, "random_walk of variable 'disparity-errors' must have shape"),
         ({"random_walk": [0.1, -0.1]}, "random_walk of variable 'disparity-errors' must be standard deviations >= 0"),
     ],
