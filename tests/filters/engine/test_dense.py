@@ -16,6 +16,7 @@ from filters.kernels.recipe import Recipe
 from filters.kernels.records import FAILED, FilterState
 
 from ..drives import CAMERA
+from ..numeric import numeric_jacobian as jacobian
 
 R = np.array([[1.0, 0.0, 1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 2.0]])
 INVARIANT = RightInvariant(reset=True)
@@ -80,11 +81,6 @@ def minus(recipe: Recipe, other: FilterState, state: FilterState) -> np.ndarray:
     return np.concatenate(
         [other.x[:3] - state.x[:3], turn.as_rotvec(), other.x[7:] - state.x[7:], (other.blocks - state.blocks).ravel()]
     )
-
-
-def jacobian(function, size: int, step: float = 1e-6) -> np.ndarray:
-    columns = [(function(step * e) - function(-step * e)) / (2 * step) for e in np.eye(size)]
-    return np.array(columns).T
 
 
 def calibration_of(recipe: Recipe, x: np.ndarray) -> np.ndarray:

@@ -92,11 +92,6 @@ def test_impossible_sigmas_are_refused(name: str, value: float) -> None:
         ConstantVelocity(**{name: value})
 
 
-def _grown(matrix: np.ndarray, rows: int, columns: int) -> np.ndarray:
-    """The matrix with so many zeros more."""
-    return np.pad(matrix, ((0, rows), (0, columns)))
-
-
 class _FifteenStates(ConstantVelocity):
     def step(self, x, dt, n):
         return *ConstantVelocity.step(self, x, dt, n), (0.0, 0.0, 0.0)
