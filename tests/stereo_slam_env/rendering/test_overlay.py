@@ -70,23 +70,17 @@ def test_the_wedge_points_where_the_head_looks(pan):
 
 
 @pytest.mark.parametrize("pan", [-1.2, 0.0, 0.9])
-def test_landmarks_are_on_the_map_where_they_are(pan):
+def test_landmarks_are_on_the_map_where_they_are_far_ones_on_its_rim_and_impossible_ones_nowhere(pan):
     uvd = CAMERA.project(np.array([[3.0, 0.0, 20.0]]))
-    marked, without = around(StereoObservation([1], uvd), pan)[0], around(NONE, pan)[0]
-    rows, columns = np.nonzero((marked != without).any(axis=2))
-    bearing, away = pan + np.arctan2(3.0, 20.0), np.hypot(3.0, 20.0) * 37.5 / 40.0
-    assert columns.mean() == pytest.approx(40.0 + away * np.sin(bearing), abs=1.0)
-    assert rows.mean() == pytest.approx(40.0 - away * np.cos(bearing), abs=1.0)
-
-
-def test_far_landmarks_are_on_the_rim_and_impossible_ones_nowhere():
-    marked, without = (
-        around(StereoObservation([1, 2], [[160.0, 120.0, 0.5], [160.0, 120.0, -0.5]]), 0.0)[0],
-        around(NONE, 0.0)[0],
-    )
-    rows, columns = np.nonzero((marked != without).any(axis=2))
-    assert rows.mean() == pytest.approx(2.5, abs=1.5)
-    assert columns.mean() == pytest.approx(40.0, abs=1.0)
+    far = [[160.0, 120.0, 0.5], [160.0, 120.0, -0.5]]
+    without = around(NONE, pan)[0]
+    for seen, bearing, away in (
+        (StereoObservation([1], uvd), pan + np.arctan2(3.0, 20.0), np.hypot(3.0, 20.0) * 37.5 / 40.0),
+        (StereoObservation([1, 2], far), pan, 37.5),
+    ):
+        rows, columns = np.nonzero((around(seen, pan)[0] != without).any(axis=2))
+        assert columns.mean() == pytest.approx(40.0 + away * np.sin(bearing), abs=1.5)
+        assert rows.mean() == pytest.approx(40.0 - away * np.cos(bearing), abs=1.5)
 
 
 def test_the_map_of_the_drive_shows_the_car_and_not_its_head():
