@@ -98,6 +98,13 @@ def test_images_of_another_size_are_refused(changes, said):
         read(size=(640, 480), **changes)
 
 
+def test_each_camera_is_turned_by_its_own_rotation():
+    turn = Rotation.from_rotvec([0.0, 0.01, 0.0]).as_matrix()
+    both = info(R=tuple(turn.ravel())), info(right=True)
+    rectify, _ = calibration_of_images(both, (SENSOR, SENSOR), "here", mapped=(True, True))
+    np.testing.assert_allclose(rectify.turns, [turn, np.eye(3)], atol=1e-12)
+
+
 def test_rectified_images_without_a_lens_are_left_alone_and_raw_ones_with_one_are_not():
     images = np.random.default_rng(0).integers(0, 255, (2, *SENSOR[::-1]), dtype=np.uint8)
     for D, mapped, needed in (
