@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import deepcopy
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -12,14 +13,11 @@ from filters import (
     BodyVelocity,
     Forecast,
     InverseDepthStereoEKF,
-    LandmarkBelief,
-    PoseBelief,
     StereoCamera,
     StereoFilter,
     StereoNoise,
     StereoObservation,
     UpdateReport,
-    VelocityBelief,
 )
 
 LONGEST_WAIT = 10
@@ -91,17 +89,7 @@ class DelayedEKF(StereoFilter):
     def forecast(self, ids: Sequence[int] | np.ndarray | None = None) -> Forecast:
         return self._now.forecast(ids)
 
-    @property
-    def pose(self) -> PoseBelief:
-        return self._now.pose
-
-    @property
-    def velocity(self) -> VelocityBelief:
-        return self._now.velocity
-
-    @property
-    def landmarks(self) -> LandmarkBelief:
-        return self._now.landmarks
+    pose, velocity, landmarks = (property(attrgetter(f"_now.{name}")) for name in ("pose", "velocity", "landmarks"))
 
     def pose_error(self, position: Any, orientation: Any) -> tuple[np.ndarray, np.ndarray]:
         return self._now.pose_error(position, orientation)

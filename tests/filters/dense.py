@@ -84,10 +84,7 @@ def minus(state: JointState, other: JointState) -> np.ndarray:
             blocks[own, 0] = np.arctan2(np.sin(blocks[own, 0]), np.cos(blocks[own, 0]))
     for name, clone in state.clones.items():
         now = other.clones[name]
-        blocks[clone.blocks, :3] = (
-            now.position - clone.position,
-            turn_between(clone.orientation, now.orientation),
-        )
+        blocks[clone.blocks, :3] = (now.position - clone.position, turn_between(clone.orientation, now.orientation))
     e[layout.size :] = blocks.ravel()
     return e
 

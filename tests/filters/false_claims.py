@@ -22,7 +22,7 @@ LIES: dict[str, Callable[[Any], Any]] = {
 }
 
 
-def liar(where: str, lie: str, first: int = FROM) -> type[InverseDepthStereoEKF]:
+def liar(where: str, lie: str | Callable[[Any], Any], first: int = FROM) -> type[InverseDepthStereoEKF]:
     """A filter that claims something else in one place from some update on."""
 
     class Liar(InverseDepthStereoEKF):
@@ -37,7 +37,8 @@ def liar(where: str, lie: str, first: int = FROM) -> type[InverseDepthStereoEKF]
             return super().update(observation)
 
         def claim(self, place: str, P: Any) -> Any:
-            return LIES[lie](P) if place == where and self.updates >= first else P
+            told = LIES[lie] if isinstance(lie, str) else lie
+            return told(P) if place == where and self.updates >= first else P
 
         @property
         def pose(self) -> Any:

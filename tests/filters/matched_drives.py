@@ -22,7 +22,7 @@ from filters import (
 )
 from stereo_slam_env.evaluation.bands import mean_band
 
-from .drives import CAMERA, DT
+from .drives import CAMERA, DT, run
 
 RUNS = 60
 LOW, HIGH = np.array(mean_band(6, RUNS)) / 6.0
@@ -106,10 +106,7 @@ def finished(setup: Setup, seed: int, **options: Any) -> tuple[StereoEKF, Frame]
         | options,
     )
     slam.reset(start)
-    for number, frame in enumerate(frames):
-        if number:
-            slam.predict(DT)
-        slam.update(frame.observation)
+    list(run(slam, frames))
     return slam, frames[-1]
 
 

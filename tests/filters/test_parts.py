@@ -15,6 +15,7 @@ from filters import (
     LeftThenRight,
     RangeBearing,
     RightInvariant,
+    RotationVectorError,
     StereoEKF,
     StereoFilter,
     Unscented,
@@ -27,14 +28,6 @@ from filters.parts import SLOTS
 
 RIG = {"camera": REFERENCE_CAMERA, "noise": REFERENCE_NOISE}
 EVERY = [(slot, name) for slot in SLOTS for name in SLOTS[slot].named]
-
-
-@pytest.mark.parametrize(("slot", "name"), EVERY)
-def test_a_name_a_table_and_an_object_are_the_same_part(slot: str, name: str) -> None:
-    part = make_part(slot, name)
-    assert type(part) is type(make_part(slot, {"name": name}))
-    assert isinstance(part, SLOTS[slot].kind)
-    assert make_part(slot, part) is part
 
 
 @pytest.mark.parametrize("slot", SLOTS)
@@ -50,6 +43,7 @@ def test_every_part_has_a_line_of_description(slot: str) -> None:
         ("landmark", {"name": "hybrid", "linearity_limit": 0.02}, Hybrid(linearity_limit=0.02)),
         ("measurement", {"name": "sequential", "copied_row_variance": 1.0}, LeftThenRight(1.0)),
         ("motion", {"name": "constant-velocity", "sigma_acceleration": 1.0}, ConstantVelocity(1.0)),
+        ("motion", {"sigma_acceleration": 1.0, "sigma_angular_acceleration": 0.1}, ConstantVelocity(1.0, 0.1)),
         ("error", {"name": "right-invariant", "reset": True}, RightInvariant(reset=True)),
         ("update", {"name": "unscented", "alpha": 0.1}, Unscented(alpha=0.1)),
     ],
@@ -60,49 +54,31 @@ def test_a_table_has_the_settings_of_the_part(slot: str, table: dict, part: obje
     assert table == before
 
 
-def test_a_table_without_a_name_is_of_the_usual_part() -> None:
-    numbers = {"sigma_acceleration": 1.0, "sigma_angular_acceleration": 0.1}
-    assert make_part("motion", numbers) == ConstantVelocity(1.0, 0.1)
-
-
-@pytest.mark.parametrize("slot", SLOTS)
-def test_an_unknown_name_lists_those_there_are(slot: str) -> None:
-    name = next(iter(SLOTS[slot].named))
-    with pytest.raises(
-        ValueError, match=f"{slot} must be one of '{name}'.*got '{name}x', did you mean '{name}'"
-    ) as error:
-        make_part(slot, f"{name}x")
+@pytest.mark.parametrize(
+    ("slot", "value", "message"),
+    [
+        *(("landmark", value, r"^landmark must be one of .* or a LandmarkModel, got")
+          for value in (None, 3, ["euclidean"], {"name": 3}, Euclidean, RangeBearing())),
+        *((slot, f"{name}x", f"{slot} must be one of '{name}'.*got '{name}x', did you mean '{name}'")
+          for slot, name in ((slot, next(iter(SLOTS[slot].named))) for slot in SLOTS)),
+        ("landmark", {"name": "hybrid", "linearity": 0.1}, "'hybrid' has no setting 'linearity', did you mean 'linear"),
+        ("motion", {"sigma_acc": 1.0}, "'sigma_acc', did you mean 'sigma_acceleration'"),
+        ("landmark", {"name": "hybrid", "linearity_limit": -1.0}, "linearity_limit must be"),
+    ],
+)  # fmt: skip
+def test_what_is_no_part_is_refused_in_one_line(slot: str, value: object, message: str) -> None:
+    with pytest.raises(ValueError, match=message) as error:
+        make_part(slot, value)
     assert "\n" not in str(error.value)
-
-
-@pytest.mark.parametrize("value", [None, 3, ["euclidean"], {"name": 3}, Euclidean])
-def test_what_is_no_part_is_refused(value: object) -> None:
-    with pytest.raises(ValueError, match=r"landmark must be one of .* or a LandmarkModel, got") as error:
-        make_part("landmark", value)
-    assert "\n" not in str(error.value)
-
-
-def test_a_part_of_another_slot_is_refused() -> None:
-    with pytest.raises(ValueError, match="landmark must be one of"):
-        make_part("landmark", RangeBearing())
-
-
-def test_an_unknown_setting_gets_a_hint() -> None:
-    with pytest.raises(ValueError, match="'hybrid' has no setting 'linearity', did you mean 'linearity_limit'"):
-        make_part("landmark", {"name": "hybrid", "linearity": 0.1})
-    with pytest.raises(ValueError, match="'sigma_acc', did you mean 'sigma_acceleration'"):
-        make_part("motion", {"sigma_acc": 1.0})
-
-
-def test_an_impossible_setting_is_refused_by_the_part() -> None:
-    with pytest.raises(ValueError, match="linearity_limit must be"):
-        make_part("landmark", {"name": "hybrid", "linearity_limit": -1.0})
 
 
 @pytest.mark.parametrize(("slot", "name"), EVERY)
-def test_a_filter_takes_every_part_that_goes_with_the_others(slot: str, name: str) -> None:
+def test_a_filter_takes_every_part_by_its_name_a_table_or_as_an_object(slot: str, name: str) -> None:
+    part = make_part(slot, name)
+    assert isinstance(part, SLOTS[slot].kind)
+    assert make_part(slot, part) is part
     slam = StereoEKF(**RIG, **{slot: name})
-    assert type(getattr(slam.options, slot)) is type(make_part(slot, name))
+    assert type(part) is type(make_part(slot, {"name": name})) is type(getattr(slam.options, slot))
 
 
 # --- third parties ---
@@ -153,28 +129,33 @@ def test_every_slot_has_a_group_of_its_own(slot: str, install: Callable[..., Non
     assert type(make_part(slot, "mine")).__name__ == "Mine"
 
 
-def test_a_broken_plugin_is_named_in_the_log_and_takes_nothing_down(
-    install: Callable[..., None], caplog: pytest.LogCaptureFixture
+@pytest.mark.parametrize(
+    ("entry_point", "module", "said", "refused"),
+    [
+        (
+            "bad = part_plugin_bad:Error",
+            "import no_such_module\n",
+            "cannot be loaded: No module",
+            "error must be one of",
+        ),
+        (
+            "so3 = part_plugin_usurper:x",
+            "x = 1\n",
+            "'so3' of part_plugin_usurper:x is hidden by the built-in one",
+            None,
+        ),
+        ("d = part_plugin_dict:make", "def make(): return {}\n", "", "error 'd' made a dict, not .*: derive it from"),
+    ],
+)
+def test_a_broken_plugin_is_named_and_takes_nothing_down(
+    install: Callable, caplog: pytest.LogCaptureFixture, entry_point: str, module: str, said: str, refused: str | None
 ) -> None:
-    install("parts_plugin_bad", "stereo_slam.errors", "bad = parts_plugin_bad:Error", "import no_such_module\n")
+    name, where = entry_point.split(" = ")
+    install(where.partition(":")[0], "stereo_slam.errors", entry_point, module)
     with caplog.at_level(logging.WARNING):
         assert "so3" in available_parts("error")
-    assert "error 'bad' (parts_plugin_bad:Error) cannot be loaded: No module named 'no_such_module'" in caplog.text
-    with pytest.raises(ValueError, match="error must be one of"):
-        make_part("error", "bad")
-
-
-def test_a_plugin_cannot_take_the_name_of_a_built_in(
-    install: Callable[..., None], caplog: pytest.LogCaptureFixture
-) -> None:
-    install("parts_plugin_usurper", "stereo_slam.landmarks", "euclidean = parts_plugin_usurper:x", "x = 1\n")
-    with caplog.at_level(logging.WARNING):
-        assert "euclidean" in available_parts("landmark")
-    assert make_part("landmark", "euclidean") == Euclidean()
-    assert "'euclidean' of parts_plugin_usurper:x is hidden by the built-in one" in caplog.text
-
-
-def test_a_plugin_that_makes_something_else_is_refused(install: Callable[..., None]) -> None:
-    install("parts_plugin_dict", "stereo_slam.updates", "d = parts_plugin_dict:make", "def make(): return {}\n")
-    with pytest.raises(ValueError, match="update 'd' made a dict, not a Linearisation: derive it from that"):
-        make_part("update", "d")
+    assert said in caplog.text
+    assert type(make_part("error", "so3")) is RotationVectorError
+    if refused:
+        with pytest.raises(ValueError, match=refused):
+            make_part("error", name)

@@ -75,11 +75,7 @@ def project(camera: StereoCamera, pose: np.ndarray, point_w: np.ndarray) -> np.n
     """Eq. 9 and 10; pose = (r, q)."""
     h = rotation_matrix(pose[3:]).T @ (point_w - pose[:3])
     return np.array(
-        [
-            h[0] / h[2] * camera.fx + camera.cx,
-            h[1] / h[2] * camera.fy + camera.cy,
-            camera.fx * camera.baseline / h[2],
-        ]
+        [h[0] / h[2] * camera.fx + camera.cx, h[1] / h[2] * camera.fy + camera.cy, camera.fx * camera.baseline / h[2]]
     )
 
 

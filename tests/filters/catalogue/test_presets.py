@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import stereo_slam_env as sse
-from filters import ColouredNoise, LandmarkDrift, Pose, StereoEKF, StereoNoise, jacobian, make_filter
+from filters import ColouredNoise, LandmarkDrift, Pose, StereoNoise, jacobian, make_filter
 from filters.engine.batch import goes_in_a_batch
 from filters.geometry import rotations
 from stereo_slam_env.recording.recording import Recording
@@ -43,26 +43,16 @@ def test_what_the_noise_states_is_what_the_engine_is_told(drive: Recording) -> N
         np.testing.assert_array_equal(mine, theirs)
 
 
-def test_an_option_goes_before_what_the_noise_states(drive: Recording) -> None:
-    noise = ColouredNoise(drive.noise.R, drift=DRIFT, gauge_walk=0.004)
-    slam = make_filter("coloured-noise", camera=drive.camera, noise=noise, gauge_walk=0.0)
-    assert isinstance(slam, StereoEKF)
-    assert slam.options.gauge_walk == 0.0
-    assert slam.options.drift == DRIFT
-
-
-def test_without_a_gate_there_is_no_joint_test(drive: Recording) -> None:
-    assert not make_filter("coloured-noise", camera=drive.camera, noise=drive.noise, gate=None).options.consensus
-
-
 @pytest.mark.parametrize(
     ("doubt", "in_a_batch"), [({}, True), ({"scale": 0.01}, False), ({"misalignment": 0.01}, False)]
 )
-def test_it_runs_in_a_batch_unless_it_has_a_doubt_to_add(
+def test_it_runs_in_a_batch_unless_it_has_a_doubt_to_add_and_an_option_goes_before_the_noise(
     drive: Recording, doubt: dict[str, float], in_a_batch: bool
 ) -> None:
-    noise = ColouredNoise(drive.noise.R, drift=DRIFT, **doubt)
-    assert goes_in_a_batch(make_filter("coloured-noise", camera=drive.camera, noise=noise)) is in_a_batch
+    noise = ColouredNoise(drive.noise.R, drift=DRIFT, gauge_walk=0.004, **doubt)
+    slam = make_filter("coloured-noise", camera=drive.camera, noise=noise, gate=None, gauge_walk=0.0)
+    assert goes_in_a_batch(slam) is in_a_batch
+    assert (slam.options.gauge_walk, slam.options.drift, slam.options.consensus) == (0.0, DRIFT, False)
     assert not goes_in_a_batch(make_filter("coloured-noise-causal", camera=drive.camera, noise=noise))
 
 

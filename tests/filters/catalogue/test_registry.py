@@ -6,15 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from filters import (
-    ConstantVelocity,
-    DualBearingEKF,
-    EuclideanEKF,
-    InverseDepthStereoEKF,
-    VelocityDriven,
-    available_filters,
-    make_filter,
-)
+from filters import DualBearingEKF, EuclideanEKF, InverseDepthStereoEKF, VelocityDriven, available_filters, make_filter
 from filters.checks.conformance import REFERENCE_CAMERA, REFERENCE_NOISE
 
 RIG = {"camera": REFERENCE_CAMERA, "noise": REFERENCE_NOISE}
@@ -27,43 +19,26 @@ RIG = {"camera": REFERENCE_CAMERA, "noise": REFERENCE_NOISE}
 def test_the_three_filters_have_their_names(name: str, kind: type) -> None:
     assert isinstance(make_filter(name, **RIG), kind)
     assert len(available_filters()[name].splitlines()) == 1
+    assert isinstance(make_filter(kind, **RIG, gate=0.9), kind)
+    assert isinstance(make_filter(lambda camera, noise: kind(camera, noise), **RIG), kind)
+    assert make_filter(name, **RIG, motion="velocity-driven").options.motion == VelocityDriven()
 
 
-def test_options_reach_the_filter() -> None:
-    with pytest.raises(ValueError, match="gate must be a probability"):
-        make_filter("inverse-depth", **RIG, gate=1.5)
-
-
-def test_a_class_or_a_function_does_as_well_as_a_name() -> None:
-    assert isinstance(make_filter(DualBearingEKF, **RIG, gate=0.9), DualBearingEKF)
-    assert isinstance(make_filter(lambda camera, noise: EuclideanEKF(camera, noise), **RIG), EuclideanEKF)
-    with pytest.raises(ValueError, match="option 'gat' is not one of filter 'EuclideanEKF', did you mean 'gate'"):
-        make_filter(EuclideanEKF, **RIG, gat=0.9)
-    with pytest.raises(ValueError, match="filter 'dict' made a dict, not a StereoFilter"):
-        make_filter(dict, **RIG)
-
-
-def test_options_can_be_plain_values() -> None:
-    numbers = {"sigma_acceleration": 1.0, "sigma_angular_acceleration": 0.1}
-    assert make_filter("inverse-depth", **RIG, motion=numbers).options.motion == ConstantVelocity(1.0, 0.1)
-    assert make_filter("inverse-depth", **RIG, motion="velocity-driven").options.motion == VelocityDriven()
-    with pytest.raises(ValueError, match="'sigma_acc', did you mean 'sigma_acceleration'"):
-        make_filter("inverse-depth", **RIG, motion={"sigma_acc": 1.0})
-
-
-def test_an_unknown_name_gets_a_hint() -> None:
-    with pytest.raises(ValueError, match="'inverse-dept', did you mean 'inverse-depth'"):
-        make_filter("inverse-dept", **RIG)
-
-
-def test_an_unknown_option_gets_a_hint() -> None:
-    with pytest.raises(ValueError, match=r"option 'gat' is not one of filter 'euclidean', did you mean 'gate'"):
-        make_filter("euclidean", **RIG, gat=0.9)
-
-
-def test_an_impossible_value_of_an_option_lists_the_possible_ones() -> None:
-    with pytest.raises(ValueError, match=r"landmark must be one of 'inverse-depth'.*did you mean 'euclidean'"):
-        make_filter("inverse-depth", **RIG, landmark="euclid")
+@pytest.mark.parametrize(
+    ("name", "options", "message"),
+    [
+        ("inverse-dept", {}, "'inverse-dept', did you mean 'inverse-depth'"),
+        ("inverse-depth", {"gate": 1.5}, "gate must be a probability"),
+        ("euclidean", {"gat": 0.9}, "option 'gat' is not one of filter 'euclidean', did you mean 'gate'"),
+        (EuclideanEKF, {"gat": 0.9}, "option 'gat' is not one of filter 'EuclideanEKF', did you mean 'gate'"),
+        (dict, {}, "filter 'dict' made a dict, not a StereoFilter"),
+        ("inverse-depth", {"motion": {"sigma_acc": 1.0}}, "'sigma_acc', did you mean 'sigma_acceleration'"),
+        ("inverse-depth", {"landmark": "euclid"}, "landmark must be one of 'inverse-depth'.*did you mean 'euclidean'"),
+    ],
+)
+def test_what_makes_no_filter_is_refused_with_a_hint(name: object, options: dict, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        make_filter(name, **RIG, **options)
 
 
 def _install(folder: Path, name: str, module: str, entry_points: dict[str, str]) -> None:
@@ -106,20 +81,12 @@ def test_a_plain_function_can_be_a_factory(plugin_folder: Path) -> None:
 
 def test_a_broken_plugin_is_named_and_takes_nothing_down(plugin_folder: Path) -> None:
     _install(plugin_folder, "slam_plugin_bad", "import no_such_module\n", {"bad": "slam_plugin_bad:Filter"})
+    _install(plugin_folder, "slam_plugin_dict", "def make(camera, noise): return {}\n", {"d": "slam_plugin_dict:make"})
+    _install(plugin_folder, "slam_plugin_usurper", "x = 1\n", {"euclidean": "slam_plugin_usurper:x"})
     listed = available_filters()
     assert "not available" in listed["bad"]
     assert "no_such_module" in listed["bad"]
-    assert "inverse-depth" in listed
-    with pytest.raises(ValueError, match=r"'bad'.*cannot be loaded: ModuleNotFoundError"):
-        make_filter("bad", **RIG)
-
-
-def test_a_plugin_that_makes_something_else_is_refused(plugin_folder: Path) -> None:
-    _install(plugin_folder, "slam_plugin_dict", "def make(camera, noise): return {}\n", {"d": "slam_plugin_dict:make"})
-    with pytest.raises(ValueError, match="'d' made a dict, not a StereoFilter"):
-        make_filter("d", **RIG)
-
-
-def test_a_plugin_cannot_take_the_name_of_a_built_in(plugin_folder: Path) -> None:
-    _install(plugin_folder, "slam_plugin_usurper", "x = 1\n", {"euclidean": "slam_plugin_usurper:x"})
     assert isinstance(make_filter("euclidean", **RIG), EuclideanEKF)
+    for name, message in (("bad", "'bad'.*cannot be loaded: ModuleNotFoundError"), ("d", "'d' made a dict, not a")):
+        with pytest.raises(ValueError, match=message):
+            make_filter(name, **RIG)

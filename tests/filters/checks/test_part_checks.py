@@ -283,8 +283,7 @@ def test_every_check_has_a_part_that_fails_it() -> None:
 
 def test_a_failure_is_raised_with_each_check_that_failed() -> None:
     with pytest.raises(
-        ConformanceError,
-        match=r"NoCrossTerm: 5 checks passed, 1 failed; runs in .*\n  failed: Derivatives of numbers",
+        ConformanceError, match=r"NoCrossTerm: 5 checks passed, 1 failed; runs in .*\n  failed: Derivatives of numbers"
     ):
         check_part(NoCrossTerm())
     passed = "Euclidean: 7 checks passed, 0 failed; runs in machine code, with Jacobians by dual numbers"

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from filters import InverseDepthStereoEKF, parametrize_with_checks
+from filters import StereoEKF, parametrize_with_checks
 from filters.checks.conformance import CHECKS
 
 pytest_plugins = ["pytester"]
@@ -39,30 +39,33 @@ def test_contract(filter, check):
 
 
 def test_a_good_filter_passes_and_a_bad_one_fails_where_it_is_bad(pytester: pytest.Pytester) -> None:
+    """Each case is named by filter and check."""
     pytester.makepyfile(TESTS)
-    result = pytester.runpytest_inprocess(*ALONE)
+    result = pytester.runpytest_inprocess(*ALONE, "-v")
     result.assert_outcomes(passed=3 * len(CHECKS) - 1, failed=1)
     failed = "*::test_contract[[]AcceptsAnyTimeStep-check_bad_input[]]*"
     result.stdout.fnmatch_lines(["*AssertionError: predict(0) raised nothing", f"FAILED {failed}"])
+    names = [line.partition("[")[2].partition("]")[0] for line in result.outlines if "::test_contract[" in line]
+    expected = [
+        f"{name}-{check.__name__}" for name in ("Good", "AcceptsAnyTimeStep", "shared-anchor") for check in CHECKS
+    ]
+    assert names[: len(expected)] == expected
 
 
-def test_each_case_is_named_by_filter_and_check(pytester: pytest.Pytester) -> None:
-    pytester.makepyfile(TESTS)
-    result = pytester.runpytest_inprocess(*ALONE, "--collect-only", "-q")
-    collected = [line.partition("[")[2] for line in result.outlines if "::test_contract[" in line]
-    names = ("Good", "AcceptsAnyTimeStep", "shared-anchor")
-    assert collected == [f"{name}-{check.__name__}]" for name in names for check in CHECKS]
-
-
-@pytest.mark.parametrize("filters", ["inverse-depth", [], InverseDepthStereoEKF], ids=repr)
-def test_anything_but_a_list_of_filters_is_refused(filters: Any) -> None:
-    with pytest.raises(ValueError, match=r"^filters must be a list of filter classes and names,"):
+@pytest.mark.parametrize(
+    ("filters", "message"),
+    [
+        *(
+            (given, r"^filters must be a list of filter classes and names,")
+            for given in ("inverse-depth", [], StereoEKF)
+        ),
+        (["inverse-dept"], "did you mean 'inverse-depth'"),
+    ],
+    ids=repr,
+)
+def test_anything_but_a_list_of_filters_is_refused(filters: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
         parametrize_with_checks(filters)
-
-
-def test_an_unknown_name_is_refused_where_the_test_is_written() -> None:
-    with pytest.raises(ValueError, match="did you mean 'inverse-depth'"):
-        parametrize_with_checks(["inverse-dept"])
 
 
 def test_pytest_is_imported_only_for_a_test() -> None:

@@ -32,11 +32,5 @@ def test_a_page_keeps_its_lines_and_loses_its_controls():
 )
 def test_the_first_line_of_an_exception(error, line):
     assert first_line(error) == line
-
-
-def test_what_an_empty_message_says_can_be_chosen():
     assert first_line(ValueError(), empty="no message") == "no message"
-
-
-def test_the_name_of_a_type_is_plain():
     assert type_name(type("\x1b[2J", (Exception,), {})()) == "\\x1b[2J"

@@ -10,7 +10,6 @@ from filters.engine.batch import FilterBatch
 
 from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, SPEED, START_COVARIANCE, drive
 from ..third_party import BiasedOdometry, ShearedPair
-from .beliefs import assert_same_belief
 
 COUNT = 5
 ODOMETRY = BodyVelocity((0.0, 0.0, SPEED), (0.0, 0.2, 0.0), np.diag(np.repeat([0.3, 0.1], 3) ** 2))
@@ -81,6 +80,8 @@ def test_what_is_read_of_all_at_once_has_the_bits_of_what_each_says(options: dic
             np.testing.assert_array_equal(getattr(forecasts[index], name), getattr(alone, name), err_msg=name)
         np.testing.assert_array_equal(velocities[index], np.append(slam.velocity.linear, slam.velocity.angular))
         np.testing.assert_array_equal(batch.velocity_covariances[index], slam.velocity.covariance)
+        np.testing.assert_array_equal(batch.poses[index], np.append(slam.pose.position, slam.pose.orientation))
+        np.testing.assert_array_equal(batch.pose_covariances[index], slam.pose.covariance)
         assert batch.state_sizes[index] == slam.state_size
 
 
@@ -95,22 +96,6 @@ def test_the_maps_of_all_in_w_are_those_that_each_tells(options: dict[str, objec
     np.testing.assert_allclose(found.positions, np.concatenate([each.positions for each in maps]), rtol=1e-12)
     expected = np.concatenate([each.covariances for each in maps])
     np.testing.assert_allclose(found.covariances, expected, rtol=1e-9, atol=1e-12 * np.abs(expected).max())
-
-
-def test_the_filters_of_a_batch_believe_what_single_ones_do() -> None:
-    frames, batch = drives(), batch_of(COUNT)
-    for k in range(8):
-        batch.predict(DT)
-        batch.update([frames[index][k] for index in range(COUNT)])
-    for index in range(COUNT):
-        slam = make()
-        slam.reset(START)
-        for k in range(8):
-            slam.predict(DT)
-            slam.update(frames[index][k])
-        assert_same_belief(batch[index], slam, 1e-10)
-        np.testing.assert_allclose(batch.poses[index, :3], slam.pose.position, rtol=0, atol=1e-10)
-        np.testing.assert_allclose(batch.pose_covariances[index], slam.pose.covariance, rtol=0, atol=1e-10)
 
 
 def test_arrays_of_one_shape_give_the_same_bits() -> None:

@@ -50,27 +50,6 @@ def test_outliers_that_a_vague_prediction_lets_through_are_found(measurement: st
     assert caught[True] > caught[False]
 
 
-def test_the_pose_is_better_for_it() -> None:
-    errors = {True: [], False: []}
-    for seed in range(8):
-        for consensus, found in errors.items():
-            scene = Scene(seed, consensus=consensus)
-            scene.slam.update(scene.observe(np.arange(0, COUNT, 3)))
-            found.append(np.linalg.norm(scene.slam.pose.position - (0.0, 0.0, SPEED * DT)))
-    assert np.mean(errors[True]) < 0.7 * np.mean(errors[False])
-
-
-def test_without_outliers_nearly_all_are_used_and_the_estimate_is_nearly_that_of_the_gate_alone() -> None:
-    with_test, without = Scene(1, consensus=True), Scene(1)
-    observation = with_test.observe(np.zeros(0, dtype=int))
-    report = with_test.slam.update(observation)
-    without.slam.update(observation)
-    assert len(report.updated) >= COUNT - 2
-    apart = with_test.slam.pose.position - without.slam.pose.position
-    sigmas = np.sqrt(np.diag(without.slam.pose.covariance)[:3])
-    assert np.abs(apart / sigmas).max() < 1.0
-
-
 @pytest.mark.parametrize("seed", range(4))
 def test_it_is_the_best_of_all_single_updates_written_out(seed: int) -> None:
     """Which measurements are believed first: against a loop over hypotheses with a dense Kalman update each."""
@@ -93,8 +72,3 @@ def test_it_is_the_best_of_all_single_updates_written_out(seed: int) -> None:
     report = scene.slam.update(observation)
     assert set(observation.ids[best]) <= set(report.updated.tolist())  # those, and whom the corrected state lets in
     assert 3 < most < believable.sum()
-
-
-def test_it_needs_a_gate() -> None:
-    with pytest.raises(ValueError, match="gate must be a probability with consensus=True"):
-        StereoEKF(CAMERA, NOISE, consensus=True, gate=None)

@@ -16,6 +16,7 @@ from filters.kernels.recipe import Recipe
 from filters.kernels.records import FAILED, FilterState
 
 from ..drives import CAMERA
+from ..numeric import numeric_jacobian as jacobian
 
 R = np.array([[1.0, 0.0, 1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 2.0]])
 INVARIANT = RightInvariant(reset=True)
@@ -82,11 +83,6 @@ def minus(recipe: Recipe, other: FilterState, state: FilterState) -> np.ndarray:
     )
 
 
-def jacobian(function, size: int, step: float = 1e-6) -> np.ndarray:
-    columns = [(function(step * e) - function(-step * e)) / (2 * step) for e in np.eye(size)]
-    return np.array(columns).T
-
-
 def calibration_of(recipe: Recipe, x: np.ndarray) -> np.ndarray:
     return x[7:13] if len(recipe.plan.sensed) else np.zeros(6)
 
@@ -109,11 +105,7 @@ def project(recipe: Recipe, state: FilterState) -> np.ndarray:
     u, v = CAMERA.fx * h[:, 0] / h[:, 2], CAMERA.fy * h[:, 1] / h[:, 2]
     d = CAMERA.disparity_constant * rho / h[:, 2]
     return np.column_stack(
-        [
-            CAMERA.cx + (1 + focal) * u,
-            CAMERA.cy + (1 + focal) * v,
-            (1 + focal) * (1 + baseline) * d + o,
-        ]
+        [CAMERA.cx + (1 + focal) * u, CAMERA.cy + (1 + focal) * v, (1 + focal) * (1 + baseline) * d + o]
     ).ravel()
 
 
@@ -249,16 +241,6 @@ def test_passes_with_the_prior_held_end_at_the_most_probable_state(landmark: str
     sigmas = np.sqrt(np.diag(before.P)) + 1e-12
     expected = before.P @ H.T @ np.linalg.solve(R, left.T).T.ravel()
     np.testing.assert_allclose(delta / sigmas, expected / sigmas, atol=1e-4)
-
-
-def test_a_random_walk_adds_its_variance() -> None:
-    recipe = recipe_with("inverse-depth")
-    walking = with_plan(recipe, walk=np.linspace(0.0, 1.0, recipe.plan.leading))
-    still, moving = started(recipe), started(walking)
-    for engine in (still, moving):
-        engine.step(0.1, None)
-    added = np.diag(0.1 * np.linspace(0.0, 1.0, recipe.plan.leading))
-    np.testing.assert_allclose(exported(moving).P - exported(still).P, added, atol=1e-15)
 
 
 @pytest.mark.parametrize("iterations", [1, 2])

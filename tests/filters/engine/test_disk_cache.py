@@ -37,17 +37,22 @@ if __name__ == "__main__":
 """
 
 
-def copied(folder):
-    """The filters elsewhere, without machine code, and a program that asks a kernel where a landmark is."""
-    shutil.copytree(ROOT / "filters", folder / "filters", ignore=shutil.ignore_patterns("*.nb[ic]"))
-    (folder / "points.py").write_text(POINTS)
-    return folder
+def environment(*paths):
+    """As a user has it: only these folders on the path, a home of its own, no setting of Numba."""
+    kept_here = {key: value for key, value in os.environ.items() if not key.startswith("NUMBA")}
+    return kept_here | {"PYTHONPATH": os.pathsep.join(map(str, paths)), "XDG_CACHE_HOME": str(paths[0] / "home")}
 
 
 @pytest.fixture
 def copy(tmp_path):
-    """A copy of one's own."""
+    """The filters elsewhere, without machine code, and a program that asks a kernel where a landmark is."""
     return copied(tmp_path)
+
+
+def copied(folder):
+    shutil.copytree(ROOT / "filters", folder / "filters", ignore=shutil.ignore_patterns("*.nb[ic]"))
+    (folder / "points.py").write_text(POINTS)
+    return folder
 
 
 @pytest.fixture(scope="module")
@@ -72,10 +77,8 @@ def first_filter(tmp_path_factory):
 
 
 def start(copy, process="here"):
-    environment = {key: value for key, value in os.environ.items() if not key.startswith("NUMBA")}
-    environment |= {"PYTHONPATH": str(copy), "XDG_CACHE_HOME": str(copy / "home")}
     program = [sys.executable, "points.py", process]
-    return subprocess.Popen(program, cwd=copy, env=environment, text=True, stdout=subprocess.PIPE)
+    return subprocess.Popen(program, cwd=copy, env=environment(copy), text=True, stdout=subprocess.PIPE)
 
 
 def result(process):
@@ -136,17 +139,14 @@ def test_a_kernel_of_a_third_party_is_that_of_its_present_sources(first_filter, 
     """Its package is one of those whose sources the stamp covers, those beside the kernel's file included."""
     copy = shutil.copytree(first_filter[0], tmp_path / "copy")
     (copy / "strangers").mkdir()
-    (copy / "strangers" / "__init__.py").write_text("")
     helper, kernel = SPEED.split("def step")
-    (copy / "strangers" / "distance.py").write_text(helper)
-    (copy / "strangers" / "speed.py").write_text("from .distance import far\n\n\ndef step" + kernel)
-    (copy / "strangers" / "drive.py").write_text(STRANGER)
+    sources = {"distance": helper, "speed": "from .distance import far\n\n\ndef step" + kernel, "drive": STRANGER}
+    for name, text in {"__init__": "", **sources}.items():
+        (copy / "strangers" / f"{name}.py").write_text(text)
 
     def driven() -> str:
-        environment = {key: value for key, value in os.environ.items() if not key.startswith("NUMBA")}
         program = [sys.executable, "-m", "strangers.drive"]
-        environment |= {"PYTHONPATH": str(copy), "XDG_CACHE_HOME": str(copy / "home")}
-        done = subprocess.run(program, cwd=copy, env=environment, text=True, capture_output=True, timeout=240)
+        done = subprocess.run(program, cwd=copy, env=environment(copy), text=True, capture_output=True, timeout=240)
         assert done.returncode == 0, done.stderr
         return done.stdout
 
@@ -245,18 +245,11 @@ BAR = re.compile(r"compiling the filter, this once: \[(#*)(\.*)\] (\d+) of (\d+)
 
 def shown(folder, program, *, terminal=False):
     """What a program writes to stderr, or to the terminal that it is called from, with the filters there or ours."""
-    environment = {key: value for key, value in os.environ.items() if not key.startswith("NUMBA")}
-    environment |= {"PYTHONPATH": os.pathsep.join([str(folder), str(ROOT)]), "XDG_CACHE_HOME": str(folder / "home")}
     command = [*([sys.executable, "-c", IN_TERMINAL] if terminal else []), sys.executable, "-c", program]
     done = subprocess.run(
-        command,
-        cwd=folder,
-        env=environment,
-        capture_output=True,
-        stdin=subprocess.DEVNULL,
-        check=True,
+        command, cwd=folder, env=environment(folder, ROOT), capture_output=True, stdin=subprocess.DEVNULL, check=True,
         timeout=280,
-    )
+    )  # fmt: skip
     written = (done.stdout if terminal else done.stderr).decode()
     return written.replace("\r\n", "\n").removesuffix("\x1b[0m")  # colours off: Numba's colorama at the end
 
@@ -270,56 +263,32 @@ def test_at_a_terminal_a_bar_says_what_the_first_filter_compiles_which_is_no_mor
     assert BAR.fullmatch(first.rpartition("\r")[2].rstrip("\n"))[5]  # the seconds that it took
     assert second == ""
     compiled = {path.name.partition("-")[0].split(".")[-2] for path in copy.rglob("*.nbi")}
-    assert compiled == {
-        "run_frames",
-        "predict",
-        "linearise",
-        "squared_distances",
-        "correct",
-        "retract",
-        "initialise",
-        "augment",
-        "drop_unseen",
-        *("point_kernel", "start_kernel", "predict", "backproject", "by_noise"),  # of the parts
-    }
+    of_the_frame = "run_frames predict linearise squared_distances correct retract initialise augment drop_unseen"
+    assert compiled == {*of_the_frame.split(), *["point_kernel", "start_kernel", "predict", "backproject", "by_noise"]}
 
 
-def test_where_nobody_sees_a_bar_one_line_says_it(tmp_path):
-    told = shown(tmp_path, COUNTED.format(setting=""))
-    assert told.startswith("compiling machine code that is not on disk yet")
-    assert told.count("\n") == 1
-    assert "\r" not in told
+QUIET = "logging.getLogger('filters').setLevel(logging.ERROR)"
+RECORD = "logging.basicConfig(format='%(levelname)s %(name)s %(message)s')"
+BACKGROUND = "import subprocess, sys; subprocess.run([sys.executable, '-c', {!r}], start_new_session=True, check=True)"
+LINE = "compiling machine code that is not on disk yet"
 
 
-@pytest.mark.parametrize("terminal", [True, False])
-def test_it_is_silent_if_logging_says_so(tmp_path, terminal):
-    quiet = COUNTED.format(setting="logging.getLogger('filters').setLevel(logging.ERROR)")
-    assert shown(tmp_path, quiet, terminal=terminal) == ""
-
-
-def test_where_logging_is_set_up_it_is_a_record_there(tmp_path):
-    setting = "logging.basicConfig(format='%(levelname)s %(name)s %(message)s')"
-    told = shown(tmp_path, COUNTED.format(setting=setting), terminal=True)
-    assert told.startswith("WARNING filters.kernels.compilation compiling machine code")
-    assert told.count("\n") == 1
-
-
-def test_a_process_in_the_background_leaves_the_terminal_alone(tmp_path):
-    """As those of a benchmark: in a session of their own."""
-    child = "import subprocess, sys; subprocess.run([sys.executable, '-c', {!r}], start_new_session=True, check=True)"
-    told = shown(tmp_path, child.format(COUNTED.format(setting="")), terminal=True)
-    assert told.startswith("compiling machine code that is not on disk yet")
-    assert told.count("\n") == 1
-
-
-def test_functions_that_only_kernels_call_are_no_machine_code(copy):
-    program = """
-from filters.kernels import prediction
-prediction.settle.address
-(made,) = prediction.constrain.overloads.values()
-print(made.library._compiled_object, file=__import__('sys').stderr)
-"""
-    assert shown(copy, program).splitlines()[-1] == "None"
+@pytest.mark.parametrize(
+    ("program", "terminal", "said"),
+    [
+        (COUNTED.format(setting=""), False, LINE),
+        (COUNTED.format(setting=QUIET), False, None),
+        (COUNTED.format(setting=QUIET), True, None),
+        (COUNTED.format(setting=RECORD), True, f"WARNING filters.kernels.compilation {LINE}"),
+        (BACKGROUND.format(COUNTED.format(setting="")), True, LINE),
+    ],
+    ids=["no terminal", "quiet", "quiet terminal", "logging", "session of its own, as of a benchmark's processes"],
+)
+def test_where_nobody_sees_a_bar_one_line_says_it_unless_logging_is_silent(tmp_path, program, terminal, said):
+    told = shown(tmp_path, program, terminal=terminal)
+    assert told.startswith(said or "")
+    assert (told.count("\n"), "\r" in told) == (int(said is not None), False)
+    assert bool(told) == (said is not None)
 
 
 def test_a_unit_that_is_called_with_other_arguments_than_its_signature_is_refused(tmp_path):

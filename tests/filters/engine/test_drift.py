@@ -12,8 +12,7 @@ from scipy.stats import chi2
 
 from filters import LandmarkDrift, Start, StereoEKF, StereoObservation, nees
 
-from ..drives import CAMERA, INDEPENDENT_PIXELS, SPEED, Frame, drive, finish, run, start
-from ..slots import ERRORS, LANDMARKS
+from ..drives import CAMERA, INDEPENDENT_PIXELS, SPEED, Frame, drive, run, start
 
 START = Start(linear_velocity=(0.0, 0.0, SPEED), covariance=np.diag(np.repeat([1e-3, 1e-3, 0.5, 0.5], 3) ** 2))
 SHARE, RUNS, FRAMES = 0.5, 60, 25
@@ -45,8 +44,7 @@ def mean_nees(share: float, **options: object) -> float:
         frames = walking(seed, share)
         slam = StereoEKF(CAMERA, INDEPENDENT_PIXELS, landmark="shared-anchor", **options)
         slam.reset(START)
-        for _ in run(slam, frames):
-            pass
+        list(run(slam, frames))
         error, covariance = slam.pose_error(frames[-1].position, frames[-1].orientation)
         values.append(nees(error[None], covariance[None])[0] / 6)
     return float(np.mean(values))
@@ -61,17 +59,6 @@ def test_the_pose_is_as_certain_as_it_is_right_with_the_drift_and_too_certain_wi
 def test_the_two_parts_of_a_step_add_up_to_it() -> None:
     drift = LandmarkDrift(share=0.3, pixels=(1.0, 2.0, 0.5), gate_pixels=(0.5, 0.1, 0.5))
     np.testing.assert_allclose(drift.parts, [[0.09, 0.25, 0.01, 0.25], [0.0, 0.75, 3.99, 0.0]])
-
-
-@pytest.mark.parametrize("error", ERRORS)
-@pytest.mark.parametrize("landmark", LANDMARKS)
-def test_every_parametrisation_drifts_and_claims_less(landmark: str, error: str) -> None:
-    frames = drive(3, 8, depths=(6.0, 20.0))
-    still, walked = (
-        finish(StereoEKF(CAMERA, INDEPENDENT_PIXELS, landmark=landmark, error=error, drift=drift), frames)
-        for drift in (None, {"pixels": (1.0, 1.0, 0.5)})
-    )
-    assert np.linalg.slogdet(walked.pose.covariance)[1] > np.linalg.slogdet(still.pose.covariance)[1] + 1.0
 
 
 def test_a_joint_test_for_short_steps_refuses_what_one_for_long_steps_lets_in() -> None:

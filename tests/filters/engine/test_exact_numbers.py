@@ -8,27 +8,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2
 
-from filters import (
-    BodyVelocity,
-    CalibratedPair,
-    InertialSamples,
-    Start,
-    StereoEKF,
-    StereoObservation,
-    Strapdown,
-    Variable,
-)
+from filters import CalibratedPair, InertialSamples, Start, StereoEKF, StereoObservation, Strapdown
 from filters.geometry import rotations, symmetric
 from filters.geometry.derivatives import jacobian_of
 from filters.geometry.vectors import spread_by
 
 from ..dense import at_first_estimates, gamma
-from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, SPEED, drive, start
+from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, drive, finish
 from ..inertial_drives import UNIT, driven, measured
 from ..slots import ERRORS, LANDMARKS
-from ..third_party import ShearedPair
 
 BROAD = np.diag(np.repeat([0.2, 0.05, 1.0, 0.2], 3) ** 2)
 UVD = np.array([[300.0, 150.0, 25.0], [1000.0, 250.0, 24.0], [350.0, 300.0, 26.0], [1050.0, 120.0, 25.0]])
@@ -36,28 +25,6 @@ UVD = np.array([[300.0, 150.0, 25.0], [1000.0, 250.0, 24.0], [350.0, 300.0, 26.0
 
 def make(**options: object) -> StereoEKF:
     return StereoEKF(CAMERA, INDEPENDENT_PIXELS, **{"gate": None, **options})
-
-
-# --- gate ---
-
-
-@pytest.mark.parametrize("probability", [0.5, 0.99])
-@pytest.mark.parametrize(("measurement", "used"), [("joint", 3), ("left", 2)])
-def test_a_measurement_is_gated_from_the_quantile_of_its_squared_distance_on(
-    measurement: str, used: int, probability: float
-) -> None:
-    """A thousandth inside it is used, a thousandth outside it is not."""
-    slam = start(make(gate=probability, measurement=measurement))
-    slam.update(StereoObservation([1], UVD[:1]))
-    slam.predict(DT)
-    forecast = slam.forecast([1])
-    innovation = np.linalg.cholesky(forecast.S[0][:used, :used]) @ np.ones(used) / np.sqrt(used)
-    for factor, updated in ((0.999, [1]), (1.001, [])):
-        seen = forecast.uvd[0].copy()
-        seen[:used] += factor * np.sqrt(chi2.ppf(probability, used)) * innovation
-        report = copy.deepcopy(slam).update(StereoObservation([1], seen[None]))
-        assert report.updated.tolist() == updated
-        assert len(report.gated) == 1 - len(updated)
 
 
 # --- joint compatibility ---
@@ -96,54 +63,13 @@ def test_where_the_camera_is_does_not_matter_to_a_landmark_that_it_has_just_seen
     np.testing.assert_allclose(S, np.broadcast_to(2.0 * INDEPENDENT_PIXELS.R, S.shape), rtol=0, atol=1e-5)
 
 
-# --- variables ---
-
-
-DISPARITY = Variable("disparity-errors", [1.0, 0.0], np.diag([0.01, 0.002]) ** 2)
-
-
-@pytest.mark.parametrize("error", ["quaternion", "right-invariant"])
-@pytest.mark.parametrize("measurement", [ShearedPair, None])
-def test_what_is_considered_stays_as_it_was_to_the_bit(error: str, measurement: type | None) -> None:
-    pair = (
-        ShearedPair((replace(DISPARITY, considered=True),))
-        if measurement
-        else CalibratedPair(offset_sigma=0.2, baseline_sigma=0.01, considered=True)
-    )
-    slam = start(make(measurement=pair, error=error))
-    before = {variable.name: slam.belief(variable.name) for variable in pair.variables}
-    odometry = BodyVelocity([0.1, 0.05, SPEED], [0.01, 0.2, -0.02], np.diag(np.repeat([0.05, 0.01], 3) ** 2))
-    for k, frame in enumerate(drive(33, 8, visible=12, depths=(6.0, 30.0))):
-        if k:
-            slam.predict(DT, odometry if k % 2 else None)
-        slam.update(frame.observation)
-    for name, belief in before.items():
-        np.testing.assert_array_equal(slam.belief(name).value, belief.value)
-        np.testing.assert_array_equal(slam.belief(name).covariance, belief.covariance)
-
-
 def test_iterations_do_not_move_what_is_considered() -> None:
     """Next to certain, it is as if it were not there."""
     found = []
     for measurement in (CalibratedPair(baseline_sigma=1e-9, considered=True), "joint"):
-        slam = start(make(measurement=measurement, iterations=2))
-        for k, frame in enumerate(drive(33, 6, visible=12, depths=(6.0, 30.0))):
-            if k:
-                slam.predict(DT)
-            slam.update(frame.observation)
+        slam = finish(make(measurement=measurement, iterations=2), drive(33, 6, visible=12, depths=(6.0, 30.0)))
         found.append(np.concatenate([slam.pose.position, slam.pose.covariance.ravel()]))
     np.testing.assert_allclose(*found, rtol=1e-7, atol=1e-10)
-
-
-def test_a_random_walk_grows_with_time_and_not_with_the_number_of_steps() -> None:
-    walk = np.array([0.02, 0.003])
-    pair = ShearedPair((replace(DISPARITY, random_walk=walk),))
-    for steps in (1, 4):
-        slam = start(make(measurement=pair))
-        for _ in range(steps):
-            slam.predict(0.4 / steps)
-        added = slam.belief("disparity-errors").covariance - DISPARITY.covariance
-        np.testing.assert_allclose(added, np.diag(0.4 * walk**2), rtol=1e-9, atol=1e-18)
 
 
 # --- vectors of W ---

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
 
-from filters import BodyVelocity, ConstantVelocity, Euclidean, Start, StereoEKF, StereoObservation
+from filters import BodyVelocity, ConstantVelocity, Euclidean, Start, StereoEKF
 from filters.geometry import symmetric
 from filters.motions.motion_model import CAMERA_SIZE, POSE_SIZE
 
@@ -182,35 +182,3 @@ def test_prediction_and_odometry_of_a_camera_that_does_not_turn(odometry: bool, 
             reference.update(linear, R=R, H=np.hstack([np.zeros((3, 3)), np.eye(3)]))
         stereo_filter.predict(dt, measured)
         assert_translation_is(stereo_filter, reference)
-
-
-def test_first_sight_is_a_linear_gaussian_prior_of_the_point() -> None:
-    """XYZ from a camera that does not turn: the point is the position plus the back-projected pixel noise.
-
-    It stays correlated with position and velocity through the predictions that follow.
-    """
-    stereo_filter, reference = straight(landmark="euclidean", drop_unseen=False)
-    uvd = np.array([[700.0, 190.0, 30.0], [500.0, 250.0, 12.0]])
-    stereo_filter.predict(DT)
-    stereo_filter.update(StereoObservation([4, 9], uvd))
-    stereo_filter.predict(DT)
-
-    F, G = np.eye(6), np.vstack([DT * np.eye(3), np.eye(3)])
-    F[:3, 3:] = DT * np.eye(3)
-    Q = (3.0 * DT) ** 2 * G @ G.T
-    reference.predict(F=F, Q=Q)
-    by_noise = np.linalg.inv(CAMERA.project_jacobian(CAMERA.backproject(uvd)))
-    shape = np.vstack([np.eye(6), np.tile(np.eye(3, 6), (2, 1))])
-    noise = np.zeros((12, 12))
-    for i, J in enumerate(by_noise):
-        noise[6 + 3 * i : 9 + 3 * i, 6 + 3 * i : 9 + 3 * i] = J @ INDEPENDENT_PIXELS.R @ J.T
-    offset = np.concatenate([np.zeros(6), CAMERA.backproject(uvd).ravel()])
-    grown = kalman_filter(shape @ reference.x + offset, shape @ reference.P @ shape.T + noise)
-    F_all, Q_all = np.eye(12), np.zeros((12, 12))
-    F_all[:6, :6], Q_all[:6, :6] = F, Q
-    grown.predict(F=F_all, Q=Q_all)
-
-    landmarks = stereo_filter.landmarks
-    np.testing.assert_allclose(landmarks.positions.ravel(), grown.x[6:], rtol=1e-12)
-    rows = np.r_[0:3, 6:9, 12:18]
-    assert_covariances_equal(symmetric.full(stereo_filter.state.P)[np.ix_(rows, rows)], grown.P, 1e-9)

@@ -8,20 +8,11 @@ import pickle
 import numpy as np
 import pytest
 
-from filters import StereoEKF, StereoObservation, UpdateReport
+from filters import StereoObservation
 
-from ..drives import DT, Frame, drive
+from ..drives import DT, drive, run
 from ..slots import ERRORS, LANDMARKS
 from .beliefs import assert_same_belief, make
-
-
-def reports_over(slam: StereoEKF, frames: list[Frame]) -> list[UpdateReport]:
-    reports = []
-    for number, frame in enumerate(frames):
-        if number:
-            slam.predict(DT)
-        reports.append(slam.update(frame.observation))
-    return reports
 
 
 @pytest.mark.parametrize("error", ERRORS)
@@ -46,7 +37,7 @@ def test_what_lies_outside_the_upper_triangle_in_use_plays_no_part(landmark: str
 def test_an_anchor_leaves_with_the_last_of_its_landmarks(landmark: str) -> None:
     slam = make(landmark=landmark)
     without_map = slam.state_size
-    reports_over(slam, drive(9, 6))
+    list(run(slam, drive(9, 6)))
     assert slam.state_size > without_map
     slam.predict(DT)
     slam.update(StereoObservation(np.zeros(0, dtype=np.int64), np.zeros((0, 3))))
@@ -57,32 +48,14 @@ def test_an_anchor_leaves_with_the_last_of_its_landmarks(landmark: str) -> None:
 def test_filters_can_be_copied_and_sent_to_other_processes(landmark: str) -> None:
     frames = drive(7, 6)
     original = make(landmark=landmark)
-    reports_over(original, frames[:3])
+    list(run(original, frames[:3]))
     original.clone_pose("then")
     twins = [copy.deepcopy(original), pickle.loads(pickle.dumps(original))]
-    reports_over(original, frames[3:])
+    list(run(original, frames[3:]))
     for twin in twins:
-        reports_over(twin, frames[3:])
+        list(run(twin, frames[3:]))
         assert_same_belief(twin, original, 1e-14)
         np.testing.assert_array_equal(twin.relative_pose("then").covariance, original.relative_pose("then").covariance)
-
-
-@pytest.mark.parametrize("error", ERRORS)
-@pytest.mark.parametrize("landmark", LANDMARKS)
-def test_clones_of_the_pose_change_no_estimate(landmark: str, error: str) -> None:
-    frames = drive(8, 10, depths=(6.0, 30.0))
-    plain, with_clones = (make(landmark=landmark, error=error) for _ in range(2))
-    for k, frame in enumerate(frames):
-        for slam in (plain, with_clones):
-            slam.predict(DT)
-            slam.update(frame.observation)
-        with_clones.clone_pose(f"{k}")
-        if k > 4:
-            with_clones.forget_clone(f"{k - 3}")
-    assert with_clones.clones == ("0", "1", "7", "8", "9")
-    assert with_clones.state_size == plain.state_size + 6 * 5
-    assert_same_belief(with_clones, plain, 1e-10)
-    assert with_clones.belief("0").covariance.shape == (6, 6)
 
 
 def test_a_landmark_without_an_anchor_leaves_a_full_storage_as_any_other() -> None:

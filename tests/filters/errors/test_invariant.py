@@ -162,19 +162,6 @@ def test_it_is_the_dense_filter_on_the_group_with_the_full_jacobian_of_the_reset
     with_noisy_odometry(InvariantEKF(CAMERA, INDEPENDENT_PIXELS.R, side=side), SIDES[side])
 
 
-def test_the_reset_changes_the_estimates() -> None:
-    """Or the comparisons above would say nothing of it."""
-    frames = drive(3, 15, visible=12, depths=(6.0, 20.0))
-    slams = [make(landmark="euclidean", error=RightInvariant(reset)) for reset in (True, False)]
-    for k, frame in enumerate(frames):
-        for slam in slams:
-            if k:
-                slam.predict(DT)
-            slam.update(frame.observation)
-    with_reset, without = slams
-    assert np.abs(with_reset.pose.position - without.pose.position).max() > 1e-6
-
-
 def kept_by_a_still_camera(landmark: str, error: str | ErrorDefinition) -> float:
     """Least share of the variance of its rotation, along any axis, that 40 frames leave."""
     nothing = BodyVelocity(np.zeros(3), np.zeros(3), np.zeros((6, 6)))
@@ -205,10 +192,3 @@ def test_the_reset_loses_that_but_less_than_a_plain_ekf(error: ErrorDefinition) 
     for landmark in ("inverse-depth", "shared-anchor", "euclidean"):
         plain, kept = kept_by_a_still_camera(landmark, "so3"), kept_by_a_still_camera(landmark, error)
         assert 2.0 * plain < kept < 0.99
-
-
-@pytest.mark.parametrize("landmark", ["shared-anchor", "spherical", "polar"])
-def test_with_anchors_a_plain_ekf_takes_less_for_a_compass_but_still_most(landmark: str) -> None:
-    """Their unobservable directions do not depend on the distance; they do on the bearing, which is kept in W."""
-    kept, without = (kept_by_a_still_camera(name, "so3") for name in (landmark, "euclidean"))
-    assert 5.0 * without < kept < 0.01

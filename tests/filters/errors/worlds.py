@@ -14,7 +14,7 @@ from filters.joint_state import JointState
 from filters.motions.motion_model import CameraState
 
 from ..dense import own_blocks
-from ..drives import DT, Frame, drive
+from ..drives import DT, Frame, drive, run
 from ..engine.beliefs import make, tilted
 
 
@@ -42,10 +42,7 @@ def driven(frames: list[Frame], **options) -> StereoEKF:
 def some_filter(landmark: Any, error: str | ErrorDefinition, **options: Any) -> StereoEKF:
     """A filter with a map of several frames seen from a pose in general position, and a dense covariance."""
     slam = tilted(make(landmark=landmark, error=error, drop_unseen=False, **options))
-    for k, frame in enumerate(drive(1, 5, visible=4, depths=(6.0, 30.0))):
-        if k:
-            slam.predict(DT)
-        slam.update(frame.observation)
+    list(run(slam, drive(1, 5, visible=4, depths=(6.0, 30.0))))
     state = slam.state
     root = np.random.default_rng(2).standard_normal((len(state.P), len(state.P) + 5))
     slam.state = replace(state, predicted=state.camera, P=np.asfortranarray(np.tril(root @ root.T)))

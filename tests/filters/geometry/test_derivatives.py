@@ -25,14 +25,8 @@ def functions(x: Any) -> Any:
     a, b = x
     return (
         *(np.sin(a), np.cos(a), np.tan(a), np.sqrt(a), np.exp(a), np.log(a), np.square(b), np.arctan(b), np.sinc(b)),
-        *(
-            np.hypot(a, b),
-            np.hypot(a, 2.0),
-            np.hypot(2.0, b),
-            np.arctan2(a, b),
-            np.arctan2(a, -2.0),
-            np.arctan2(2.0, b),
-        ),
+        *(np.hypot(a, b), np.hypot(a, 2.0), np.hypot(2.0, b)),
+        *(np.arctan2(a, b), np.arctan2(a, -2.0), np.arctan2(2.0, b)),
         *(np.arcsin(0.3 * a), np.arccos(0.3 * a), np.sinh(b), np.cosh(b), np.tanh(a), np.expm1(a), np.log1p(b)),
         *(np.minimum(a, b), np.minimum(a, 1.0), np.minimum(1.0, b)),
         *(np.maximum(a, b), np.maximum(a, 1.0), np.maximum(1.0, b)),

@@ -65,19 +65,15 @@ def test_lists_are_taken_as_arrays_and_computed_values_keep_their_bits():
 @pytest.mark.parametrize(
     ("position", "orientation", "argument"),
     [
-        ([1.0, 2.0], [0.0, 0.0, 0.0, 1.0], "position"),
-        ([1.0, 2.0, np.nan], [0.0, 0.0, 0.0, 1.0], "position"),
-        (np.array([1.0, np.inf, 0.0]), [0.0, 0.0, 0.0, 1.0], "position"),
-        ([1.0, 2.0, 3.0], [0.0, 0.0, 0.0, 2.0], "orientation"),
-        ([1.0, 2.0, 3.0], np.full(4, np.nan), "orientation"),
-        ([1.0, 2.0, 3.0], np.eye(3), "orientation"),
+        *(
+            (at, [0.0, 0.0, 0.0, 1.0], "position")
+            for at in ([1.0, 2.0], [1.0, 2.0, np.nan], np.array([1.0, np.inf, 0.0]))
+        ),
+        *(([1.0, 2.0, 3.0], turn, "orientation") for turn in ([0.0, 0.0, 0.0, 2.0], np.full(4, np.nan), np.eye(3))),
     ],
 )
-def test_what_is_no_pose_is_refused_by_name(position, orientation, argument):
+def test_what_is_no_pose_or_point_is_refused_by_name(position, orientation, argument):
     with pytest.raises(ValueError, match=f"^{argument} must"):
         Pose(position, orientation)
-
-
-def test_what_is_no_point_is_refused():
     with pytest.raises(ValueError, match=r"^points must have shape \(\.\.\., 3\), got \(4,\)"):
         Pose() @ np.ones(4)

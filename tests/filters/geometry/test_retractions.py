@@ -44,12 +44,6 @@ def test_local_undoes_retract_and_the_result_is_a_unit_quaternion(name: str, siz
         np.testing.assert_allclose(error.local(q, -moved), delta, rtol=1e-9, atol=1e-15)
 
 
-@every
-def test_no_correction_moves_nothing(name: str) -> None:
-    error, q = RETRACTIONS[name], random_orientation(1)
-    np.testing.assert_allclose(error.retract(q, np.zeros(3)), q, atol=1e-16)
-
-
 @pytest.mark.parametrize(("name", "reference"), [("quaternion", additive_then_normalised), ("so3", turned)])
 def test_retraction_is_the_documented_one(name: str, reference) -> None:
     q, delta = random_orientation(2), np.array([0.3, -0.7, 0.5])

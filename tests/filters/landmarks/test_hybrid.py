@@ -10,7 +10,7 @@ import pytest
 from filters import FilterBatch, Hybrid, InverseDepthStereoEKF, Start, StereoEKF, StereoObservation
 from filters.geometry import rotations, symmetric
 
-from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, SPEED, START_COVARIANCE, drive, finish, run, start
+from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, SPEED, START_COVARIANCE, drive, finish, start
 from ..slots import ERRORS
 
 
@@ -21,16 +21,6 @@ def filter_with(error: str = "quaternion", **settings) -> StereoEKF:
 
 def are_points(hybrid: StereoEKF) -> np.ndarray:
     return hybrid.state.anchor_block < 0
-
-
-def assert_index(position, anchors, parameters, sigma, expected, rtol: float) -> None:
-    """The linearity index of each landmark is the limit below which it becomes a point."""
-    variances = np.column_stack([np.zeros((len(sigma), 2)), sigma**2])
-    for k, index in enumerate(expected):
-        one, above, below = slice(k, k + 1), index * (1.0 + rtol), index * (1.0 - rtol)
-        given = (anchors[one] - position)[0], parameters[one][0], variances[one][0]
-        assert Hybrid(linearity_limit=above).becomes_point(*given)
-        assert not Hybrid(linearity_limit=below).becomes_point(*given)
 
 
 def test_index_is_civeras_formula() -> None:
@@ -44,19 +34,10 @@ def test_index_is_civeras_formula() -> None:
     d1 = np.linalg.norm(now, axis=1)
     cos_alpha = np.sum(first * now, axis=1) / np.linalg.norm(first, axis=1) / d1
     expected = 4 * sigma / parameters[:, 2] ** 2 * np.abs(cos_alpha) / d1
-    far = parameters[:, 2] > 0.0
-    assert_index(position, anchors[far], parameters[far], sigma[far], expected[far], 1e-12)
-
-
-def test_at_first_sight_the_index_is_four_sigma_of_the_disparity_over_disparity() -> None:
-    hybrid = start(filter_with(linearity_limit=None))
-    disparities = np.array([5.0, 10.0, 40.0])
-    uvd = np.column_stack([np.full(3, CAMERA.cx), np.full(3, CAMERA.cy), disparities])
-    hybrid.update(StereoObservation(np.arange(3), uvd))
-    state = hybrid.state
-    rho = symmetric.full(state.P)[12:, 12:][3 * state.parameter_block + 2, 3 * state.parameter_block + 2]
-    expected = 4 * np.sqrt(INDEPENDENT_PIXELS.R[2, 2]) / disparities
-    assert_index(state.camera.position, state.anchors(), state.parameters(), np.sqrt(rho), expected, 1e-3)
+    for anchor, y, variance, index in zip(anchors, parameters, sigma**2, expected, strict=True):
+        given = anchor - position, y, np.array([0.0, 0.0, variance])
+        assert Hybrid(linearity_limit=index * (1.0 + 1e-12)).becomes_point(*given)
+        assert not Hybrid(linearity_limit=index * (1.0 - 1e-12)).becomes_point(*given)
 
 
 @pytest.mark.parametrize("rho", [0.0, -0.01])
@@ -119,25 +100,6 @@ def test_the_change_is_a_linear_map_of_the_covariance() -> None:
     np.testing.assert_allclose(symmetric.full(after.P)[np.ix_(kept, kept)], expected, rtol=1e-8, atol=1e-14)
 
 
-def test_an_anchor_leaves_with_the_last_landmark_that_needs_it() -> None:
-    hybrid = start(filter_with(linearity_limit=0.5))
-    frames = drive(7, 12, visible=10, missed=0.0, depths=(6.0, 20.0))
-    for _ in run(hybrid, frames):
-        state = hybrid.state
-        anchors = np.unique(state.anchor_block[state.anchor_block >= 0])
-        assert hybrid.state_size == 12 + 3 * (len(state) + len(anchors))
-    assert are_points(hybrid).sum() > 0
-
-
-def test_landmarks_change_over_as_they_become_certain() -> None:
-    hybrid = start(filter_with(linearity_limit=0.1))
-    shares = []
-    for _ in run(hybrid, drive(8, 25, missed=0.0)):
-        shares.append(are_points(hybrid).mean())
-    assert shares[0] < 0.2
-    assert max(shares) > 0.6
-
-
 class ByNumbers(Hybrid):
     """The same functions in Python."""
 
@@ -168,14 +130,12 @@ def test_kernels_ask_for_the_change_in_the_frame_in_which_it_is_due() -> None:
     """Where another place of the camera, or another variance than that of rho, would have it come later."""
     told = []
     for landmark in (Hybrid(0.15), ByNumbers(0.15)):
-        slam = StereoEKF(CAMERA, INDEPENDENT_PIXELS, gate=None, landmark=landmark)
+        slam, changed = StereoEKF(CAMERA, INDEPENDENT_PIXELS, gate=None, landmark=landmark), []
         slam.reset(Start((0.0, 0.0, -10.0), linear_velocity=(0.0, 0.0, SPEED), covariance=START_COVARIANCE))
-        changed = []
         for k in range(8):
             if k:
                 slam.predict(DT)
-            point_c = np.array([[1.0, -1.0, 20.0 - k * SPEED * DT]])
-            slam.update(StereoObservation([1], CAMERA.project(point_c)))
+            slam.update(StereoObservation([1], CAMERA.project([[1.0, -1.0, 20.0 - k * SPEED * DT]])))
             changed.append(bool(are_points(slam)[0]))
         told.append(changed)
     assert told[0] == told[1] == sorted(told[1])
@@ -200,8 +160,3 @@ def test_a_batch_tells_of_points_and_rays() -> None:
         J[:, 3:6] = rotations.skew(expected[i])
         rows = np.concatenate([np.arange(6), 6 + 3 * i + np.arange(3)])
         np.testing.assert_allclose(seen.covariances[i], J @ joint[np.ix_(rows, rows)] @ J.T, rtol=1e-6, atol=1e-9)
-
-
-def test_a_threshold_that_is_not_positive_is_refused() -> None:
-    with pytest.raises(ValueError, match="linearity_limit"):
-        filter_with(linearity_limit=-1.0)

@@ -67,35 +67,6 @@ def test_inverse_distance_is_that_of_the_point_from_where_it_was_seen(model) -> 
     np.testing.assert_allclose(model.inverse_distances(POSITION, anchors, parameters).values, 1 / distance, rtol=1e-10)
 
 
-@every
-def test_no_landmark_is_no_error(model) -> None:
-    empty = np.zeros((0, 3))
-    anchors, values = empty if model.anchored else None, np.zeros((0, model.value_size))
-    assert model.relative_to(POSITION, anchors, values).by_map.shape[:2] == (0, 4)
-    assert model.points(anchors, values).positions.shape == (0, 3)
-    assert model.inverse_distances(POSITION, anchors, values).values.shape == (0,)
-
-
-@every
-def test_in_a_turned_world_it_is_seen_in_the_turned_direction(model) -> None:
-    anchors, parameters = started(model, UVD)
-    R, other = Rotation.from_rotvec([0.4, 0.9, -0.6]).as_matrix(), np.array([4.0, 0.0, 9.0])
-    seen = model.relative_to(other, anchors, parameters).homogeneous
-    turned = None if anchors is None else anchors @ R.T
-    h = columns_of(model.point_of, parameters)
-    values = columns_of(model.start_from, np.hstack([h[:, :3] @ R.T, h[:, 3:]]))
-    again = model.relative_to(R @ other, turned, values).homogeneous
-    np.testing.assert_allclose(again, np.hstack([seen[:, :3] @ R.T, seen[:, 3:]]), rtol=1e-10, atol=1e-12)
-
-
-@every
-def test_local_undoes_retract(model) -> None:
-    _, parameters = started(model, UVD)
-    delta = 0.1 * RNG.standard_normal((len(UVD), 3))
-    there = columns_of(model.retract_by, parameters, delta)
-    np.testing.assert_allclose(columns_of(model.local_by, parameters, there), delta, rtol=0, atol=1e-12)
-
-
 @by_angles
 def test_rho_is_zero_at_no_disparity_and_changes_sign_with_it(model) -> None:
     _, parameters = started(model, ANY_UVD)
@@ -132,15 +103,3 @@ def test_directions_are_those_of_the_paper() -> None:
     expected = [[0, 0, 1], [1, 0, 0], [0, -1, 0], [0, 0, -1]]
     rays = columns_of(InverseDepth().point_of, np.column_stack([angles, np.zeros(4)]))
     np.testing.assert_allclose(rays[:, :3], expected, atol=1e-15)
-
-
-def test_only_shared_anchors_are_shared() -> None:
-    shares = {name: (model.anchored, model.shares_anchors) for name, model in LANDMARKS.items()}
-    assert shares == {
-        "inverse-depth": (True, False),
-        "shared-anchor": (True, True),
-        "euclidean": (False, False),
-        "hybrid": (True, True),
-        "spherical": (True, True),
-        "polar": (True, True),
-    }

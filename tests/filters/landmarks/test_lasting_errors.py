@@ -10,10 +10,8 @@ import pytest
 from filters import (
     ColouredNoise,
     ColouredNoiseEKF,
-    FilterBatch,
     LastingErrors,
     PairWithLastingErrors,
-    Start,
     StereoEKF,
     StereoNoise,
     StereoObservation,
@@ -109,23 +107,9 @@ def test_coloured_noise_takes_them_from_the_noise_and_what_is_given_goes_before(
     np.testing.assert_array_equal(walking.pose.covariance, without_time.pose.covariance)
 
 
-def test_a_batch_holds_them_too() -> None:
-    frames = [lasting_drive(seed, 8) for seed in (1, 2)]
-    batch = FilterBatch(lambda: ColouredNoiseEKF(CAMERA, NOISE), 2)
-    batch.reset(Start(linear_velocity=(0.0, 0.0, SPEED), covariance=START_COVARIANCE))
-    for k in range(8):
-        if k:
-            batch.predict(DT)
-        batch.update([frames[0][k].observation, frames[1][k].observation])
-    for slam, of_it in zip(batch, frames, strict=True):
-        alone = finish(ColouredNoiseEKF(CAMERA, NOISE), of_it)
-        np.testing.assert_array_equal(slam.pose.covariance, alone.pose.covariance)
-
-
 def test_an_unseen_landmark_forgets_its_error_and_not_its_place() -> None:
     slam = start(StereoEKF(CAMERA, WHITE, drop_unseen=False, **PARTS))
-    for _ in run(slam, lasting_drive(5, 6)):
-        pass
+    list(run(slam, lasting_drive(5, 6)))
     identity = int(slam.ids[0])
     H = np.zeros((3, 9))
     H[:, 6:] = np.eye(3)  # the anchor's three numbers, the place, and the errors

@@ -66,15 +66,6 @@ def test_the_pose_is_as_certain_as_it_is_right() -> None:
     assert of["spherical"] == pytest.approx(of["shared-anchor"], rel=0.01)
 
 
-@pytest.mark.parametrize("error", ["quaternion", "first-estimates", "right-invariant", "left-invariant"])
-@pytest.mark.parametrize("landmark", ["spherical", "polar"])
-def test_every_error_definition_takes_it(landmark: str, error: str) -> None:
-    slam, _ = finished(SETUP, 0, landmark=landmark, error=error)
-    other, _ = finished(SETUP, 0, error=error)
-    difference, covariance = slam.pose_error(other.pose.position, other.pose.orientation)
-    assert np.abs(difference / np.sqrt(np.diag(covariance))).max() < 0.2
-
-
 def test_a_landmark_without_a_distance_has_no_logarithm() -> None:
     h_w, scale = np.tile([[0.0, 0.0, 1.0]], (4, 1)), np.array([0.1, 1e-12, 0.0, -0.1])
     seen = np.column_stack([h_w, scale])

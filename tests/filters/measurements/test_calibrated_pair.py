@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from filters import CalibratedPair, RangeBearing, StereoEKF, jacobian
+from filters import CalibratedPair, RangeBearing, StereoEKF
 
 from ..drives import CAMERA
 from ..matched_drives import HIGH, LOW, RUNS, Frame, Setup, finished, mean_nees, nees
@@ -31,25 +31,6 @@ def wrong_offset(seed: int) -> Setup:
 @cache
 def with_offset(seed: int) -> tuple[StereoEKF, Frame]:
     return finished(wrong_offset(seed), seed)
-
-
-def test_jacobians_are_those_of_differences() -> None:
-    e = values(ERRORS)
-    claimed = ALL.jacobians(CAMERA, POINTS, e)
-    by_point = jacobian(lambda d: ALL.predict(CAMERA, POINTS + d, e), 4)
-    by_error = jacobian(lambda d: ALL.predict(CAMERA, POINTS, values(e["calibration"] + d)), len(SIGMAS))
-    assert claimed.by_point == pytest.approx(by_point, rel=1e-7, abs=1e-6)
-    assert claimed.by_variable["calibration"] == pytest.approx(by_error, rel=1e-7, abs=1e-6)
-
-
-def test_jacobians_of_backprojection_are_those_of_differences() -> None:
-    e = values(ERRORS)
-    uvd = ALL.predict(CAMERA, POINTS, e)
-    claimed = ALL.backprojection_jacobians(CAMERA, uvd, e)
-    by_measurement = jacobian(lambda d: ALL.backproject(CAMERA, uvd + d, e), 3)
-    by_error = jacobian(lambda d: ALL.backproject(CAMERA, uvd, values(e["calibration"] + d)), len(SIGMAS))
-    assert claimed.by_point == pytest.approx(by_measurement, rel=1e-7, abs=1e-10)
-    assert claimed.by_variable["calibration"] == pytest.approx(by_error, rel=1e-7, abs=1e-10)
 
 
 def test_of_small_errors_the_columns_are_those_of_the_field() -> None:

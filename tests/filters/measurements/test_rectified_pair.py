@@ -18,21 +18,7 @@ FULL = np.tile([[1.0, 0.9, 0.0], [0.9, 1.0, 0.0], [0.0, 0.0, 0.01]], (2, 1, 1))
 
 without_row = StereoObservation([1, 2], UVD)
 with_row = StereoObservation([1, 2], UVD, v_right=V_RIGHT)
-both = pytest.mark.parametrize("observation", [without_row, with_row], ids=["without v_right", "with v_right"])
 every = pytest.mark.parametrize("model", MEASUREMENTS.values(), ids=MEASUREMENTS.keys())
-
-
-@every
-@both
-@pytest.mark.parametrize("R", [PIXELS, FULL], ids=["pixels", "correlated"])
-def test_every_stage_has_matching_shapes_and_a_covariance(model, observation: StereoObservation, R: np.ndarray) -> None:
-    for stage in model.stages(observation, R):
-        rows = len(stage.T)
-        assert stage.T.shape == (rows, model.size)
-        assert stage.z.shape == (2, rows)
-        assert stage.R.shape == (2, rows, rows)
-        np.testing.assert_array_equal(stage.R, np.swapaxes(stage.R, 1, 2))
-        assert (np.linalg.eigvalsh(stage.R) > 0).all()
 
 
 @every

@@ -6,11 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from filters import (
-    CameraState,
     FirstEstimates,
     MotionModel,
     RightInvariant,
@@ -22,11 +20,9 @@ from filters import (
 )
 from filters.geometry import symmetric
 from filters.geometry.vectors import plus, product, quaternion, scaled
-from filters.joint_state import StateLayout
 
-from ..dense import at_first_estimates, gamma, gamma_of_variables
+from ..dense import at_first_estimates, gamma
 from ..drives import CAMERA, INDEPENDENT_PIXELS
-from ..numeric import numeric_jacobian, relative_difference
 
 G = np.array([0.0, 9.81, 0.0])
 KNOWN, UNKNOWN = 1e-8 * np.eye(3), np.eye(3)
@@ -69,18 +65,6 @@ def test_gravity_passes_as_a_vector_of_the_world_and_not_as_numbers() -> None:
     assert "passed" in str(check_part(Thrown()))
     with pytest.raises(AssertionError, match=r"in a moved world .*in_world=True"):
         check_part(Thrown((replace(Thrown().variables[0], in_world=False),)))
-
-
-def test_a_vector_of_the_world_has_three_numbers() -> None:
-    with pytest.raises(ValueError, match=r"^value of variable 'up' must have shape \(3,\), got \(2,\)$"):
-        Variable("up", (0.0, 1.0), np.eye(2), in_world=True)
-
-
-def test_turning_the_world_turns_it() -> None:
-    layout = StateLayout.of((), Thrown().variables)
-    camera = CameraState.at(Start(), {"gravity": G})
-    numeric = numeric_jacobian(lambda e: Rotation.from_rotvec(e).apply(G) - G, 3)
-    assert relative_difference(gamma_of_variables(layout, camera)[layout.places["gravity"]], numeric) < 1e-7
 
 
 def learnt(slam: StereoEKF, axis: np.ndarray) -> float:

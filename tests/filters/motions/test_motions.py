@@ -69,13 +69,6 @@ def test_a_step_of_odometry_is_exact_to_second_order_in_the_turn() -> None:
     np.testing.assert_allclose(moved.position, state.position + state.R_wc @ arc, atol=1e-3 * DT)
 
 
-def test_velocity_driven_needs_odometry_and_has_used_it() -> None:
-    model, odometry = VelocityDriven(), BodyVelocity(np.zeros(3), np.zeros(3), np.eye(6))
-    with pytest.raises(ValueError, match="odometry must be given in every predict"):
-        model.predict(random_state(3), DT, None)
-    assert model.odometry_measurement(random_state(3), DT, odometry) is None
-
-
 def test_odometry_of_a_state_that_agrees_with_it_has_no_innovation() -> None:
     """What VelocityDriven makes of odometry, ConstantVelocity expects as odometry."""
     odometry = BodyVelocity([0.2, 0.1, 5.0], [0.05, 0.4, -0.1], np.eye(6))
@@ -90,11 +83,6 @@ def test_odometry_of_a_state_that_agrees_with_it_has_no_innovation() -> None:
 def test_impossible_sigmas_are_refused(name: str, value: float) -> None:
     with pytest.raises(ValueError, match=f"{name} must be"):
         ConstantVelocity(**{name: value})
-
-
-def _grown(matrix: np.ndarray, rows: int, columns: int) -> np.ndarray:
-    """The matrix with so many zeros more."""
-    return np.pad(matrix, ((0, rows), (0, columns)))
 
 
 class _FifteenStates(ConstantVelocity):

@@ -165,22 +165,6 @@ def test_a_mounting_that_is_off_is_found() -> None:
     assert np.sqrt(np.diag(belief.covariance).max()) < 5e-3
 
 
-def test_without_images_it_carries_on() -> None:
-    """Three seconds in the dark: centimetres, where a constant velocity has lost its way."""
-    ends = {}
-    for motion in ("strapdown", "constant-velocity"):
-        slam = StereoEKF(CAMERA, INDEPENDENT_PIXELS, landmark="shared-anchor", error="right-invariant", motion=motion)
-        journey = Journey.along(flown, 3, 8.0)
-        slam.reset(journey.start)
-        for k, step in enumerate(journey.steps):
-            if k:
-                slam.predict(DT, inertial=step.inertial)
-            if k <= 50:
-                slam.update(step.observation)
-        ends[motion] = np.linalg.norm(slam.pose.position - journey.steps[-1].position)
-    assert ends["strapdown"] < 0.15 < 10.0 * 0.15 < ends["constant-velocity"]
-
-
 def test_biases_of_the_prior_are_those_that_are_simulated() -> None:
     part = Strapdown()
     np.testing.assert_allclose(np.sqrt(np.diag(part.variables[0].covariance)), BIASES)

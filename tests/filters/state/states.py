@@ -9,9 +9,9 @@ import numpy as np
 from filters import Start
 from filters.geometry import symmetric
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
-from filters.joint_state import Clone, JointState, StateLayout
+from filters.joint_state import JointState, StateLayout
 from filters.landmarks.landmark_model import LandmarkModel
-from filters.motions.motion_model import POSE_SIZE, CameraState
+from filters.motions.motion_model import CameraState
 
 
 @dataclass(frozen=True)
@@ -83,16 +83,3 @@ def augment(state: JointState, new: NewLandmarks) -> None:
 def remove(state: JointState, gone: BoolArray) -> None:
     """Marginalise landmarks out."""
     state.rest(gone, state.held)
-
-
-def clone_pose(state: JointState, name: str) -> None:
-    """Keep the present pose as a variable of that name."""
-    size, pose = state.size, np.arange(POSE_SIZE)
-    cross = np.zeros((2 * size, len(state.P)))
-    used = np.concatenate([np.arange(3), size + np.arange(3)])
-    cross[used] = symmetric.rows(state.P, pose)
-    own = np.zeros((2 * size, 2 * size))
-    own[np.ix_(used, used)] = cross[used][:, pose]
-    nothing = np.zeros((2, state.blocks.shape[1]))
-    clone = Clone(state.camera.position, state.camera.orientation, state.append(nothing, nothing, cross, own))
-    state.clones = {**state.clones, name: clone}

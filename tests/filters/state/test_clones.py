@@ -9,38 +9,26 @@ import pytest
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
-from filters import (
-    ErrorDefinition,
-    LeftInvariant,
-    Pose,
-    RightInvariant,
-    Start,
-    StereoEKF,
-    StereoObservation,
-    jacobian,
-)
+from filters import ErrorDefinition, LeftInvariant, Pose, RightInvariant, Start, StereoEKF, StereoObservation, jacobian
 from filters.geometry import rotations, symmetric
 from filters.geometry.poses import relative_jacobian
 
 from ..dense import constrained, gamma_of_variables, linearised, moved_by
 from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, drive, run, start
-from ..engine.beliefs import assert_same_belief
 from ..engine.linear_problems import assert_covariances_equal
-from ..slots import ERRORS, LANDMARKS
+from ..slots import ERRORS
 
 
 def make(**options) -> StereoEKF:
     return start(StereoEKF(CAMERA, INDEPENDENT_PIXELS, **{"gate": None, **options}))
 
 
-def driven(frames: list, clone_at: int | None = None, forget_at: int | None = None, **options) -> StereoEKF:
-    """A filter after a drive, with a clone of its pose at one frame, which leaves at another."""
+def driven(frames: list, clone_at: int | None = None, **options) -> StereoEKF:
+    """A filter after a drive, with a clone of its pose at one frame."""
     slam = make(**options)
     for k, _ in enumerate(run(slam, frames)):
         if k == clone_at:
             slam.clone_pose("here")
-        if k == forget_at:
-            slam.forget_clone("here")
     return slam
 
 
@@ -58,18 +46,6 @@ def test_a_clone_is_the_pose_of_its_instant() -> None:
     slam.predict(DT)
     np.testing.assert_array_equal(slam.belief("here").covariance, pose.covariance)
     assert np.abs(slam.pose.position - pose.position).max() > 0.1
-
-
-@pytest.mark.parametrize("error", ERRORS)
-@pytest.mark.parametrize("landmark", LANDMARKS)
-def test_a_clone_changes_nothing_else_and_leaves_without_a_trace(landmark: str, error: str) -> None:
-    frames = drive(41, 12, visible=10, depths=(6.0, 20.0))
-    options = {"landmark": landmark, "error": error}
-    never, stays, left = driven(frames, **options), driven(frames, 4, **options), driven(frames, 4, 9, **options)
-    assert_same_belief(stays, never, 1e-9)
-    assert_same_belief(left, never, 1e-9)
-    assert left.state_size == never.state_size == stays.state_size - 6
-    assert not left.state.clones
 
 
 def test_what_is_learnt_of_a_clone_is_what_a_dense_filter_learns() -> None:
@@ -106,16 +82,6 @@ def test_what_is_learnt_of_a_clone_is_what_a_dense_filter_learns() -> None:
     np.testing.assert_allclose(after.value[:3] - before.value[:3], learnt[:3], rtol=0, atol=1e-10)
     assert np.abs(learnt).min() > 1e-9
     assert (np.diag(after.covariance) < np.diag(before.covariance)).all()
-
-
-def test_a_clone_stays_where_it_is_while_landmarks_come_and_go() -> None:
-    slam = driven(drive(43, 4, visible=12))
-    slam.clone_pose("here")
-    before = slam.belief("here")
-    slam.forget(slam.landmarks.ids[1:])
-    after = slam.belief("here")
-    np.testing.assert_array_equal(after.value, before.value)
-    np.testing.assert_array_equal(after.covariance, before.covariance)
 
 
 def test_names_of_clones_are_checked() -> None:

@@ -128,14 +128,3 @@ def test_random_additions_and_removals_agree_with_a_dense_reference(model: Landm
     remove(state, np.ones(len(state), dtype=bool))
     assert state.P.shape == (12, 12)
     assert len(state) == len(state.blocks) == 0
-
-
-def test_removal_leaves_every_other_entry_untouched() -> None:
-    rng = np.random.default_rng(5)
-    state = without_map(camera_at(np.zeros(3)), np.eye(12), LANDMARKS["inverse-depth"])
-    augment(state, random_new(rng, list(range(6)), state.model))
-    before, rows = symmetric.full(state.P), state.map_rows(np.array([0, 2, 5]))
-    kept = np.concatenate([np.arange(12), rows.ravel()])
-    remove(state, np.isin(state.ids, [1, 3, 4]))
-    now = np.concatenate([np.arange(12), state.map_rows(np.arange(3)).ravel()])
-    np.testing.assert_array_equal(symmetric.full(state.P)[np.ix_(now, now)], before[np.ix_(kept, kept)])

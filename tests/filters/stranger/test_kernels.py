@@ -2,20 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import pytest
 from numba import config
 
-from filters import (
-    RangeBearing,
-    RightInvariant,
-    StereoEKF,
-    Strapdown,
-    check_part,
-    kernel,
-)
+from filters import RangeBearing, RightInvariant, StereoEKF, Strapdown, check_part, kernel
 
 from ..drives import CAMERA, INDEPENDENT_PIXELS, drive
 from .parts import DoubleSphere, OnS3
@@ -56,86 +47,6 @@ def beliefs(**options: object) -> np.ndarray:
     return np.concatenate([*told, slam.landmarks.inverse_distance])
 
 
-@pytest.mark.parametrize(
-    "error", ["quaternion", "so3", "first-estimates", "right-invariant", RightInvariant(reset=True)], ids=str
-)
-@pytest.mark.parametrize(
-    ("slot", "compiled", "by_numbers"),
-    [
-        ("motion", Strapdown(), InertialByNumbers()),
-        ("landmark", OnS3(), SphereByNumbers()),
-        ("measurement", DoubleSphere(), CameraByNumbers()),
-    ],
-    ids=["inertial motion", "S3", "double sphere"],
-)
-def test_kernels_lead_where_the_numbers_do(slot: str, compiled: object, by_numbers: object, error: object) -> None:
-    options = {"error": error, "iterations": 2}
-    np.testing.assert_allclose(
-        beliefs(**{slot: compiled}, **options), beliefs(**{slot: by_numbers}, **options), rtol=1e-7, atol=1e-9
-    )
-
-
-@pytest.mark.parametrize("option", [{"drift": 0.3}, {"consensus": True}, {"tail_dof": 4.0}], ids=str)
-def test_options_work_with_kernels_as_with_numbers(option: dict[str, object]) -> None:
-    for compiled, by_numbers in (
-        ({"measurement": DoubleSphere()}, {"measurement": CameraByNumbers()}),
-        ({"landmark": OnS3()}, {"landmark": SphereByNumbers()}),
-    ):
-        np.testing.assert_allclose(beliefs(**compiled, **option), beliefs(**by_numbers, **option), rtol=1e-7, atol=1e-9)
-
-
-def test_a_gauge_walk_turns_gravity_with_the_world() -> None:
-    option = {"error": "right-invariant", "gauge_walk": 1e-3}
-    compiled, by_numbers = beliefs(motion=Strapdown(), **option), beliefs(motion=InertialByNumbers(), **option)
-    np.testing.assert_allclose(compiled, by_numbers, rtol=1e-7, atol=1e-9)
-
-
-NEAR = {0: "near", 1: "far"}
-
-
-@dataclass(frozen=True)
-class ByTable(RangeBearing):
-    """A sensor that Numba cannot compile: a dictionary, and an exception that it catches."""
-
-    def project(self, camera, h):
-        """Eq. 10."""
-        try:
-            assert NEAR[0] == "near"
-        except KeyError:
-            return h
-        return _project(self, camera, h)
-
-
-_project = RangeBearing.project
-
-
-@pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is compiled")
-def test_a_part_that_cannot_be_compiled_runs_in_python_and_check_part_says_so() -> None:
-    assert "Python" in str(check_part(ByTable()))
-    assert "machine code" in str(check_part(DoubleSphere()))
-    np.testing.assert_allclose(beliefs(measurement=ByTable()), beliefs(measurement="joint"), rtol=1e-9, atol=1e-9)
-
-
-@dataclass(frozen=True)
-class ByTableOfMotion(Strapdown):
-    """A motion that Numba cannot compile."""
-
-    def step(self, x, dt, n):
-        """That of `Strapdown`."""
-        try:
-            assert NEAR[0] == "near"
-        except KeyError:
-            return x
-        return Strapdown.step(self, x, dt, n)
-
-
-@pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is compiled")
-def test_a_motion_that_cannot_be_compiled_runs_in_python_and_check_part_says_so() -> None:
-    assert "Numba cannot compile ByTableOfMotion.step" in str(check_part(ByTableOfMotion()))
-    assert "machine code" in str(check_part(Strapdown()))
-    np.testing.assert_allclose(beliefs(motion=ByTableOfMotion()), beliefs(motion="strapdown"), rtol=1e-9, atol=1e-9)
-
-
 @kernel
 def squared(number: int) -> int:
     return number * number
@@ -146,3 +57,51 @@ def test_a_function_of_a_filter_becomes_machine_code() -> None:
     assert squared(3) == 9
     assert squared(2**40) == (2**80 if config.DISABLE_JIT else 0)
     assert squared.__name__ == "squared"
+
+
+PAIRS = {
+    "motion": (Strapdown(), InertialByNumbers()),
+    "landmark": (OnS3(), SphereByNumbers()),
+    "measurement": (DoubleSphere(), CameraByNumbers()),
+}
+ERRORS = ("quaternion", "so3", "first-estimates", "right-invariant", RightInvariant(reset=True))
+CASES = [(slot, {"error": error, "iterations": 2}) for slot in PAIRS for error in ERRORS]
+CASES += [(slot, {"consensus": True, "tail_dof": 4.0, "drift": 0.3}) for slot in ("landmark", "measurement")]
+CASES += [("motion", {"error": "right-invariant", "gauge_walk": 1e-3})]  # which turns gravity with the world
+
+
+@pytest.mark.parametrize(("slot", "options"), CASES, ids=str)
+def test_kernels_lead_where_the_numbers_do(slot: str, options: dict[str, object]) -> None:
+    compiled, by_numbers = (beliefs(**{slot: part}, **options) for part in PAIRS[slot])
+    np.testing.assert_allclose(compiled, by_numbers, rtol=1e-7, atol=1e-9)
+
+
+NEAR = {0: "near", 1: "far"}
+
+
+def uncompilable(base: type, name: str) -> object:
+    """A part that Numba cannot compile: a dictionary, and an exception that it catches."""
+
+    def function(self, *arguments):
+        try:
+            assert NEAR[0] == "near"
+        except KeyError:
+            return arguments
+        return getattr(base, name)(self, *arguments)
+
+    function.__qualname__ = f"ByTable.{name}"
+    return type("ByTable", (base,), {name: function})()
+
+
+@pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is compiled")
+@pytest.mark.parametrize(
+    ("slot", "base", "name", "usual"),
+    [("measurement", RangeBearing, "project", "joint"), ("motion", Strapdown, "step", "strapdown")],
+)
+def test_a_part_that_cannot_be_compiled_runs_in_python_and_check_part_says_so(
+    slot: str, base: type, name: str, usual: str
+) -> None:
+    part = uncompilable(base, name)
+    assert f"Numba cannot compile ByTable.{name}" in str(check_part(part))
+    assert "machine code" in str(check_part(base()))
+    np.testing.assert_allclose(beliefs(**{slot: part}), beliefs(**{slot: usual}), rtol=1e-9, atol=1e-9)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -21,7 +19,6 @@ from filters import (
 )
 
 from ..drives import CAMERA, DT, INDEPENDENT_PIXELS, SPEED, START_COVARIANCE, Frame, drive
-from .msckf import WindowFilter
 from .parts import DoubleSphere, OnS3
 
 UNIT = InertialUnit(np.zeros(3), (0.0, 0.0, 0.0, 1.0), 1.7e-4, 2e-3, 2e-5, 3e-3)
@@ -89,37 +86,6 @@ def imu_drive(seed: int, count: int = 30) -> tuple[list[Frame], list[InertialSam
     return frames, steps
 
 
-def test_the_inertial_motion_is_consistent_and_better_than_constant_velocity() -> None:
-    found, errors = [], {"constant-velocity": [], "strapdown": []}
-    for seed in range(10):
-        frames, steps = imu_drive(seed)
-        for name, motion in (("strapdown", Strapdown(sigma_gravity=0.01)), ("constant-velocity", "constant-velocity")):
-            slam = StereoEKF(
-                CAMERA, INDEPENDENT_PIXELS, landmark="shared-anchor", error="right-invariant", motion=motion
-            )
-            slam.reset(replace(START, angular_velocity=np.array([0.0, 0.3, 0.0])))
-            for k, frame in enumerate(frames):
-                if k:
-                    slam.predict(DT, inertial=steps[k])
-                slam.update(frame.observation)
-            errors[name].append(np.linalg.norm(slam.pose.position - frames[-1].position))
-            if name == "strapdown":
-                found.append(final_nees(slam, frames[-1]))
-    assert 0.5 < np.mean(found) < 1.6
-    assert np.mean(errors["strapdown"]) < 0.9 * np.mean(errors["constant-velocity"])
-
-
-def test_a_wrong_input_changes_nothing() -> None:
-    slam = StereoEKF(CAMERA, INDEPENDENT_PIXELS, motion=Strapdown())
-    before = slam.pose.position
-    with pytest.raises(
-        ValueError,
-        match=r"^inertial must be given in every predict with motion=Strapdown\(\): pass InertialSamples",
-    ):
-        slam.predict(DT)
-    np.testing.assert_array_equal(slam.pose.position, before)
-
-
 class Failing(DoubleSphere):
     """Raises in the middle of a frame, when it is told to."""
 
@@ -151,21 +117,3 @@ def test_a_part_that_raises_in_the_middle_of_a_frame_leaves_the_state_as_it_was(
     np.testing.assert_array_equal(np.tril(slam.state.P), np.tril(state.P))
     np.testing.assert_array_equal(slam.state.blocks, state.blocks)
     assert slam.update(seen_by(DoubleSphere(), frames[3], rng)).nis_dof > 0
-
-
-def test_the_window_filter_is_consistent_and_its_error_that_of_a_window() -> None:
-    found, errors = [], {"window": [], "ekf": []}
-    for seed in range(10):
-        frames = drive(seed, 30, visible=25, missed=0.0, depths=(6.0, 40.0))
-        window = WindowFilter(CAMERA, INDEPENDENT_PIXELS, error="right-invariant")
-        ekf = StereoEKF(CAMERA, INDEPENDENT_PIXELS, landmark="shared-anchor", error="right-invariant")
-        for name, slam in (("window", window), ("ekf", ekf)):
-            slam.reset(START)
-            for k, frame in enumerate(frames):
-                if k:
-                    slam.predict(DT)
-                slam.update(frame.observation)
-            errors[name].append(np.linalg.norm(slam.pose.position - frames[-1].position))
-        found.append(final_nees(window._slam, frames[-1]))
-    assert 0.2 < np.mean(found) < 1.7  # the drive is smoother than the motion model, on which a window rests more
-    assert np.mean(errors["window"]) < 3.0 * np.mean(errors["ekf"])

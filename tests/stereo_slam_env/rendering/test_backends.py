@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from stereo_slam_env.rendering.renderers import RENDERERS, image_quality, make_renderer, renderer_identity
+from stereo_slam_env.rendering.renderers import image_quality, make_renderer, renderer_identity
 
 from .planes import CAMERA, FRAME, both_back_ends, skip_where_missing
 
@@ -20,11 +20,6 @@ def test_the_identity_says_what_drew(name):
     assert identity["name"] == name
     assert all(identity[key] for key in ("version", "device"))
     assert json.loads(json.dumps(identity)) == identity
-
-
-def test_every_renderer_is_described():
-    assert set(RENDERERS) == {"tiny", "gl"}
-    assert all(RENDERERS.values())
 
 
 @pytest.mark.parametrize("ask", [make, renderer_identity, image_quality])

@@ -64,12 +64,18 @@ def test_landmarks_are_where_they_are_seen_from_elsewhere(name):
     np.testing.assert_allclose(disparity[smooth], uvd[seen][smooth, 2], atol=1e-3)
 
 
-def test_at_an_edge_there_is_no_truth():
+def test_at_an_edge_at_the_border_and_outside_there_is_no_truth():
     depth = affine_depth(1e-4, 0.0, 0.05)
     depth[:, 30:] = 5.0
     columns = np.array([26.0, 28.2, 29.5, 30.9, 33.0])
     z = depth_at(depth, np.column_stack([columns, np.full(5, 20.3)]))
     np.testing.assert_array_equal(np.isnan(z), [False, True, True, True, False])
+    outside = [[0.5, 20.0], [58.5, 20.0], [30.0, 0.9], [30.0, 38.2], [-5.0, 20.0], [30.0, 400.0]]
+    assert np.isnan(depth_at(affine_depth(0.0, 0.0, 0.02), outside)).all()
+    assert depth_at(depth, np.zeros((0, 2))).shape == (0,)
+    for wrong in ([[np.nan, 3.0]], [[1.0, 2.0, 3.0]]):
+        with pytest.raises(ValueError, match="uv"):
+            depth_at(depth, wrong)
 
 
 def test_the_sky_is_infinitely_far_but_not_at_its_border():
@@ -80,17 +86,3 @@ def test_the_sky_is_infinitely_far_but_not_at_its_border():
     assert np.isnan(z[1])
     assert z[2] == pytest.approx(50.0)
     assert np.isnan(points_at(CAMERA, AHEAD, depth, [[10.5, 10.5]])).all()
-
-
-def test_the_border_and_the_outside_give_nothing():
-    depth = affine_depth(0.0, 0.0, 0.02)
-    outside = [[0.5, 20.0], [58.5, 20.0], [30.0, 0.9], [30.0, 38.2], [-5.0, 20.0], [30.0, 400.0]]
-    assert np.isnan(depth_at(depth, outside)).all()
-    assert depth_at(depth, np.zeros((0, 2))).shape == (0,)
-
-
-def test_bad_pixels_are_refused():
-    with pytest.raises(ValueError, match="uv"):
-        depth_at(affine_depth(0.0, 0.0, 0.02), [[np.nan, 3.0]])
-    with pytest.raises(ValueError, match="uv"):
-        depth_at(affine_depth(0.0, 0.0, 0.02), [[1.0, 2.0, 3.0]])

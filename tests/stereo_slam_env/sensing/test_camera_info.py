@@ -31,8 +31,19 @@ def read(size=SENSOR, mapped=(False, False), **changes):
     return (camera.fx, camera.fy, camera.cx, camera.cy, camera.baseline, camera.width, camera.height), notes
 
 
-def test_images_of_the_whole_sensor_have_its_numbers_and_need_no_note():
-    assert read() == ((F, F, CX, CY, B, *SENSOR), ())
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({}, None),
+        ({"binning": (2, 2)}, "roi and binning contradict the images"),
+        ({"K": (0.0,) * 9}, "here: K is not filled in, P alone is used"),
+    ],
+)
+def test_images_of_the_whole_sensor_have_its_numbers(changes, said):
+    numbers, notes = read(**changes)
+    assert numbers == (F, F, CX, CY, B, *SENSOR)
+    assert len(notes) == (said is not None)
+    assert (said or "") in "".join(notes)
 
 
 def test_a_size_that_is_not_stated_is_that_of_the_images():
@@ -65,12 +76,6 @@ def test_images_of_a_region_and_joined_pixels_have_the_rays_of_the_sensor(binnin
     assert f"fx is {fx:.6g} px" in note
 
 
-def test_images_of_the_whole_size_contradict_a_region_and_have_the_numbers_of_the_sensor():
-    numbers, (note,) = read(binning=(2, 2))
-    assert numbers == (F, F, CX, CY, B, *SENSOR)
-    assert "roi and binning contradict the images" in note
-
-
 def test_numbers_of_binned_images_are_told_by_their_principal_point():
     """K in the middle of the images of 640x400 that were joined, not of the sensor."""
     K = (300.0, 0.0, 321.0, 0.0, 300.0, 198.0, 0.0, 0.0, 1.0)
@@ -81,19 +86,23 @@ def test_numbers_of_binned_images_are_told_by_their_principal_point():
     assert "binning is 2x2, but K has its principal point in the middle of the binned images" in note
 
 
-def test_images_of_another_size_are_refused():
-    with pytest.raises(
-        ValueError, match=r"^here: images of 640x480 where CameraInfo says 1280x800: calibrate for these"
-    ):
-        read(size=(640, 480))
-    with pytest.raises(ValueError, match=r"where CameraInfo says 640x800 \(roi \(0, 0, 0, 0\), binning 2x1\)"):
-        read(size=(640, 480), binning=(2, 1))
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({}, "^here: images of 640x480 where CameraInfo says 1280x800: calibrate for these"),
+        ({"binning": (2, 1)}, r"where CameraInfo says 640x800 \(roi \(0, 0, 0, 0\), binning 2x1\)"),
+    ],
+)
+def test_images_of_another_size_are_refused(changes, said):
+    with pytest.raises(ValueError, match=said):
+        read(size=(640, 480), **changes)
 
 
-def test_p_alone_says_all_where_k_is_empty():
-    numbers, (note,) = read(K=(0.0,) * 9)
-    assert numbers == (F, F, CX, CY, B, *SENSOR)
-    assert note == "here: K is not filled in, P alone is used"
+def test_each_camera_is_turned_by_its_own_rotation():
+    turn = Rotation.from_rotvec([0.0, 0.01, 0.0]).as_matrix()
+    both = info(R=tuple(turn.ravel())), info(right=True)
+    rectify, _ = calibration_of_images(both, (SENSOR, SENSOR), "here", mapped=(True, True))
+    np.testing.assert_allclose(rectify.turns, [turn, np.eye(3)], atol=1e-12)
 
 
 def test_rectified_images_without_a_lens_are_left_alone_and_raw_ones_with_one_are_not():

@@ -1,6 +1,5 @@
 """One stereo rig, raw, written in every calibration format: all give the same rectified rig (3 s)."""
 
-import json
 from dataclasses import asdict
 
 import cv2
@@ -100,24 +99,21 @@ def vslam_lab(folder):
 FORMATS = {maker.__name__: maker for maker in (euroc, kalibr, camera_info, opencv, vslam_lab)}
 
 
+def rig_in(folder, name):
+    rig = FORMATS[name](folder)
+    return rig if isinstance(rig, dict) else str(rig)
+
+
 @pytest.mark.parametrize("name", FORMATS)
-def test_every_format_gives_the_rig_that_opencv_rectifies_it_to(tmp_path, name):
-    rig = FORMATS[name](tmp_path)
-    rig = rig if isinstance(rig, dict) else str(rig)
-    camera = camera_of(rig)
+def test_every_format_gives_the_rig_and_the_images_that_opencv_rectifies_it_to(tmp_path, name):
+    rig = rig_in(tmp_path, name)
+    camera, rectify = camera_of(rig), calibration_of(rig)
     assert (camera.width, camera.height) == SIZE
     found = [camera.fx, camera.fy, camera.cx, camera.cy, camera.baseline]
     wanted = [P0[0, 0], P0[1, 1], P0[0, 2], P0[1, 2], np.linalg.norm(T_RL[:3, 3])]
     np.testing.assert_allclose(found, wanted, rtol=1e-9)
-    rectify = calibration_of(rig)
     assert isinstance(rectify, Rectification)
     np.testing.assert_allclose(rectify.R_left, R0, atol=1e-9)
-
-
-@pytest.mark.parametrize("name", FORMATS)
-def test_every_format_rectifies_images_alike(tmp_path, name):
-    rig = FORMATS[name](tmp_path)
-    rectify = calibration_of(rig if isinstance(rig, dict) else str(rig))
     images = np.random.default_rng(0).integers(0, 255, (2, *SIZE[::-1]), dtype=np.uint8)
     for image, k, d, R, P, mine in zip(images, K, D, (R0, R1), (P0, P1), rectify(*images), strict=True):
         maps = cv2.initUndistortRectifyMap(k, d, R, P, SIZE, cv2.CV_16SC2)
@@ -141,37 +137,9 @@ def test_matrices_of_orb_slam_2_are_those_of_its_rectification(tmp_path, sized):
         np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-12)
 
 
-@pytest.mark.parametrize("name", sorted({*FORMATS} - {"camera_info"}))
-def test_cameras_in_one_place_are_no_rig(tmp_path, name, monkeypatch):
-    for what, value in (("T_RL", np.eye(4)), ("T_BR", T_BL)):
-        monkeypatch.setitem(globals(), what, value)
-    rig = FORMATS[name](tmp_path)
-    with pytest.raises(ValueError, match=r"both cameras are in one place, T is zero: [^\n]+\Z"):
-        camera_of(rig if isinstance(rig, dict) else str(rig))
-
-
 def test_the_maps_are_made_once(tmp_path):
     path = kalibr(tmp_path)
     assert read_calibration(path) is read_calibration(path)
-
-
-def test_rectified_calibrations_are_the_rig_at_once(tmp_path):
-    kitti = RIGS["kitti"]
-    P = [f"{kitti.fx} 0 {kitti.cx} {x} 0 {kitti.fy} {kitti.cy} 0 0 0 1 0" for x in (0, -kitti.disparity_constant)]
-    (tmp_path / "calib.txt").write_text("".join(f"P{n}: {P[n % 2]}\n" for n in range(4)))
-    given = {"name": str(tmp_path / "calib.txt"), "width": kitti.width, "height": kitti.height}
-    assert asdict(camera_of(given)) == pytest.approx(asdict(kitti))
-    with pytest.raises(ValueError, match=r"calib\.txt does not say the size of the images: give width and height"):
-        camera_of(str(tmp_path / "calib.txt"))
-    orb = {
-        "Camera.type": "Rectified",
-        "Camera.bf": kitti.disparity_constant,
-        "Camera.width": 1241,
-        "Camera.height": 376,
-    }
-    orb |= {f"Camera.{key}": getattr(kitti, key) for key in ("fx", "fy", "cx", "cy")}
-    (tmp_path / "KITTI.yaml").write_text("%YAML:1.0\n" + "".join(f"{key}: {value}\n" for key, value in orb.items()))
-    assert asdict(camera_of(str(tmp_path / "KITTI.yaml"))) == pytest.approx(asdict(kitti))
 
 
 def test_numbers_beside_a_file_take_the_place_of_its_own_and_both_files_can_be_named(tmp_path):
@@ -210,13 +178,11 @@ def test_poses_to_the_inertial_unit_are_read_in_both_directions(tmp_path, name):
     np.testing.assert_allclose(body_of_camera(path), T_BL, atol=1e-12)
 
 
-def test_the_clock_of_the_inertial_unit_is_read_and_its_unit_asked_for(tmp_path):
+def test_the_clock_of_the_inertial_unit_is_read(tmp_path):
     assert imu_shift_of(str(kalibr_by_unit(tmp_path))) == 0.0
     assert imu_shift_of(str(kalibr_by_unit(tmp_path, shift=0.05))) == 0.05
     assert imu_shift_of({"name": str(tmp_path), "baseline": 0.2}) == 0.05
     assert imu_shift_of("vga") == 0.0
-    with pytest.raises(ValueError, match="timeshift_cam_imu is 50 s: seconds are expected"):
-        imu_shift_of(str(kalibr_by_unit(tmp_path, shift=50)))
 
 
 def opencv_lens(folder, lens, more=""):
@@ -261,12 +227,13 @@ def orb_slam(folder, more):
 
 @pytest.mark.parametrize("name", ["k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2"])
 def test_a_distortion_beside_one_camera_of_orb_slam_is_refused(tmp_path, name):
-    with pytest.raises(
-        ValueError, match=rf"Camera\.{name} is a distortion of raw images, and Camera.type is not stated"
-    ):
+    with pytest.raises(ValueError, match=rf"Camera\.{name} is a distortion of raw images, and Camera.type is not"):
         camera_of(orb_slam(tmp_path, {f"Camera.{name}": 0.2}))
     assert camera_of(orb_slam(tmp_path, {f"Camera.{name}": 0.0})).fx == 512.3
     assert camera_of(orb_slam(tmp_path, {f"Camera.{name}": 0.2, "Camera.type": '"Rectified"'})).fx == 512.3
+    for kind in ("Mei", "pinhole8", "kannalabrandt8"):
+        with pytest.raises(ValueError, match=f"Camera.type '{kind}' is not read: PinHole, KannalaBrandt8 and Rect"):
+            camera_of(orb_slam(tmp_path, {"Camera.type": kind}))
 
 
 def test_two_raw_cameras_of_orb_slam_3_are_rectified(tmp_path):
@@ -285,19 +252,29 @@ def test_two_raw_cameras_of_orb_slam_3_are_rectified(tmp_path):
         np.testing.assert_allclose(lens.coefficients, [*d[:4], *[0.01 * n] * 4])  # OpenCV's order
 
 
-@pytest.mark.parametrize("kind", ["Mei", "pinhole8", "kannalabrandt8"])
-def test_a_type_of_camera_that_is_not_orb_slams_is_refused(tmp_path, kind):
-    with pytest.raises(ValueError, match=f"Camera.type '{kind}' is not read: PinHole, KannalaBrandt8 and Rectified"):
-        camera_of(orb_slam(tmp_path, {"Camera.type": kind}))
+def placed(translation):
+    T = T_RL.copy()
+    T[:3, 3] = translation
+    return T
+
+
+BETWEEN = [
+    (np.eye(4), r"both cameras are in one place, T is zero: [^\n]+\Z"),
+    (np.linalg.inv(T_RL), r"baseline is -.* or is the transform between them inverted\?"),
+    (placed([0.001, -0.12, 0.0]), r"the right camera is \+0\.12 m below .* a vertical pair"),
+    (placed(1e3 * T_RL[:3, 3]), r"the baseline is [\d.]+ m: metres are expected.*, is it in mm \(0\.12 m\)"),
+    (placed(1e2 * T_RL[:3, 3]), r"the baseline is [\d.]+ m: metres are expected.*, is it in cm \(0\.12 m\)"),
+    (placed(1e-2 * T_RL[:3, 3]), r"the baseline is [\d.]+ m: metres are expected.*, and -fx b"),
+]
 
 
 @pytest.mark.parametrize("name", sorted({*FORMATS} - {"camera_info"}))
-def test_a_transform_that_is_inverted_is_among_the_reasons(tmp_path, name, monkeypatch):
-    for what, value in (("T_RL", np.linalg.inv(T_RL)), ("T_BR", T_BL @ T_RL)):
+@pytest.mark.parametrize(("T", "complaint"), BETWEEN, ids=["one place", "inverted", "vertical", "mm", "cm", "100 m"])
+def test_a_transform_of_no_horizontal_pair_is_refused_with_its_reason(tmp_path, name, T, complaint, monkeypatch):
+    for what, value in (("T_RL", T), ("T_BR", T_BL @ np.linalg.inv(T))):
         monkeypatch.setitem(globals(), what, value)
-    rig = FORMATS[name](tmp_path)
-    with pytest.raises(ValueError, match=r"baseline is -.* or is the transform between them inverted\?"):
-        camera_of(rig if isinstance(rig, dict) else str(rig))
+    with pytest.raises(ValueError, match=complaint):
+        camera_of(rig_in(tmp_path, name))
 
 
 def test_poses_of_kalibr_that_contradict_each_other_are_refused(tmp_path):
@@ -310,39 +287,6 @@ def test_poses_of_kalibr_that_contradict_each_other_are_refused(tmp_path):
                 camera_of(str(tmp_path / "both.yaml"))
         else:
             assert camera_of(str(tmp_path / "both.yaml")).baseline == pytest.approx(np.linalg.norm(T_RL[:3, 3]))
-
-
-def test_a_calibration_of_images_of_another_size_is_refused(tmp_path):
-    rig = RIGS["kitti"]
-    P = [f"{rig.fx} 0 {rig.cx} {x} 0 {rig.fy} {rig.cy} 0 0 0 1 0" for x in (0, -rig.disparity_constant)]
-    (tmp_path / "calib.txt").write_text("".join(f"P{n}: {P[n % 2]}\n" for n in range(4)))
-    given = {"name": str(tmp_path / "calib.txt"), "width": rig.width // 2, "height": rig.height // 2}
-    with pytest.raises(ValueError, match=r"the principal point .* is not in the middle of images of \d+x188: the"):
-        camera_of(given)
-
-
-@pytest.mark.parametrize("name", sorted({*FORMATS} - {"camera_info"}))
-def test_vertical_pairs_are_named(tmp_path, name, monkeypatch):
-    above = T_RL.copy()
-    above[:3, 3] = 0.001, -0.12, 0.0
-    for what, value in (("T_RL", above), ("T_BR", T_BL @ np.linalg.inv(above))):
-        monkeypatch.setitem(globals(), what, value)
-    rig = FORMATS[name](tmp_path)
-    with pytest.raises(ValueError, match=r"the right camera is \+0\.12 m below .* a vertical pair"):
-        camera_of(rig if isinstance(rig, dict) else str(rig))
-
-
-@pytest.mark.parametrize("name", sorted({*FORMATS} - {"camera_info"}))
-@pytest.mark.parametrize("scale", [1e3, 1e2, 1e-2])
-def test_baselines_in_other_units_are_refused(tmp_path, name, scale, monkeypatch):
-    other = T_RL.copy()
-    other[:3, 3] *= scale
-    for what, value in (("T_RL", other), ("T_BR", T_BL @ np.linalg.inv(other))):
-        monkeypatch.setitem(globals(), what, value)
-    rig = FORMATS[name](tmp_path)
-    unit = {1e3: r", is it in mm \(0\.12 m\)", 1e2: r", is it in cm \(0\.12 m\)", 1e-2: ", and -fx b"}[scale]
-    with pytest.raises(ValueError, match=rf"the baseline is [\d.]+ m: metres are expected.*{unit}"):
-        camera_of(rig if isinstance(rig, dict) else str(rig))
 
 
 @pytest.mark.parametrize("half_angle", [60, 80, 88, 95])
@@ -402,18 +346,11 @@ def test_a_file_that_is_none_is_refused_in_one_line_with_exit_code_2(tmp_path, n
     assert capsys.readouterr().err.count("\n") == 1
 
 
-def test_an_environment_and_the_bench_take_a_file_and_store_its_numbers(tmp_path, monkeypatch):
+def test_an_environment_takes_a_file_and_stores_its_numbers(tmp_path):
     path = kalibr(tmp_path)
     with gym.make("StereoSlam/Drive-v0", rig=str(path)) as env:
         assert env.unwrapped.camera == camera_of(str(path))
         assert env.unwrapped.options.as_dict()["rig"] == asdict(camera_of(str(path)))
-    monkeypatch.setattr(
-        "stereo_slam_env.report.benchmark_report.write_report", lambda out, *_, **__: out / "report.html"
-    )
-    bench = ("bench", "--preset", "reference-turn", "--seeds", "1", "--frames", "4", "--filters", "inverse-depth")
-    assert cli.main([*bench, "--jobs", "1", "--out", str(tmp_path / "run"), "--rig", str(path)]) == 0
-    settings = json.loads((tmp_path / "run" / "settings.json").read_text())
-    assert settings["scenario"]["options"]["rig"] == pytest.approx(asdict(camera_of(str(path))))
 
 
 @pytest.mark.parametrize("name", RIGS)
@@ -421,11 +358,6 @@ def test_every_rig_by_name_can_be_driven(name):
     with gym.make("StereoSlam/Drive-v0", rig=name, route="right-turn") as env:
         observation, _ = env.reset(seed=0)
         assert observation["mask"].sum() > 20
-
-
-def test_a_table_is_json_on_the_command_line():
-    assert rig_from('{"name": "vga", "baseline": 0.2}') == {"name": "vga", "baseline": 0.2}
-    assert rig_from("mine/calib.txt,baseline=0.2") == {"name": "mine/calib.txt", "baseline": 0.2}
 
 
 def test_the_densities_of_an_inertial_unit_are_read_in_their_order(tmp_path):

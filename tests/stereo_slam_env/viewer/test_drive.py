@@ -36,11 +36,6 @@ def test_a_drive_is_what_the_benchmark_makes_of_the_recording():
     np.testing.assert_array_equal([len(m.landmarks.ids) for m in moments], run.counts["map_size"])
 
 
-def test_a_recording_without_frames_is_refused():
-    with pytest.raises(ValueError, match="has no frames"):
-        Drive.of(replace(small_recording(), frames=()), InverseDepthStereoEKF)
-
-
 @pytest.mark.parametrize(("name", "seed"), [("inverse-depth", 3), ("euclidean", 4)])
 def test_a_run_is_revisited_to_the_bit(finished_run, name, seed):
     _, (run, _) = stored(finished_run, name, seed)
@@ -49,27 +44,23 @@ def test_a_run_is_revisited_to_the_bit(finished_run, name, seed):
     np.testing.assert_array_equal([m.nees for m in drive.moments()], run.pose_nees)
 
 
-def test_the_first_filter_and_seed_are_what_is_looked_at(finished_run):
-    assert revisit(finished_run).title == "inverse-depth: short turn, seed 3"
-
-
 @pytest.mark.parametrize(
-    ("arguments", "message"),
+    ("look", "message"),
     [
-        (("dual-bearing",), "filter must be one of inverse-depth, euclidean, got 'dual-bearing'"),
-        ((None, 7), r"seed must be one of the run's \(3, 4\), got 7"),
+        (
+            lambda run: revisit(run, "dual-bearing"),
+            "filter must be one of inverse-depth, euclidean, got 'dual-bearing'",
+        ),
+        (lambda run: revisit(run, None, 7), r"seed must be one of the run's \(3, 4\), got 7"),
+        (lambda run: revisit(run.parent), "holds no run"),
+        (lambda run: revisit(run / "nowhere"), "nowhere does not exist: give the directory of a run"),
+        (lambda run: Drive.of(replace(small_recording(), frames=()), InverseDepthStereoEKF), "has no frames"),
     ],
 )
-def test_what_is_not_in_the_run_is_refused_by_name(finished_run, arguments, message):
+def test_what_is_not_there_is_refused_by_name(finished_run, look, message):
+    assert revisit(finished_run).title == "inverse-depth: short turn, seed 3"
     with pytest.raises(ValueError, match=message):
-        revisit(finished_run, *arguments)
-
-
-def test_a_folder_without_a_run_and_none_are_told_apart(tmp_path):
-    with pytest.raises(ValueError, match="holds no run"):
-        revisit(tmp_path)
-    with pytest.raises(ValueError, match="nowhere does not exist: give the directory of a run"):
-        revisit(tmp_path / "nowhere")
+        look(finished_run)
 
 
 def test_a_run_that_failed_is_shown_as_far_as_it_came(finished_run):

@@ -24,43 +24,30 @@ def panels(drive, frame=-1):
         return DrivePicture(drive, history).at(range(len(history))[frame]).axes
 
 
-def test_a_still_is_a_picture_of_film_shape(drive, tmp_path):
+def test_a_still_is_a_picture_of_film_shape_and_that_of_an_early_moment_runs_no_further(drive, tmp_path):
     told = []
     save_still(drive, tmp_path / "still.png", progress=lambda done, of: told.append((done, of)))
-    height, width = cv2.imread(str(tmp_path / "still.png")).shape[:2]
-    assert (width, height) == (2048, 1152)
+    assert cv2.imread(str(tmp_path / "still.png")).shape[:2] == (1152, 2048)
     assert told[-1] == (9, 9)
-
-
-def test_a_still_of_an_early_moment_runs_no_further(drive, tmp_path):
-    told = []
+    told.clear()
     save_still(drive, tmp_path / "still.png", 2, lambda done, of: told.append((done, of)))
     assert told == [(1, 3), (2, 3), (3, 3)]
 
 
-def test_a_film_has_a_picture_a_frame_and_the_speed_of_the_drive(drive, tmp_path):
-    save_film(drive, tmp_path / "film.mp4")
+@pytest.mark.parametrize(("most", "options"), [(9, {}), (3, {"most_pictures": 4})])
+def test_a_film_has_a_picture_a_frame_up_to_the_most_and_the_speed_of_the_drive(drive, tmp_path, most, options):
+    save_film(drive, tmp_path / "film.mp4", **options)
     film = cv2.VideoCapture(str(tmp_path / "film.mp4"))
-    assert film.get(cv2.CAP_PROP_FRAME_COUNT) == drive.frames
+    assert film.get(cv2.CAP_PROP_FRAME_COUNT) == most
     assert film.get(cv2.CAP_PROP_FPS) == pytest.approx(10.0)
     assert (film.get(cv2.CAP_PROP_FRAME_WIDTH), film.get(cv2.CAP_PROP_FRAME_HEIGHT)) == (1280, 720)
 
 
-def test_a_long_drive_leaves_out_pictures(drive, tmp_path):
-    save_film(drive, tmp_path / "film.mp4", most_pictures=4)
-    assert cv2.VideoCapture(str(tmp_path / "film.mp4")).get(cv2.CAP_PROP_FRAME_COUNT) == 3
-
-
-def test_the_curve_is_the_nees_over_its_degrees_of_freedom(drive):
+def test_the_curve_is_the_nees_over_its_degrees_of_freedom_and_without_truth_the_nis(drive):
     strip = panels(drive)[3]
-    curve = strip.lines[-2].get_ydata()
-    np.testing.assert_array_equal(curve[1:], [moment.nees / 6 for moment in drive.moments()][1:])
+    np.testing.assert_array_equal(strip.lines[-2].get_ydata()[1:], [moment.nees / 6 for moment in drive.moments()][1:])
     assert "NEES" in strip.get_title(loc="left")
-
-
-def test_without_truth_the_curve_is_the_nis():
-    blind = Drive.of(small_recording(truth=False), InverseDepthStereoEKF)
-    _, way, _, strip = panels(blind)
+    _, way, _, strip = panels(Drive.of(small_recording(truth=False), InverseDepthStereoEKF))
     assert "NIS" in strip.get_title(loc="left")
     assert way.get_title(loc="left") == "Path (m)"
 

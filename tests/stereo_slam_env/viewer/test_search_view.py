@@ -46,16 +46,6 @@ def extent(mask):
     return columns.min(), columns.max(), rows.min(), rows.max()
 
 
-def test_wide_views_are_stacked_others_side_by_side_and_small_ones_enlarged():
-    assert search_picture(GREY, GREY, tracked()).shape[1] == WIDTH
-    small = np.zeros((240, 320), dtype=np.uint8)
-    picture = search_picture(small, small, tracked())
-    assert picture.dtype == np.uint8
-    assert picture.shape[1] == 2 * 640 + 3
-    assert picture.shape[0] > 480
-    assert search_picture(small, small, tracked(), zoom=1).shape[1] == 2 * 320 + 3
-
-
 def test_ellipses_have_three_sigma_of_what_is_searched_in_each_eye():
     S = np.array([[100.0, 0.0, 60.0], [0.0, 25.0, 0.0], [60.0, 0.0, 144.0]])
     left, right = changes(tracked([(1, (400.0, 150.0, 100.0), S, [np.nan] * 3, Outcome.NO_MATCH)]))
@@ -95,13 +85,15 @@ def test_what_was_found_is_marked_there_and_not_where_it_was_expected():
     assert extent(right)[0] == pytest.approx(360, abs=8)
 
 
-def test_the_picture_keeps_its_size_whatever_was_found():
+def test_the_picture_keeps_its_size_whatever_was_found_and_small_views_are_enlarged():
     """A video needs pictures of one size."""
     searches = [(i, (50.0 + 5 * i, 150.0, 20.0), np.eye(3), [np.nan] * 3, i % 5 + 1) for i in range(120)]
-    for width in (320, 500, 1344):
+    for width, wide in ((320, 2 * 640 + 3), (700, 700), (1344, 1344)):
         image = np.zeros((240, width), dtype=np.uint8)
         shapes = {search_picture(image, image, t, ["a"]).shape for t in (tracked(), tracked(searches))}
-        assert len(shapes) == 1
+        assert [shape[1] for shape in shapes] == [wide]
+    small = np.zeros((240, 320), dtype=np.uint8)
+    assert search_picture(small, small, tracked(), zoom=1).shape[1] == 2 * 320 + 3
 
 
 def test_nothing_finite_far_outside_or_without_size_breaks_it():
