@@ -130,8 +130,7 @@ def test_the_step_over_a_left_out_pair_is_the_mean_of_the_steps(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("most", "bits"),
-    [(0, 2), (1023, 2), (1024, 4), (4095, 4), (4096, 6), (16383, 6), (16384, 8), (65535, 8)],
+    ("most", "bits"), [(0, 2), (1023, 2), (1024, 4), (4095, 4), (4096, 6), (16383, 6), (16384, 8), (65535, 8)]
 )
 def test_values_of_sixteen_bits_are_those_of_ten_twelve_fourteen_or_all(most, bits, tmp_path):
     assert shift_of(most) == bits

@@ -217,10 +217,7 @@ WRONG_TRUTHS = {
     "turned by 2 degrees": (of_body(Pose([0.0, 0.0, 0.0], rotations.exp_quaternion([0, 0, 0.035]))), "turn"),
     "turned by 90 degrees": (of_body(Pose([0.0, 0.0, 0.0], rotations.exp_quaternion([0, 0, np.pi / 2]))), "turned by"),
     "a lever arm": (of_body(Pose([0.1, 0.0, 0.0])), "a constant lever arm of"),
-    "another scale": (
-        lambda truths, k: replace(truths[k], position=1.1 * truths[k].position),
-        "a scale of its own",
-    ),
+    "another scale": (lambda truths, k: replace(truths[k], position=1.1 * truths[k].position), "a scale of its own"),
     "another clock": (lambda truths, k: truths[max(k - 3, 0)], "the clocks seem to differ by +0."),
     "constant quaternions": (
         lambda truths, k: replace(truths[k], orientation=np.array([0.0, 0.0, 0.0, 1.0])),

@@ -180,10 +180,7 @@ def test_smfeval_reads_what_is_written(tmp_path, tangent):
         ("0 1 2 3 0 0 0 x\n", "not a table of 8 numbers"),
         ("Dear reader,\nthis is a letter\n", "is no trajectory: its first row is 'Dear reader,'"),
         ("#%FORMAT TUM\n0 1 2 3 0 0 0 1\n", "without FORMAT SQUARE"),
-        (
-            "#%FORMAT SQUARE/0.3\n#%REPRESENTATION gaussian_se3\n0 1 2 3 0 0 0 1\n",
-            "8 columns where its header has 29",
-        ),
+        ("#%FORMAT SQUARE/0.3\n#%REPRESENTATION gaussian_se3\n0 1 2 3 0 0 0 1\n", "8 columns where its header has 29"),
         ("#%FORMAT SQUARE/0.3\n#%REPRESENTATION ensemble_se3\n0 1 2 3 0 0 0 1\n", "REPRESENTATION must be one of"),
         (
             "#%FORMAT SQUARE/0.3\n#%REPRESENTATION deterministic\n#%GAUGE so3\n0 1 2 3 0 0 0 1\n",
