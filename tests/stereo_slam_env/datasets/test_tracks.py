@@ -31,14 +31,6 @@ def test_thinned_tracks_respect_the_limit_and_are_never_cut_short(limit):
         assert kept == {k for k in all_frames if k >= min(kept)}
 
 
-def test_free_places_go_to_the_tracks_that_live_longest():
-    frame = np.array([0, 0, 0, 1, 1, 2])
-    ids = np.array([7, 8, 9, 8, 9, 9])
-    tracks = PointTracks(frame, ids, np.ones((6, 3)))
-    assert set(tracks.thinned(1).ids.tolist()) == {9}
-    assert set(tracks.thinned(2).ids.tolist()) == {8, 9}
-
-
 def test_the_choice_does_not_depend_on_the_order_of_the_rows():
     tracks = random_tracks()
     shuffled = tracks.select(np.random.default_rng(1).permutation(len(tracks)))
@@ -76,17 +68,6 @@ def test_unsorted_times_are_refused(times):
 def test_observations_of_frames_that_do_not_exist_are_refused():
     with pytest.raises(ValueError, match="only 0 to 4 exist"):
         frames_of(random_tracks(), 0.1 * np.arange(5), [None] * 5)
-
-
-def test_frames_that_repeat_the_one_before_are_left_out_and_their_tracks_become_new_ones() -> None:
-    pixels = np.arange(4.0 * 5 * 3).reshape(4, 5, 3)
-    pixels[:, 2, :2] = pixels[:, 1, :2]  # all that was seen before
-    pixels[:, :2, 2] = -1.0  # and a new point in that frame
-    pixels[:, 4, 0] = pixels[:, 3, 0]  # one point alone may stand still
-    tracks, repeats = without_repeats(pixels)
-    assert repeats == 2
-    ids = [sorted(tracks.ids[tracks.frame == frame].tolist()) for frame in range(5)]
-    assert ids == [[0, 1], [0, 1], [2], [2, 3, 4], [2, 3, 4]]
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.1, 0.4])

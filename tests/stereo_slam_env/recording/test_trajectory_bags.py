@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from stereo_slam_env.recording.trajectory import Trajectory
 from stereo_slam_env.recording.trajectory_files import load_trajectory
@@ -53,6 +54,12 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
         poses = [stamped(k, TIMES[k] if stamps else 0) for k in range(count)]
         return made("nav_msgs/msg/Path", header(TIMES[count - 1]), poses)
 
+    doubt, still = np.diag(np.arange(1.0, 7.0)).ravel(), made("geometry_msgs/msg/Vector3", 0.0, 0.0, 0.0)
+    at_rest = made("geometry_msgs/msg/Twist", still, still)
+
+    def claimed(k: int) -> Any:
+        return made("geometry_msgs/msg/PoseWithCovariance", pose(k), doubt)
+
     with Writer(path, version=9) as writer:
         topics: dict[str, Any] = {}
 
@@ -68,6 +75,11 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
             put("/vicon", "geometry_msgs/msg/TransformStamped", k, transform(k, "map", "body"))
             links = [transform(k, "map", "base"), transform(k, "shelf" if k < 4 else "robot", "box")]
             put("/tf", "tf2_msgs/msg/TFMessage", k, made("tf2_msgs/msg/TFMessage", links))
+            told = made("geometry_msgs/msg/PoseWithCovarianceStamped", header(TIMES[k]), claimed(k))
+            put("/claimed", "geometry_msgs/msg/PoseWithCovarianceStamped", k, told)
+            twist = made("geometry_msgs/msg/TwistWithCovariance", at_rest, np.zeros(36))
+            odometry = made("nav_msgs/msg/Odometry", header(TIMES[k]), "base", claimed(k), twist)
+            put("/odom", "nav_msgs/msg/Odometry", k, odometry)
             array = made("geometry_msgs/msg/PoseArray", header(TIMES[k]), [pose(k)])
             put("/array", "geometry_msgs/msg/PoseArray", k, array)
             put("/path", "nav_msgs/msg/Path", k, path_of(k + 1, True))
@@ -75,7 +87,10 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.mark.parametrize("topic", ["/pose", "/point", "/vicon", "/path", "/bare_path", "/tf:map.base"])
+TOPICS = ["/pose", "/point", "/vicon", "/path", "/bare_path", "/tf:map.base", "/claimed", "/odom"]
+
+
+@pytest.mark.parametrize("topic", TOPICS)
 def test_poses_are_those_of_the_topic(bag: Path, topic: str) -> None:
     found = load_trajectory(f"{bag}:{topic}")
     assert isinstance(found, Trajectory)
@@ -84,6 +99,11 @@ def test_poses_are_those_of_the_topic(bag: Path, topic: str) -> None:
         assert not found.is_oriented
     else:
         np.testing.assert_allclose(found.orientations, ORIENTATIONS, atol=1e-12)
+    assert (found.covariances is None) == (topic not in ("/claimed", "/odom"))
+    if found.covariances is not None:  # of rotations about the axes of the world
+        R = Rotation.from_quat(ORIENTATIONS[5]).as_matrix()
+        np.testing.assert_allclose(found.covariances[5, :3, :3], np.diag([1.0, 2.0, 3.0]), atol=1e-12)
+        np.testing.assert_allclose(found.covariances[5, 3:, 3:], R.T @ np.diag([4.0, 5.0, 6.0]) @ R, atol=1e-12)
     if topic == "/bare_path":
         assert found.timestamps is None
         assert "have no stamps" in found.notes[0]
@@ -93,9 +113,11 @@ def test_poses_are_those_of_the_topic(bag: Path, topic: str) -> None:
 
 @pytest.mark.parametrize("topic", ["/array", "/nothing"])
 def test_a_topic_without_poses_is_refused_with_all_topics_and_types(bag: Path, topic: str) -> None:
+    with pytest.raises(ValueError, match=r"several topics: ask for one by "):
+        load_trajectory(bag)
     with pytest.raises(ValueError, match=rf"all has no poses on {topic}: ask for one by ") as error:
         load_trajectory(f"{bag}:{topic}")
-    assert "topics with poses: /bare_path, /path, /point, /pose, /vicon; " in str(error.value)
+    assert "topics with poses: /bare_path, /claimed, /odom, /path, /point, /pose, /vicon; " in str(error.value)
     assert "others: /array (geometry_msgs/msg/PoseArray)" in str(error.value)
 
 
