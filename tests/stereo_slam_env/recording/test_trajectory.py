@@ -165,6 +165,7 @@ SQUARE = "#%FORMAT SQUARE/0.3\n"
     [
         ("1 2\n4 5\n", "has 2 columns: a trajectory has 8"),
         ("", "has no rows: a trajectory has 8"),
+        ("0 1 2 3 0 0 0 1" + 21 * " 1", "29 columns and no header: is the covariance of the right or the left"),
         ("0 1 2 3 0 0 0 2\n", "row 0 has length 2"),
         ("1 1 2 3 0 0 0 1\n0 1 2 3 0 0 0 1\n", "timestamps must ascend, row 1"),
         ("0 1 nan 3 0 0 0 1\n", "none of its 1 rows holds a pose"),

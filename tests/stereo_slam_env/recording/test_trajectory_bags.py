@@ -13,26 +13,25 @@ from stereo_slam_env.recording.trajectory_files import load_trajectory
 pytest.importorskip("rosbags", reason="the extra bags is not installed")
 
 COUNT, EPOCH = 12, 1_700_000_000
-TIMES = EPOCH + np.arange(COUNT)
+TIMES = EPOCH + 0.25 + np.arange(COUNT)
 POSITIONS = np.column_stack([np.arange(COUNT), np.sin(np.arange(COUNT)), np.zeros(COUNT)])
 HALF = 0.05 * np.arange(COUNT)
 ORIENTATIONS = np.column_stack([np.zeros((COUNT, 2)), np.sin(HALF), np.cos(HALF)])
 
 
-@pytest.fixture(scope="module")
-def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def write_bag(path: Path, count: int = COUNT, only: str = "") -> Path:
     """One topic a type of message; in its transforms `box` changes its parent, and `base` does not."""
     from rosbags.rosbag2 import Writer
     from rosbags.typesys import Stores, get_typestore
 
     store = get_typestore(Stores.ROS2_HUMBLE)
-    path = tmp_path_factory.mktemp("bags") / "all"
 
     def made(kind: str, *fields: Any) -> Any:
         return store.types[kind](*fields)
 
-    def header(second: int, frame: str = "map") -> Any:
-        return made("std_msgs/msg/Header", made("builtin_interfaces/msg/Time", second, 0), frame)
+    def header(time: float, frame: str = "map") -> Any:
+        stamp = made("builtin_interfaces/msg/Time", int(time), round(1e9 * (time % 1.0)))
+        return made("std_msgs/msg/Header", stamp, frame)
 
     def point(k: int, kind: str = "Point") -> Any:
         return made(f"geometry_msgs/msg/{kind}", *POSITIONS[k])
@@ -43,8 +42,8 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     def pose(k: int) -> Any:
         return made("geometry_msgs/msg/Pose", point(k), turn(k))
 
-    def stamped(k: int, second: int) -> Any:
-        return made("geometry_msgs/msg/PoseStamped", header(second), pose(k))
+    def stamped(k: int, time: float) -> Any:
+        return made("geometry_msgs/msg/PoseStamped", header(time), pose(k))
 
     def transform(k: int, parent: str, child: str) -> Any:
         moved = made("geometry_msgs/msg/Transform", point(k, "Vector3"), turn(k))
@@ -64,11 +63,13 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
         topics: dict[str, Any] = {}
 
         def put(topic: str, kind: str, k: int, message: Any) -> None:
+            if only not in topic:
+                return
             if topic not in topics:
                 topics[topic] = writer.add_connection(topic, kind, typestore=store)
             writer.write(topics[topic], int(TIMES[k]) * 10**9, store.serialize_cdr(message, kind))
 
-        for k in range(COUNT):
+        for k in range(count):
             put("/pose", "geometry_msgs/msg/PoseStamped", k, stamped(k, TIMES[k]))
             at = made("geometry_msgs/msg/PointStamped", header(TIMES[k]), point(k))
             put("/point", "geometry_msgs/msg/PointStamped", k, at)
@@ -85,6 +86,11 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
             put("/path", "nav_msgs/msg/Path", k, path_of(k + 1, True))
             put("/bare_path", "nav_msgs/msg/Path", k, path_of(k + 1, False))
     return path
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_bag(tmp_path_factory.mktemp("bags") / "all")
 
 
 TOPICS = ["/pose", "/point", "/vicon", "/path", "/bare_path", "/tf:map.base", "/claimed", "/odom"]
@@ -124,3 +130,10 @@ def test_a_topic_without_poses_is_refused_with_all_topics_and_types(bag: Path, t
 def test_a_chain_with_two_parents_is_named(bag: Path) -> None:
     with pytest.raises(ValueError, match=r"map\.box \(box has the parents robot and shelf, which is no tree\)"):
         load_trajectory(f"{bag}:/tf:map.box")
+
+
+def test_a_short_bag_of_one_topic_needs_no_name_of_it(tmp_path: Path) -> None:
+    short = write_bag(tmp_path / "short", 2, "/pose")
+    np.testing.assert_allclose(load_trajectory(short).positions, POSITIONS[:2], atol=1e-12)
+    with pytest.raises(ValueError, match=r"no poses on /none: .*\(topics with poses: /pose\)"):
+        load_trajectory(f"{short}:/none")

@@ -171,6 +171,15 @@ def test_published_samples_are_read(path, rows, first):
     assert first is None or found.timestamps[0] == pytest.approx(first, abs=1e-3)
 
 
+def test_rows_that_claim_nothing_are_left_out_and_counted(tmp_path):
+    """All kinds of them: `test_doubted_inputs.py`."""
+    lost = POSES.copy()
+    lost[1, 4:] = 0.0
+    left = load_trajectory(written(tmp_path / "null.tum", lost))
+    assert len(left) == 1
+    assert "1 of 2 rows claim nothing" in left.notes[0]
+
+
 def test_a_covariance_that_grows_is_a_claim_however_large(tmp_path):
     doubts = [scale * np.eye(6) for scale in np.geomspace(400.0, 3000.0, len(POSES))]
     rows = [[*row, *doubt.ravel()] for row, doubt in zip(POSES, doubts, strict=True)]
