@@ -164,16 +164,21 @@ def test_tables_that_are_no_tables_are_named(tmp_path):
 def test_raw_packets_and_stamps_that_are_missing_or_damaged(tmp_path):
     folder = kitti_raw(tmp_path)
     (folder / "oxts/data/0000000002.txt").unlink()
+    (folder / "oxts/data/0000000003.txt").unlink()
+    (folder / "oxts/data/0000000003.txt").mkdir()
     (folder / "oxts/data/0000000004.txt").write_text("1 2 3\n")
     with pytest.raises(ValueError, match=r"oxts/data has NaN, infinity or no rotation in row 2"):
         open_image_sequence(folder)
     sequence = open_image_sequence(folder, on_broken="skip")
-    assert sequence.skipped == {"no true pose": 2}
+    assert sequence.skipped == {"no true pose": 3}
     stamps = folder / "image_00/timestamps.txt"
     rewrite_rows(stamps, set_row(5, "yesterday"))
-    assert open_image_sequence(folder, on_broken="skip").skipped == {"no true pose": 2, "no time stamp": 1}
+    assert open_image_sequence(folder, on_broken="skip").skipped == {"no true pose": 3, "no time stamp": 1}
     stamps.write_text("nothing\n")
     with pytest.raises(ValueError, match=r"timestamps\.txt holds no time such as"):
+        open_image_sequence(folder)
+    stamps.unlink()
+    with pytest.raises(ValueError, match=r"timestamps\.txt is missing: copy it from the recording|has no known layout"):
         open_image_sequence(folder)
 
 

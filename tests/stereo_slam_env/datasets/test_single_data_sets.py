@@ -249,12 +249,16 @@ def test_three_seconds_without_images_of_the_real_drive():
 def test_the_wheel_holds_the_same_measurements_as_the_folder(real_00):
     pytest.importorskip("gtsam", reason="needs the extra gtsam")
     wheel, folder = load("gtsam"), real_00
-    assert wheel.reference.kind == "odometry"
     assert len(wheel) == len(folder)
     for a, b in zip(wheel.frames, folder.frames, strict=True):
         np.testing.assert_array_equal(a.observation.ids, b.observation.ids)
         np.testing.assert_array_equal(a.observation.uvd, b.observation.uvd)
         assert a.timestamp - wheel.frames[0].timestamp == pytest.approx(b.timestamp, abs=0.05)
+
+
+def test_the_reference_of_the_wheel_says_that_it_is_no_ground_truth():
+    pytest.importorskip("gtsam", reason="needs the extra gtsam")
+    assert load("gtsam").reference.kind == "odometry"
 
 
 def test_without_gtsam_the_message_says_what_to_install(monkeypatch):

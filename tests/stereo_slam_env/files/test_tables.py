@@ -30,6 +30,15 @@ def test_a_wrong_table_is_named(tmp_path, text, complaint):
         read_table(tmp_path / "t.txt", 3)
 
 
+@pytest.mark.parametrize("keep", [0, 300, None])
+def test_a_truncated_archive_and_one_of_pickles_are_named(tmp_path, keep):
+    path = tmp_path / "a.npz"
+    np.savez(path, x=np.zeros(100) if keep is not None else np.array([{"evil": 1}], dtype=object))
+    path.write_bytes(path.read_bytes()[:keep])
+    with pytest.raises(ValueError, match=r"a\.npz is damaged and cannot be read"):
+        read_archive(path, {"x": "n"})
+
+
 def test_a_missing_array_is_named(tmp_path):
     np.savez(tmp_path / "a.npz", x=np.zeros(3))
     with pytest.raises(ValueError, match=r"a\.npz lacks the array y"):

@@ -99,9 +99,10 @@ def test_the_points_of_a_car_move_together(shift):
 
 
 def test_strangers_on_different_ways_are_no_body():
-    pairs = Cloud(count=8, moved=8).pairs()
-    pairs.second[:, 0] += np.array([30.0, -40, 55, -70, 90, -110, 130, -150])
-    assert not told(pairs).any()
+    for ways in ([30.0, -40, 55, -70, 90, -110, 130, -150], [30.0, 30.0, -40, -40, 90, 90, -110, -110]):  # or by twos
+        pairs = Cloud(count=8, moved=8).pairs()
+        pairs.second[:, 0] += np.array(ways)
+        assert not told(pairs).any()
 
 
 @pytest.mark.parametrize(("count", "together"), [(1, False), (2, False), (3, True), (4, True)])
