@@ -114,7 +114,7 @@ def test_poses_are_those_of_the_topic(bag: Path, topic: str) -> None:
         assert found.timestamps is None
         assert "have no stamps" in found.notes[0]
     else:
-        np.testing.assert_allclose(found.timestamps, TIMES, atol=1e-6)
+        np.testing.assert_allclose(found.timestamps, TIMES, rtol=0, atol=1e-6)
 
 
 @pytest.mark.parametrize("topic", ["/array", "/nothing"])
