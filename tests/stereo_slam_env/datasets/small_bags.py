@@ -51,29 +51,31 @@ def mono8(image, k, eye):
     return "mono8", image
 
 
-def write_bag(path, topics=RECT, images=None, info=lambda eye, k: {}, encoded=mono8, stamp=None, logged=None):
-    """`info` gives other fields of CameraInfo; `encoded` (encoding, array), with a format the bytes of a file."""
+def write_bag(
+    path, topics=RECT, images=None, info=lambda eye, k: {}, encoded=mono8, stamp=None, logged=None, ros1=False
+):
+    """`info` gives other fields of CameraInfo, None leaves it out; `encoded` (encoding, array or bytes of a file)."""
+    from rosbags.rosbag1 import Writer as Writer1
     from rosbags.rosbag2 import Writer
     from rosbags.typesys import Stores, get_typestore
 
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    kinds = store.types
+    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
+    kinds, serialize = store.types, store.serialize_ros1 if ros1 else store.serialize_cdr
     images = street() if images is None else images
-    with Writer(path, version=9) as writer:
+    with Writer1(path) if ros1 else Writer(path, version=9) as writer:
         made = {}
 
         def put(topic, kind, time, message):
             if topic not in made:
                 made[topic] = writer.add_connection(topic, f"sensor_msgs/msg/{kind}", typestore=store)
-            writer.write(made[topic], time, store.serialize_cdr(message, f"sensor_msgs/msg/{kind}"))
+            writer.write(made[topic], time, serialize(message, f"sensor_msgs/msg/{kind}"))
 
         for k in range(len(images[0])):
             for eye, topic in enumerate(topics):
                 due = EPOCH_NS + round(1e9 * DT) * k
                 at, log_time = due if stamp is None else stamp(eye, k), due if logged is None else logged(eye, k)
-                header = kinds["std_msgs/msg/Header"](
-                    kinds["builtin_interfaces/msg/Time"](at // 10**9, at % 10**9), f"camera{eye}"
-                )
+                time = kinds["builtin_interfaces/msg/Time"](at // 10**9, at % 10**9)
+                header = kinds["std_msgs/msg/Header"](*([k] if ros1 else []), time, f"camera{eye}")
                 how, array = encoded(images[eye][k], k, eye)
                 if isinstance(array, bytes):
                     message = kinds["sensor_msgs/msg/CompressedImage"](header, how, np.frombuffer(array, np.uint8))
@@ -83,6 +85,8 @@ def write_bag(path, topics=RECT, images=None, info=lambda eye, k: {}, encoded=mo
                     data = np.frombuffer(array.tobytes(), np.uint8)
                     shape = (*array.shape[:2], how, int(array.dtype.byteorder == ">"), data.size // array.shape[0])
                     put(topic, "Image", log_time, kinds["sensor_msgs/msg/Image"](header, *shape, data))
+                if info is None:
+                    continue
                 fields = {"K": K, "D": (), "R": np.eye(3), "P": P(eye), "model": "plumb_bob", "binning": 0}
                 fields |= {"size": (WIDTH, HEIGHT), "roi": (0, 0, 0, 0, False), **info(eye, k)}
                 width, height = fields["size"]

@@ -185,7 +185,7 @@ def test_replay_takes_the_topics(tmp_path, capsys):
     [
         (
             (1.0, 0.7 / 9.80665),
-            r"the mean specific force is \S+ where m/s\^2 are expected, is it in g\? Multiply it by 9\.8",
+            r"mean specific force is \S+ where m/s\^2 are expected, is it in g\? Multiply it by 9\.8",
         ),
         ((1.0, 700 / 9.80665), r"is it in mg\? Multiply it by 0\.0098"),
         ((np.rad2deg(1), 1.0), r"angular rates reach \S+ where rad/s are expected, are they in degrees per second"),

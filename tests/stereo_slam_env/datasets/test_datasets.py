@@ -4,13 +4,14 @@ import re
 
 import pytest
 
-from stereo_slam_env.datasets import available_recordings, image_layouts, load, track_layouts
+from stereo_slam_env.datasets import available_recordings, image_layouts, layout_of, load, track_layouts
 
 from .small_folders import kitti00, kitti07, starry_night
 
 
 def test_each_layout_finds_its_reader(tmp_path):
-    assert load(kitti07(tmp_path / "a")).source["reader"] == "kitti07_tracks"
+    assert layout_of(tmp_path) is None
+    assert layout_of(kitti07(tmp_path / "a")) == load(tmp_path / "a").source["reader"] == "kitti07_tracks"
     assert load(str(kitti00(tmp_path / "b"))).source["reader"] == "kitti00_stereo_tracks"
     assert load(starry_night(tmp_path / "c"), first=2).source["reader"] == "starry_night"
 

@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-import os
-import struct
-import zlib
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from fuzz import seeds
-from stereo_slam_env.datasets import BrokenPair, load, open_image_sequence
-from stereo_slam_env.datasets.image_files import numbered_images, read_grey
+from stereo_slam_env.datasets import load, open_image_sequence
 from stereo_slam_env.files.opening import require_inside, require_links_inside
-from stereo_slam_env.files.readers import read_text
 
 
 def lay_out(folder: Path, files: seeds.Files) -> Path:
@@ -36,49 +31,8 @@ def replace_by_link(path: Path, outside: Path) -> None:
     path.symlink_to(outside / path.name)
 
 
-LAYOUTS = {
-    "kitti07": (seeds.kitti07(), "", load),
-    "kitti00": (seeds.kitti00(), "", load),
-    "starry_night": (seeds.starry_night(), "", load),
-    "kitti06": (seeds.kitti06(), "", open_image_sequence),
-    "kitti_odometry": (seeds.kitti_odometry(), "sequences/07", open_image_sequence),
-    "kitti_raw": (seeds.kitti_raw(), "2011_09_26/2011_09_26_drive_0005_sync", open_image_sequence),
-    "karlsruhe": (seeds.karlsruhe(), "2009_09_08_drive_0010", open_image_sequence),
-    "euroc": (seeds.euroc(), "", open_image_sequence),
-}
-
-
-@pytest.mark.parametrize(
-    ("layout", "name"), [(layout, name) for layout, (files, _, _) in LAYOUTS.items() for name in sorted(files)]
-)
-def test_no_file_of_a_recording_may_be_a_link_out_of_it(layout, name, tmp_path, outside):
-    files, place, read = LAYOUTS[layout]
-    folder = lay_out(tmp_path / "given", files)
-    replace_by_link(folder / name, outside)
-    with pytest.raises(ValueError, match="link out of its folder"):
-        read(folder / place)
-
-
-@pytest.mark.timeout(20)
-@pytest.mark.parametrize(
-    ("layout", "name"), [(layout, name) for layout, (files, _, _) in LAYOUTS.items() for name in sorted(files)]
-)
-def test_no_file_of_a_recording_is_waited_for(layout, name, tmp_path):
-    """A pipe that nobody writes to: whoever opens it as a file waits for ever."""
-    files, place, read = LAYOUTS[layout]
-    folder = lay_out(tmp_path / "given", files)
-    (folder / name).unlink()
-    os.mkfifo(folder / name)
-    try:
-        found = read(folder / place)
-        list(found.pairs() if hasattr(found, "pairs") else found.frames)
-    except ValueError as refused:
-        assert "\n" not in str(refused)  # noqa: PT017
-    else:
-        assert name.endswith("image_01/timestamps.txt"), "only the times of the left camera are read"
-
-
-def test_nor_a_folder_in_it(tmp_path, outside):
+def test_no_folder_of_a_recording_may_be_a_link_out_of_it(tmp_path, outside):
+    """Of files: `test_foreign_files.py`."""
     folder = lay_out(tmp_path / "given", seeds.kitti06())
     replace_by_link(folder / "image_l", outside)
     with pytest.raises(ValueError, match=r"image_l is a link out of its folder, to .*put the file itself there"):
@@ -131,20 +85,6 @@ def test_a_path_that_nothing_can_have_does_not_exist(read, name, tmp_path):
         read(tmp_path / name)
 
 
-def chunk(kind: bytes, data: bytes) -> bytes:
-    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-
-
-def test_an_image_bomb_is_refused_by_its_declared_size(tmp_path, monkeypatch):
-    header = struct.pack(">IIBBBBB", 40_000, 40_000, 8, 0, 0, 0, 0)
-    data = zlib.compress(bytes(10_000_000), 9)
-    content = chunk(b"IHDR", header) + chunk(b"IDAT", data) + chunk(b"IEND", b"")
-    (tmp_path / "bomb.png").write_bytes(b"\x89PNG\r\n\x1a\n" + content)
-    monkeypatch.setattr("cv2.imdecode", lambda *_: pytest.fail("a bomb was decoded"))
-    with pytest.raises(BrokenPair, match="is too large to be decoded"):
-        read_grey(tmp_path / "bomb.png")
-
-
 def test_a_calibration_for_huge_images_is_refused(tmp_path):
     files = dict(seeds.euroc())
     for eye in ("mav0/cam0/sensor.yaml", "mav0/cam1/sensor.yaml"):
@@ -153,31 +93,12 @@ def test_a_calibration_for_huge_images_is_refused(tmp_path):
         open_image_sequence(lay_out(tmp_path / "given", files))
 
 
-def test_a_number_that_no_recording_comes_to_is_refused(tmp_path):
-    (tmp_path / "99999999999.png").touch()
-    with pytest.raises(ValueError, match="numbers from 1000000 on are refused"):
-        numbered_images(tmp_path)
-
-
 def test_many_time_stamps_do_not_ask_for_as_many_packets(tmp_path):
     files = dict(seeds.kitti_raw())
     name = "2011_09_26/2011_09_26_drive_0005_sync/image_00/timestamps.txt"
     folder = lay_out(tmp_path / "given", files | {name: files[name] + b"x\n" * 200_000})
     sequence = open_image_sequence(folder, last=seeds.FRAMES - 1)
     assert len(sequence) == seeds.FRAMES
-
-
-def test_a_pipe_is_not_waited_for(tmp_path):
-    os.mkfifo(tmp_path / "calib.txt")
-    with pytest.raises(ValueError, match="no regular file"):
-        read_text(tmp_path / "calib.txt")
-
-
-def test_a_huge_text_is_refused_before_it_is_read(tmp_path):
-    with (tmp_path / "poses.txt").open("wb") as file:
-        file.truncate(10**12)  # takes no room on the disk
-    with pytest.raises(ValueError, match="more than 100000000 are refused"):
-        read_text(tmp_path / "poses.txt")
 
 
 def test_huge_arrays_of_small_numbers_are_refused(tmp_path):

@@ -36,19 +36,15 @@ def test_the_round_trip_keeps_bits_camera_times_and_truth(tmp_path):
 
 
 def test_the_files_are_those_of_the_benchmark(tmp_path):
-    folder = write_kitti_sequence(drive(), tmp_path)
+    told = []
+    folder = write_kitti_sequence(drive(), tmp_path, on_pair=lambda done, of: told.append((done, of)))
+    assert told == [(k + 1, FRAMES) for k in range(FRAMES)]
     assert sorted(p.name for p in folder.iterdir()) == ["calib.txt", "image_0", "image_1", "source.json", "times.txt"]
     assert sorted(p.name for p in (folder / "image_1").iterdir()) == [f"{k:06d}.png" for k in range(FRAMES)]
     assert read_table(tmp_path / "poses" / "00.txt", 12).shape == (FRAMES, 12)
     lines = (folder / "calib.txt").read_text().splitlines()
     assert [line.split(":")[0] for line in lines] == ["P0", "P1", "P2", "P3"]
     assert float(lines[1].split()[4]) == pytest.approx(-CAMERA.fx * CAMERA.baseline)
-
-
-def test_progress_is_told(tmp_path):
-    told = []
-    write_kitti_sequence(drive(), tmp_path, on_pair=lambda done, of: told.append((done, of)))
-    assert told == [(k + 1, FRAMES) for k in range(FRAMES)]
 
 
 def test_an_interrupted_writing_cannot_be_mistaken_for_a_whole_one(tmp_path):

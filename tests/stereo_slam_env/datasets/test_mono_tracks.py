@@ -101,12 +101,7 @@ def test_a_landmark_of_one_camera_starts_from_the_stated_inverse_depth() -> None
     ("name", "old", "new", "message"),
     [
         ("tracks.csv", b"0.0,0,10,5", b"0.0,0.5,10,5", r"tracks.csv has ids that are no whole numbers"),
-        (
-            "recording.toml",
-            b"fx = 30.0",
-            b"fx = -30.0",
-            r"camera.fx must be a finite number > 0, got -30.0: correct it",
-        ),
+        ("recording.toml", b"fx = 30.0", b"fx = -30.0", r"camera.fx must be a finite number > 0, got -30.0: correct"),
         ("recording.toml", b"sigma_px = 1.0", b"", r"recording.toml: sigma_px must be the deviation of a pixel"),
         ("recording.toml", b"gyro_walk = 1e-5", b"", r"recording.toml: unit must be a table of position, orientation"),
         ("recording.toml", b"fx = 30.0", b"baseline = 1.0", r"recording.toml: camera must be a table of fx, fy"),

@@ -33,8 +33,7 @@ def ate(run: FilterRun) -> float:
 
 
 @pytest.mark.parametrize(
-    ("name", "options"),
-    [("inverse-depth", {}), ("dual-bearing", {}), ("euclidean", {"min_disparity": 4.0})],
+    ("name", "options"), [("inverse-depth", {}), ("dual-bearing", {}), ("euclidean", {"min_disparity": 4.0})]
 )
 def test_no_filter_diverges_and_all_are_better_than_the_odometry_alone(name: str, options: dict) -> None:
     run = run_filter(kitti07(), name, {"gate": 0.99, **options})

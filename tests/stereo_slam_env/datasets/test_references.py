@@ -167,12 +167,8 @@ def test_what_cannot_be_stated_is_refused_in_one_line(stated, complaint):
 @pytest.mark.parametrize(
     ("kind", "independent", "truth"),
     [
-        ("simulation", True, True),
-        ("surveyed", True, True),
-        ("ins", True, True),
-        ("unknown", False, True),
-        ("odometry", False, False),
-        ("none", False, False),
+        *(("simulation", True, True), ("surveyed", True, True), ("ins", True, True)),
+        *(("unknown", False, True), ("odometry", False, False), ("none", False, False)),
     ],
 )
 def test_what_each_kind_is_good_for(kind, independent, truth):

@@ -1,4 +1,4 @@
-"""Which pairs of a recording are used, and what a step over left-out ones has; images of all depths (1 s)."""
+"""Which pairs of a recording are used, and what a step over left-out ones has; images of all depths; tracks (1 s)."""
 
 import logging
 from collections import Counter
@@ -20,9 +20,13 @@ from stereo_slam_env.datasets.image_files import (
     shift_of_files,
 )
 from stereo_slam_env.datasets.sequence import Choice, Faults, ImageFiles, poses_of_rows, usable_pairs
-from stereo_slam_env.datasets.track_files import PointTracks, camera_velocities, stated_or_assumed, without_repeats
-
-from .small_image_folders import DT, FRAMES, kitti06
+from stereo_slam_env.datasets.track_files import (
+    PointTracks,
+    camera_velocities,
+    frames_of,
+    stated_or_assumed,
+    without_repeats,
+)
 
 HERE = Path("left"), Path("right")
 
@@ -105,33 +109,11 @@ def test_a_row_of_a_pose_is_a_rotation_to_a_hundredth_or_none():
     np.testing.assert_array_equal(poses[1].position, [1.0, 2.0, 3.0])
 
 
-def test_the_step_over_a_left_out_pair_is_the_mean_of_the_steps(tmp_path):
-    """Weighted by their times; its covariance is that of a mean of independent ones."""
-    from stereo_slam_env.datasets import open_image_sequence
-
-    folder = kitti06(tmp_path)
-    whole = list(open_image_sequence(folder).pairs())
-    cut = (folder / "image_l" / "000002.png").read_bytes()
-    (folder / "image_l" / "000002.png").write_bytes(cut[: len(cut) // 2])
-    sequence = open_image_sequence(folder, on_broken="skip")
-    pairs = list(sequence.pairs())
-    assert sequence.skipped == {"image damaged": 1}
-    assert len(sequence) == FRAMES == len(pairs) + 1
-    assert [round(pair.timestamp / DT) for pair in pairs] == [0, 1, 3, 4, 5]
-    two, three, over = whole[2].odometry, whole[3].odometry, pairs[2].odometry
-    np.testing.assert_allclose(over.linear, 0.5 * (two.linear + three.linear))
-    np.testing.assert_allclose(over.angular, 0.5 * (two.angular + three.angular))
-    np.testing.assert_allclose(over.covariance, 0.25 * (two.covariance + three.covariance))
-    np.testing.assert_allclose(pairs[1].odometry.linear, whole[1].odometry.linear)
-    assert pairs[0].odometry is None
-
-
 # --- images ----------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
-    ("most", "bits"),
-    [(0, 2), (1023, 2), (1024, 4), (4095, 4), (4096, 6), (16383, 6), (16384, 8), (65535, 8)],
+    ("most", "bits"), [(0, 2), (1023, 2), (1024, 4), (4095, 4), (4096, 6), (16383, 6), (16384, 8), (65535, 8)]
 )
 def test_values_of_sixteen_bits_are_those_of_ten_twelve_fourteen_or_all(most, bits, tmp_path):
     assert shift_of(most) == bits
@@ -155,6 +137,7 @@ def test_numbers_of_images_end_at_a_million(tmp_path):
     for name in ("000000.png", "999999.JPG", "a1.png", "1.tif", "7.jpeg"):
         (tmp_path / name).touch()
     assert sorted(numbered_images(tmp_path)) == [0, 7, 999_999]
+    assert numbered_images(tmp_path / "nowhere") == {}
     (tmp_path / "1000000.png").touch()
     with pytest.raises(ValueError, match="is image 1000000: numbers from 1000000 on are refused"):
         numbered_images(tmp_path)
@@ -227,15 +210,8 @@ def test_frames_that_repeat_the_one_before_are_taken_out():
     pixels[:, 2:, 2] = [[8.0, 9.0]] * 4
     tracks, repeated = without_repeats(pixels)
     assert repeated == 2
-    assert sorted(zip(tracks.frame.tolist(), tracks.ids.tolist(), strict=True)) == [
-        (0, 0),
-        (0, 1),
-        (1, 0),
-        (1, 1),
-        (2, 2),
-        (3, 2),
-        (3, 3),
-    ]
+    seen = [sorted(tracks.ids[tracks.frame == frame].tolist()) for frame in range(4)]
+    assert seen == [[0, 1], [0, 1], [2], [2, 3]]
 
 
 def test_velocities_of_the_camera_have_the_lever_arm_and_its_errors():
@@ -253,3 +229,85 @@ def test_velocities_of_the_camera_have_the_lever_arm_and_its_errors():
         [[*(b.linear - a.linear), *(b.angular - a.angular)] for a, b in zip(exact[1:], noisy[1:], strict=True)]
     )
     np.testing.assert_allclose(np.cov(errors.T), exact[1].covariance, atol=0.004)
+
+
+def random_tracks(seed=3, landmarks=60, frames=30):
+    """Tracks of random start and length, some with a gap, observations shuffled."""
+    rng = np.random.default_rng(seed)
+    rows = []
+    for j in range(landmarks):
+        start, length = rng.integers(0, frames - 1), rng.integers(1, 15)
+        rows += [(k, j) for k in range(start, min(start + length, frames)) if rng.random() > 0.1]
+    frame, ids = np.array(rows)[rng.permutation(len(rows))].T
+    return PointTracks(frame, ids, rng.uniform(1.0, 9.0, (len(frame), 3)), rng.uniform(0, 9, len(frame)))
+
+
+def seen_in(tracks, landmark):
+    return set(tracks.frame[tracks.ids == landmark].tolist())
+
+
+@pytest.mark.parametrize("limit", [1, 5, 12])
+def test_thinned_tracks_respect_the_limit_and_are_never_cut_short(limit):
+    tracks = random_tracks()
+    thinned = tracks.thinned(limit)
+    assert np.bincount(thinned.frame).max() == limit
+    for landmark in np.unique(thinned.ids):
+        kept, all_frames = seen_in(thinned, landmark), seen_in(tracks, landmark)
+        assert kept == {k for k in all_frames if k >= min(kept)}
+
+
+def test_the_choice_does_not_depend_on_the_order_of_the_rows():
+    tracks = random_tracks()
+    shuffled = tracks.select(np.random.default_rng(1).permutation(len(tracks)))
+    a, b = tracks.thinned(6), shuffled.thinned(6)
+    assert sorted(zip(a.frame, a.ids, strict=True)) == sorted(zip(b.frame, b.ids, strict=True))
+
+
+def test_no_limit_keeps_everything_and_a_silly_one_is_refused():
+    tracks = random_tracks()
+    assert tracks.thinned(None) is tracks
+    for silly in (0, -3, 2.5):
+        with pytest.raises(ValueError, match="max_per_frame must be a whole number >= 1"):
+            tracks.thinned(silly)
+
+
+def test_frames_hold_exactly_their_observations_in_order_of_ids():
+    tracks = random_tracks()
+    frames = frames_of(tracks, 0.1 * np.arange(30), [None] * 30)
+    assert sum(len(frame.observation) for frame in frames) == len(tracks)
+    for k, frame in enumerate(frames):
+        at = tracks.frame == k
+        order = np.argsort(tracks.ids[at])
+        np.testing.assert_array_equal(frame.observation.ids, tracks.ids[at][order])
+        np.testing.assert_array_equal(frame.observation.uvd, tracks.uvd[at][order])
+        np.testing.assert_array_equal(frame.observation.v_right, tracks.v_right[at][order])
+
+
+@pytest.mark.parametrize("times", [[0.0, 0.2, 0.1], [0.0, 0.1, 0.1]])
+def test_unsorted_times_are_refused(times):
+    nothing = PointTracks(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 3)))
+    with pytest.raises(ValueError, match="timestamps must increase: frame 2"):
+        frames_of(nothing, np.array(times), [None] * 3)
+
+
+def test_observations_of_frames_that_do_not_exist_are_refused():
+    with pytest.raises(ValueError, match="only 0 to 4 exist"):
+        frames_of(random_tracks(), 0.1 * np.arange(5), [None] * 5)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.1, 0.4])
+@pytest.mark.parametrize(("step", "found"), [(5.0, [3, 7]), (0.5, [])])
+def test_repeated_frames_are_known_by_their_motion_where_others_move(
+    noise: float, step: float, found: list[int]
+) -> None:
+    """To the last bit they are known at any step; with noise only among frames that move by more than it."""
+    rng = np.random.default_rng(0)
+    still = np.isin(np.arange(12), [3, 7])
+    u = 100.0 + step * np.cumsum(~still)[:, None] + rng.uniform(0.0, 400.0, 40)
+    pixels = np.array([u, np.full_like(u, 80.0), u - 20.0, np.full_like(u, 80.0)]) + noise * rng.normal(
+        size=(4, 12, 40)
+    )
+    tracks, repeats = without_repeats(pixels)
+    left_out = found if noise else [3, 7]
+    assert repeats == 40 * len(left_out)
+    assert np.unique(tracks.frame).tolist() == [k for k in range(12) if k not in left_out]

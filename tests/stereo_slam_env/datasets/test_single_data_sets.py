@@ -10,15 +10,15 @@ from scipy.spatial.transform import Rotation
 from filters import StereoObservation
 from filters.contract.extras import install_command
 from stereo_slam_env import evaluate
-from stereo_slam_env.datasets import layout_of, layouts, load
+from stereo_slam_env.datasets import layouts, load
 from stereo_slam_env.datasets.layouts import KnownRecording, digest
 from stereo_slam_env.datasets.single_data_sets import GYRO_DELAY, KITTI07_TRACKS
-from stereo_slam_env.datasets.track_files import camera_velocities, step_velocities
+from stereo_slam_env.datasets.track_files import step_velocities
 from stereo_slam_env.evaluation.trajectory_metrics import ate_rigid, path_length
 from stereo_slam_env.recording.recording import Reference
 
 from ..real_data import real_data
-from .small_folders import DT, FRAMES, P_I, R_CI, kitti00, kitti07, starry_night
+from .small_folders import DT, FRAMES, kitti00, kitti07, starry_night
 
 
 def dead_reckoned(recording):
@@ -50,13 +50,6 @@ def real_night():
 # --- KITTI 07 tracks --------------------------------------------------------------------------------------------------
 
 
-def test_the_layout_is_recognised_by_its_files(tmp_path):
-    assert layout_of(tmp_path) is None
-    recording = load(kitti07(tmp_path / "drive"))
-    assert recording.source["reader"] == "kitti07_tracks"
-    assert len(recording) == FRAMES
-
-
 def test_odometry_takes_the_camera_along_the_true_path(tmp_path):
     """Lever arm, frame and column convention at once: any of them wrong is off by far more than a centimetre."""
     recording = load(kitti07(tmp_path))
@@ -65,33 +58,14 @@ def test_odometry_takes_the_camera_along_the_true_path(tmp_path):
     assert recording.frames[0].odometry is None
 
 
-def test_the_covariance_of_the_odometry_is_that_of_noisy_imu_velocities(tmp_path):
-    """Camera velocities are linear in the IMU's: six unit changes give J, and J diag(sigma^2) J^T is the covariance."""
-    changed = np.vstack([np.zeros((2, 6)), np.eye(6)])  # row 0 is of no step, row 1 is the base
-    made = camera_velocities(changed[:, :3], changed[:, 3:], R_CI, P_I, sigma_linear=0.5, sigma_angular=0.05)
-    steps = made[1:]
-    J = np.array([[*step.linear, *step.angular] for step in steps[1:]]).T
-    expected = J @ np.diag([0.25] * 3 + [0.0025] * 3) @ J.T
-    np.testing.assert_allclose(steps[0].covariance, expected, atol=1e-12)
-    assert np.abs(expected[:3, 3:]).max() > 1e-3  # the lever arm couples them
-
-
 def test_measurements_are_left_pixel_and_disparity_with_the_right_row(tmp_path):
     recording = load(kitti07(tmp_path))
     seen = recording.frames[3].observation
     np.testing.assert_array_equal(seen.ids, [0, 1])
     np.testing.assert_allclose(seen.uvd, [[503.0, 153.0, 20.0], [700.0, 200.0, 10.0]])
     np.testing.assert_allclose(seen.v_right, [153.5, 199.0])
-
-
-def test_disparities_that_are_not_positive_are_left_out_and_counted(tmp_path):
-    recording = load(kitti07(tmp_path))
-    np.testing.assert_array_equal(recording.frames[5].observation.ids, [0])
+    np.testing.assert_array_equal(recording.frames[5].observation.ids, [0])  # one of d <= 0 is left out, and counted
     assert recording.source["dropped_non_positive_disparity"] == 1
-
-
-def test_frames_after_the_ground_truth_have_none(tmp_path):
-    recording = load(kitti07(tmp_path))
     assert [frame.truth is None for frame in recording.frames] == [False] * (FRAMES - 2) + [True] * 2
 
 
@@ -110,13 +84,6 @@ def test_nan_features_and_wrong_shapes_are_named(tmp_path):
         load(kitti07(tmp_path, features=features))
     with pytest.raises(ValueError, match=r"array linear_velocity has shape \(3, 5\), expected \(3, 8\)"):
         load(kitti07(tmp_path, linear_velocity=np.zeros((3, 5))))
-
-
-def test_unsorted_times_are_refused(tmp_path):
-    times = 0.1 * np.arange(FRAMES)[None]
-    times[0, 4] = 0.05
-    with pytest.raises(ValueError, match="timestamps must increase: frame 4"):
-        load(kitti07(tmp_path, time_stamps=times))
 
 
 def test_real_drive_has_the_published_size(real_07):
@@ -170,12 +137,6 @@ def test_one_common_row_is_no_measurement_of_the_right_eye(tmp_path):
     assert frame.observation.v_right is None
     assert frame.odometry is None
     np.testing.assert_allclose(frame.observation.uvd[0], [650.0, 190.0, 700.0 * 0.5 / 30.0], atol=1e-6)
-
-
-def test_images_of_a_stranger_are_the_smallest_that_hold_all_measurements(tmp_path):
-    """The landmarks stay at (650, 190) px: that pixel is the last of its row, and of its column."""
-    camera = load(kitti00(tmp_path)).camera
-    assert (camera.width, camera.height) == (651, 191)
 
 
 def test_a_frame_without_a_pose_is_named(tmp_path):
@@ -265,9 +226,7 @@ def test_samples_lie_beside_the_tracks(tmp_path):
 
 def test_samples_of_another_recording_are_refused(tmp_path):
     folder = write_samples(kitti00(tmp_path), first=2.05)
-    with pytest.raises(
-        ValueError, match=r"imu_100hz.csv does not reach to the last frame: it is of another recording$"
-    ):
+    with pytest.raises(ValueError, match=r"imu_100hz.csv does not reach to the last frame: it is of another rec"):
         load(folder, inertial=True)
 
 

@@ -23,20 +23,6 @@ def gaussians(count=40):
     return 2.0 * rng.normal(size=(count, 3)), factor @ factor.swapaxes(1, 2) + 0.1 * np.eye(3)
 
 
-def test_crps_is_the_integral_that_it_stands_for():
-    """(F(x) - [x >= e])^2 over x, mean over axes."""
-    from scipy.stats import norm
-
-    errors, covariances = gaussians(3)
-    x = np.linspace(-30.0, 30.0, 200_001)
-    for e, P, found in zip(errors, covariances, crps(errors, covariances), strict=True):
-        axes = [
-            np.trapezoid((norm.cdf(x / s) - (x >= value)) ** 2, x)
-            for value, s in zip(e, np.sqrt(np.diag(P)), strict=True)
-        ]
-        assert found == pytest.approx(np.mean(axes), rel=1e-3)
-
-
 def test_the_energy_score_is_the_mean_that_it_stands_for():
     """Against 20,000 draws."""
     errors, covariances = gaussians(5)

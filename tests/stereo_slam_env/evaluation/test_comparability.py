@@ -116,22 +116,14 @@ def test_a_body_is_read_from_json(tmp_path, rows):
     assert found.position.tolist() == [1.0, 2.0, 3.0]
 
 
-@pytest.mark.parametrize(
-    "content",
-    [
-        "{}",
-        "[]",
-        '{"R": [1, 2], "t": 3}',
-        '{"R": "a", "t": [0, 0, 0]}',
-        "x",
-        '{"R": [2, 0, 0, 0, 2, 0, 0, 0, 2], "t": [0, 0, 0]}',
-    ],
-)
+SCALED = '{"R": [2, 0, 0, 0, 2, 0, 0, 0, 2], "t": [0, 0, 0]}'
+
+
+@pytest.mark.parametrize("content", ["{}", "[]", '{"R": [1, 2], "t": 3}', '{"R": "a", "t": [0, 0, 0]}', "x", SCALED])
 def test_a_body_that_is_none_is_refused_in_one_line(tmp_path, content):
     (tmp_path / "T.json").write_text(content)
-    with pytest.raises(ValueError, match=r"T\.json") as caught:
+    with pytest.raises(ValueError, match=r"\A.*T\.json.*\Z"):
         read_body(tmp_path / "T.json")
-    assert "\n" not in str(caught.value)
 
 
 # ---- readings, scales, worlds ---------------------------------------------------------------------------------------
@@ -210,6 +202,7 @@ def test_a_claim_that_is_wrong_by_another_size_under_another_alignment_is_anothe
 
 
 def test_a_diverged_estimate_is_called_so_with_the_time():
+    """Far away; or, over the last fifth, three times as fast: it ends less than the whole path away."""
     estimate, truth = drive()
     away = np.maximum(DT * np.arange(COUNT) - 12.0, 0.0)[:, None] ** 2 * [10.0, 0.0, 0.0]
     score = sse.evaluate_trajectory(replace(estimate, positions=estimate.positions + away), truth)
@@ -217,19 +210,13 @@ def test_a_diverged_estimate_is_called_so_with_the_time():
     assert score.verdict.startswith("not judged: the estimate diverged 1")
     assert "3.2" in score.verdict  # km
     assert {claim.obstacle != "" for claim in score.claims.values()} == {True}
+    row = int(0.8 * COUNT)
+    late = np.concatenate([np.zeros((row, 3)), 2.0 * (truth.positions[row:] - truth.positions[row])])
+    score = sse.evaluate_trajectory(replace(estimate, positions=estimate.positions + late), truth)
+    assert score.diverged_at_s == pytest.approx(DT * row, rel=0.1)
 
 
 # ---- clocks ---------------------------------------------------------------------------------------------------------
-
-
-def test_an_estimate_that_leaves_the_drive_late_is_called_diverged_with_the_time():
-    """It goes on three times as fast over the last fifth: it ends less than the whole path away."""
-    estimate, truth = drive()
-    row = int(0.8 * len(truth))
-    away = np.concatenate([np.zeros((row, 3)), 2.0 * (truth.positions[row:] - truth.positions[row])])
-    score = sse.evaluate_trajectory(replace(estimate, positions=estimate.positions + away), truth)
-    assert score.diverged_at_s == pytest.approx(truth.timestamps[row] - truth.timestamps[0], rel=0.1)
-    assert score.verdict.startswith("not judged: the estimate diverged")
 
 
 @pytest.mark.parametrize("offset", [-0.37, 0.083])
@@ -356,13 +343,8 @@ def test_the_reference_is_taken_between_its_poses():
     half = Rotation.from_quat(truth.orientations[:-1]).inv() * Rotation.from_quat(found.reference.orientations)
     whole = Rotation.from_quat(truth.orientations[:-1]).inv() * Rotation.from_quat(truth.orientations[1:])
     np.testing.assert_allclose(2.0 * half.as_rotvec(), whole.as_rotvec(), atol=1e-9)
-
-
-def test_nothing_is_taken_across_a_hole_of_the_reference():
-    _, truth = drive()
-    holed = truth.rows(np.r_[0:100, 200:COUNT])
-    found = paired(truth, holed, interpolate=True)
-    assert not np.any((found.rows > 99) & (found.rows < 200))
+    rows = paired(truth, truth.rows(np.r_[0:100, 200:COUNT]), interpolate=True).rows
+    assert not np.any((rows > 99) & (rows < 200))  # nothing across a hole
 
 
 def test_the_risk_of_synchronisation_is_speed_times_gap_over_the_claim():
@@ -388,11 +370,3 @@ def test_times_in_another_unit_are_named(unit, name):
     )
     with pytest.raises(ValueError, match=lasts):
         sse.evaluate_trajectory(replace(estimate, timestamps=estimate.timestamps + 1e5), truth)
-
-
-def test_frames_are_paired_by_their_numbers():
-    _, truth = drive()
-    untimed = replace(truth, timestamps=None)
-    numbered = replace(untimed.rows(np.r_[2:50, 60:90]), frame_numbers=np.r_[2:50, 60:90])
-    assert sse.evaluate_trajectory(numbered, untimed).position_rmse_m == 0.0
-    assert sse.evaluate_trajectory(numbered, untimed).frames == 77

@@ -204,22 +204,11 @@ def test_a_new_drive_is_where_the_spread_of_the_others_says():
     assert 0.8 < np.mean(inside) < 0.98
 
 
-def test_one_drive_promises_no_coverage(drives):
-    model = sse.calibrate(drives[0][:1], drives[1][:1])
-    assert (model.factor, model.coverage_error, model.checks, model.drive_range) == (1.0, None, (), None)
-
-
-def test_one_truth_may_be_that_of_all(drives):
+def test_one_drive_promises_no_coverage_and_one_truth_may_be_that_of_all(drives):
     runs = [replace(drives[0][0], name=name) for name in "ab"]
     assert sse.calibrate(runs, drives[1][:1]).drives == ("a", "b")
-
-
-def test_a_model_is_kept_in_a_file(tmp_path, drives):
-    model = sse.calibrate(drives[0][:2], drives[1][:2])
-    model.write(tmp_path / "model.json")
-    again = sse.DriftModel.read(tmp_path / "model.json")
-    np.testing.assert_array_equal(again.variances, model.variances)
-    assert again.as_dict() == model.as_dict()
+    model = sse.calibrate(drives[0][:1], drives[1][:1])
+    assert (model.factor, model.coverage_error, model.checks, model.drive_range) == (1.0, None, (), None)
 
 
 def test_a_file_has_all_of_a_model(tmp_path):
@@ -248,10 +237,8 @@ def test_a_file_has_all_of_a_model(tmp_path):
 )
 def test_a_file_that_is_no_model_is_refused_in_one_line(tmp_path, change, complaint):
     (tmp_path / "model.json").write_text(change(sse.DriftModel(VARIANCES).as_dict()))
-    with pytest.raises(ValueError, match=complaint) as refused:
+    with pytest.raises(ValueError, match=rf"\A.*model\.json.*{complaint}.*\Z"):
         sse.DriftModel.read(tmp_path / "model.json")
-    assert "model.json" in str(refused.value)
-    assert "\n" not in str(refused.value)
 
 
 @pytest.mark.parametrize(
@@ -262,13 +249,16 @@ def test_a_file_that_is_no_model_is_refused_in_one_line(tmp_path, change, compla
         (lambda e: replace(e, positions=0.5 * e.positions), 1, "a scale of its own"),
         (lambda e: e.of_body(Pose([0.0, 0.0, 0.0], rotations.exp_quaternion([0.0, 1.5, 0.0]))), 1, "body seems"),
         (lambda e: replace(e, timestamps=e.timestamps + 500.0), 1, "poses in common"),
-        (lambda e: e.rows(slice(0, 8)), 1, "give a longer drive"),
+        (lambda e: e.rows(slice(0, 8)), 1, "drive 0 has no two poses 1 s apart .*: give a longer drive"),
         (lambda e: e, 2, "1 estimates and 2 truths"),
     ],
 )
 def test_what_cannot_be_learned_from_is_refused_with_the_reason(drives, estimate, truths, complaint):
     with pytest.raises(ValueError, match=complaint):
         sse.calibrate([estimate(drives[0][0])], drives[1][:truths])
+    if complaint == "has no times":
+        with pytest.raises(ValueError, match=complaint):
+            sse.claim(estimate(drives[0][0]), sse.DriftModel(VARIANCES))
 
 
 def test_the_truth_may_be_of_another_body(drives):
@@ -280,14 +270,3 @@ def test_the_truth_may_be_of_another_body(drives):
     first, last = windows(10, drives[0][0])
     got, wanted = (one.covariances(drives[0][0], first, last) for one in (model, right))
     np.testing.assert_allclose(got, wanted, rtol=1e-6, atol=1e-9)
-
-
-def test_a_claim_needs_times(drives):
-    with pytest.raises(ValueError, match="has no times"):
-        sse.claim(replace(drives[0][0], timestamps=None), sse.DriftModel(VARIANCES))
-
-
-def test_a_drive_shorter_than_a_window_calibrates_nothing(drives):
-    few = slice(0, 8)
-    with pytest.raises(ValueError, match=r"drive 0 has no two poses 1 s apart with a truth: give a longer drive"):
-        sse.calibrate([drives[0][0].rows(few)], [drives[1][0].rows(few)])

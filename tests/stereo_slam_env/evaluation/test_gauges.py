@@ -58,30 +58,20 @@ def cubature():
 
 
 def left_of(estimate, kind, seconds, correlation, scale=1.0):
-    """NEES / 6 of each pose after an alignment, by the carried covariance and by the claimed one."""
+    """NEES / 6 of each pose after an alignment, by the carried covariance."""
     rows = TRUTH.timestamps <= seconds
     alignment = find_alignment(kind, estimate.moved(Pose(), 1.0 / scale), TRUTH, rows, 2)
     assert alignment.scale == pytest.approx(scale if kind == "sim3" else 1.0, rel=1e-2)
     aligned = alignment.apply(estimate.moved(Pose(), 1.0 / scale))
     errors = aligned.errors(TRUTH.positions, TRUTH.orientations)
     through = carried(aligned.covariances, aligned, alignment, correlation)
-    return nees(errors, through) / 6.0, nees(errors, aligned.covariances) / 6.0
+    return nees(errors, through) / 6.0
 
 
 GAUGES = [
-    ("none", 9.0),
-    ("start", 9.0),
-    ("gravity-yaw", 0.0),
-    ("gravity-yaw", 3.0),
-    ("gravity-yaw", 9.0),
-    ("rigid", 0.0),
-    ("rigid", 3.0),
-    ("rigid", 9.0),
-    ("sim3", 3.0),
-    ("sim3", 9.0),
+    *(("none", 9.0), ("start", 9.0), ("gravity-yaw", 0.0), ("gravity-yaw", 3.0), ("gravity-yaw", 9.0)),
+    *(("rigid", 0.0), ("rigid", 3.0), ("rigid", 9.0), ("sim3", 3.0), ("sim3", 9.0)),
 ]
-
-
 CLAIMS = {
     "odometry": (odometry, "increments"),
     "from a known start": (lambda z: odometry(z, start=0.0), "increments"),
@@ -101,7 +91,7 @@ def estimates(claim):
 @pytest.mark.parametrize("claim", CLAIMS)
 def test_a_right_claim_is_right_in_every_gauge(claim, kind, seconds):
     scale, correlation = 4.0 if kind == "sim3" else 1.0, CLAIMS[claim][1]
-    values = np.array([left_of(each, kind, seconds, correlation, scale)[0] for each in estimates(claim)])
+    values = np.array([left_of(each, kind, seconds, correlation, scale) for each in estimates(claim)])
     by_pose = values.mean(axis=0)[1:]  # the first one is fixed by some
     assert np.abs(by_pose - 1.0).max() < 0.03
 
@@ -136,21 +126,6 @@ def test_the_carried_covariance_is_that_of_differences_of_the_alignment(correlat
     np.testing.assert_allclose(
         carried(own, found, alignment, correlation), expected, atol=1e-4 * np.abs(expected).max()
     )
-
-
-def test_without_carrying_the_same_claim_seems_to_be_wrong():
-    """The scale of the effect: what the alignment takes off the errors it has to take off the claim."""
-    as_claimed = np.array([left_of(each, "rigid", 9.0, "increments")[1] for each in estimates("odometry")])
-    assert as_claimed.mean() < 0.4
-    as_claimed = np.array([left_of(each, "start", 9.0, "independent")[1] for each in estimates("independent errors")])
-    assert as_claimed[:, 1:].mean() > 10.0
-
-
-def test_by_chance_too():
-    """300 drives; the deviation of the mean is that of 300 values of chi-square / 6 at most."""
-    rng = np.random.default_rng(0)
-    values = [left_of(odometry(rng.normal(size=(COUNT, 6))), "rigid", 9.0, "increments")[0].mean() for _ in range(300)]
-    assert abs(np.mean(values) - 1.0) < 4.0 * np.sqrt(2.0 / 6.0 / 300)
 
 
 def test_a_claim_says_itself_how_its_errors_are_correlated():

@@ -3,9 +3,6 @@
 The layouts are those that are published; `test_trajectory_samples.py` has the published files themselves.
 """
 
-from dataclasses import replace
-from importlib.util import find_spec
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -17,7 +14,6 @@ from filters.geometry import rotations
 COUNT = 300
 LOWER, UPPER = np.tril_indices(6), np.triu_indices(3)
 CNSPY = "t,tx,ty,tz,qx,qy,qz,qw,pxx,pxy,pxz,pyy,pyz,pzz,qrr,qrp,qry,qpp,qpy,qyy,est_err_type,err_representation\n"
-EUROC = "#timestamp [ns], p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], q_RS_z []\n"
 SQUARE = "#%FORMAT SQUARE/0.3\n#%REPRESENTATION gaussian_se3\n"
 
 
@@ -55,18 +51,6 @@ def text(rows, mark=" ", header=""):
     return header + "".join(mark.join(f"{x:.17g}" for x in row) + "\n" for row in rows)
 
 
-def scalar_first(trajectory):
-    return np.roll(trajectory.orientations, 1, axis=1)
-
-
-def euroc(trajectory, columns=8):
-    others = np.full((COUNT, columns - 8), 9.0)
-    t = 1.5e18 + np.round(1e9 * trajectory.timestamps)
-    return text(
-        np.column_stack([t, trajectory.positions, np.roll(trajectory.orientations, 1, axis=1), others]), ",", EUROC
-    )
-
-
 def blocks(first, second):
     return np.concatenate([part[:, UPPER[0], UPPER[1]] for part in (first, second)], axis=1)
 
@@ -98,35 +82,14 @@ def full(covariances):
     return text(np.column_stack([tum(ESTIMATE), covariances.reshape(COUNT, 36)]))
 
 
-def repeated():
-    rows = np.repeat(tum(ESTIMATE), np.where(np.arange(COUNT) % 50 == 7, 2, 1), axis=0)
-    return text(rows)
-
-
 def cnspy(error):
     rows = np.column_stack([tum(ESTIMATE), blocks(P, ROT if error == "type1" else IN_WORLD[:, 3:, 3:])])
     return CNSPY + "".join(",".join(f"{x:.17g}" for x in row) + f",{error},theta_R\n" for row in rows)
 
 
-def inverse(trajectory):
-    poses = [trajectory.pose(k).inverse() for k in range(COUNT)]
-    return replace(
-        trajectory,
-        positions=np.array([T.position for T in poses]),
-        orientations=np.array([T.orientation for T in poses]),
-        covariances=None,
-    )
-
-
 SOME = np.flatnonzero(np.arange(COUNT) % 7 != 3)
 T_TUM, T_KITTI = text(tum(TRUTH)), text(kitti(TRUTH))
-SCALAR_FIRST = text(
-    np.column_stack([ESTIMATE.timestamps, ESTIMATE.positions, np.roll(ESTIMATE.orientations, 1, axis=1)])
-)
-ASTRAY = replace(ESTIMATE, positions=ESTIMATE.positions * np.where(np.arange(COUNT) > 200, 40.0, 1.0)[:, None])
-TURNED = replace(ESTIMATE, covariances=None).of_body(Pose([0.0, 0.0, 0.0], rotations.exp_quaternion([0.0, 1.5, 0.0])))
 TIMES_1E9 = 1e9 * ESTIMATE.timestamps
-NAMES = "qy;qz;qw;qx;time;z;y;x\n"
 
 JUDGED = {
     "OpenVINS, 20 columns": (text(np.column_stack([tum(ESTIMATE), blocks(ROT, P)])), T_TUM),
@@ -141,28 +104,6 @@ JUDGED = {
     "TUM and 36 covariances of ROS": (full(IN_WORLD), T_TUM),
 }
 """Pairs with covariances, by the same numbers."""
-ERRORS = {
-    "TUM": (text(tum(ESTIMATE)), T_TUM),
-    "commas, columns named in another order": (text(tum(ESTIMATE)[:, [5, 6, 7, 4, 0, 3, 2, 1]], ";", NAMES), T_TUM),
-    "KITTI": (text(kitti(ESTIMATE)), T_KITTI),
-    "KITTI, 13 columns": (text(np.column_stack([np.arange(COUNT), kitti(ESTIMATE)])), T_KITTI),
-    "EuRoC, ns, qw first": (text(tum(ESTIMATE, 1.5e9 + ESTIMATE.timestamps)), euroc(TRUTH)),
-    "EuRoC, more columns": (text(tum(ESTIMATE, 1.5e9 + ESTIMATE.timestamps)), euroc(TRUTH, 17).replace(EUROC, "")),
-    "TUM with nanoseconds": (
-        text(tum(ESTIMATE, 1.5e18 + np.round(TIMES_1E9))),
-        text(tum(TRUTH, 1.5e9 + TRUTH.timestamps)),
-    ),
-    "repeated stamps": (repeated(), T_TUM),
-}
-"""Pairs without, of the same poses."""
-NOT_JUDGED = {
-    "qw first in a TUM": (SCALAR_FIRST, T_TUM, "five times better where the estimate's quaternions are read as qw"),
-    "T_bw in place of T_wb": (text(tum(inverse(ESTIMATE))), T_TUM, "is read as T_bw"),
-    "another body": (text(tum(TURNED)), T_TUM, "body seems to be turned by 85.9°"),
-    "diverged": (text(tum(ASTRAY)), T_TUM, "the estimate diverged"),
-    "covariances of ROS without z": (full(ONLY_Z), T_TUM, "too large to say anything, for z, so there is none of a"),
-}
-"""What is said of pairs that tell nothing of a claim."""
 REFUSED = {
     "29 numbers without a header": (square(IN_BODY).replace(SQUARE, ""), T_TUM, "29 columns and no header"),
     "times a factor of 1e9 apart": (text(tum(ESTIMATE, TIMES_1E9)), T_TUM, "as nanoseconds they would be at"),
@@ -218,13 +159,14 @@ def test_a_plane_is_carried_into_the_world_of_the_reference(tmp_path):
         assert found.claims[name].nees.mean == pytest.approx(flat.claims[name].nees.mean, rel=1e-5)
 
 
-@pytest.mark.parametrize("name", ERRORS)
-def test_the_same_poses_have_the_same_errors_in_every_layout(tmp_path, name):
-    right, found = sse.evaluate_trajectory(ESTIMATE, TRUTH, align="none"), score(tmp_path, *ERRORS[name], align="none")
+@pytest.mark.parametrize("nanoseconds", ["estimate", "truth"])
+def test_times_in_seconds_and_in_nanoseconds_go_together(tmp_path, nanoseconds):
+    """Seconds since 1970 in a float64 are exact to 2e-7."""
+    right, seconds, whole = sse.evaluate_trajectory(ESTIMATE, TRUTH, align="none"), 1.5e9 + TRUTH.timestamps, 1.5e18
+    times = [whole + np.round(TIMES_1E9) if nanoseconds == name else seconds for name in ("estimate", "truth")]
+    found = score(tmp_path, text(tum(ESTIMATE, times[0])), text(tum(TRUTH, times[1])), align="none")
     assert found.frames == COUNT - 1  # the first of them starts the world
-    # Seconds since 1970 in a float64 are exact to 2e-7.
     assert found.position_rmse_m == pytest.approx(right.position_rmse_m, rel=1e-9)
-    assert found.rotation_rmse_deg == pytest.approx(right.rotation_rmse_deg, rel=1e-6)
 
 
 def test_numbered_frames_of_kitti_are_paired_with_rows_missing(tmp_path):
@@ -235,47 +177,14 @@ def test_numbered_frames_of_kitti_are_paired_with_rows_missing(tmp_path):
     assert found.position_rmse_m == pytest.approx(right.position_rmse_m, rel=1e-9)
 
 
-@pytest.mark.parametrize("name", NOT_JUDGED)
-def test_what_cannot_be_judged_is_named_and_is_no_claim(tmp_path, name):
-    estimate, truth, reason = NOT_JUDGED[name]
-    found = score(tmp_path, estimate, truth)
-    assert found.verdict.startswith(("calibration, frames or truth", "not judged", "none"))
-    assert any(reason in note for note in found.notes), found.notes
+def test_a_claim_without_z_is_no_claim_of_a_pose(tmp_path):
+    found = score(tmp_path, full(ONLY_Z), T_TUM)
+    assert found.verdict.startswith("none")
+    assert any("too large to say anything, for z, so there is none of a" in note for note in found.notes)
 
 
 @pytest.mark.parametrize("name", REFUSED)
 def test_what_cannot_be_read_is_refused_with_a_true_reason_in_one_line(tmp_path, name):
     estimate, truth, reason = REFUSED[name]
-    with pytest.raises(ValueError, match=reason) as refused:
+    with pytest.raises(ValueError, match=rf"\A.*{reason}.*\Z"):
         score(tmp_path, estimate, truth)
-    assert "\n" not in str(refused.value)
-
-
-@pytest.mark.skipif(find_spec("rosbags") is None, reason="needs rosbags (extra bags)")
-@pytest.mark.parametrize("kind", ["ROS 1 bag", "db3", "MCAP"])
-def test_a_bag_has_the_nees_of_its_numbers(tmp_path, kind):
-    from rosbags.rosbag1 import Writer as Writer1
-    from rosbags.rosbag2 import StoragePlugin, Writer
-    from rosbags.typesys import Stores, get_typestore
-
-    store = get_typestore(Stores.ROS1_NOETIC if kind == "ROS 1 bag" else Stores.ROS2_HUMBLE)
-    rooms = ("builtin_interfaces", "geometry_msgs", "nav_msgs", "std_msgs/msg/Header")
-    made = {name.rpartition("/")[2]: maker for name, maker in store.types.items() if name.startswith(rooms)}
-    path, odometry = tmp_path / ("drive.bag" if kind == "ROS 1 bag" else "drive"), "nav_msgs/msg/Odometry"
-    plugins = {"db3": StoragePlugin.SQLITE3, "MCAP": StoragePlugin.MCAP}
-    unmoved = made["Vector3"](0.0, 0.0, 0.0)
-    at_rest = made["TwistWithCovariance"](made["Twist"](unmoved, unmoved), np.zeros(36))
-    with Writer1(path) if kind == "ROS 1 bag" else Writer(path, version=9, storage_plugin=plugins[kind]) as writer:
-        connection = writer.add_connection("/odom", odometry, typestore=store)
-        for k, row in enumerate(tum(ESTIMATE)):
-            stamp = made["Time"](sec=int(row[0] + 1e-9), nanosec=round(1e9 * (row[0] % 1.0)) % 10**9)
-            front = (k, stamp, "map") if kind == "ROS 1 bag" else (stamp, "map")
-            pose = made["Pose"](made["Point"](*row[1:4]), made["Quaternion"](*row[4:]))
-            message = made["Odometry"](
-                made["Header"](*front), "base", made["PoseWithCovariance"](pose, IN_WORLD[k].ravel()), at_rest
-            )
-            pack = store.serialize_ros1 if kind == "ROS 1 bag" else store.serialize_cdr
-            writer.write(connection, round(1e9 * row[0]) + 1, pack(message, odometry))
-    found = sse.evaluate_trajectory(f"{path}:/odom", TRUTH, align="none")
-    right = sse.evaluate_trajectory(ESTIMATE, TRUTH, align="none")
-    assert found.claims["pose"].nees.mean == pytest.approx(right.claims["pose"].nees.mean, rel=1e-6)

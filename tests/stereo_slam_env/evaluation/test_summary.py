@@ -32,11 +32,8 @@ def test_position_errors_are_combined_over_runs(plain):
     length = np.linalg.norm(np.diff(plain.true_positions[1:], axis=0), axis=1).sum()
     assert row.end_drift_percent == pytest.approx(100 * (0.5 + 1.2) / 2 / length)
     assert (row.runs, row.frames) == (2, 2 * (len(plain) - 1))
-
-
-def test_the_first_frame_is_not_scored(plain):
     positions = plain.true_positions.copy()
-    positions[0] += 100.0
+    positions[0] += 100.0  # the first frame is not scored
     assert summary_of([replace(plain, positions=positions)]).position_rmse_m == 0.0
 
 
@@ -77,27 +74,16 @@ def test_far_from_the_truth_at_the_end_is_divergence(plain):
     assert summary_of([lost], divergence_percent=90.0).diverged == 0
 
 
-def test_what_is_not_known_is_none():
+def test_what_is_not_known_is_none(plain):
     row = summary_of([run_filter(small_recording(truth=False), "inverse-depth")])
-    for name in (
-        "position_rmse_m",
-        "ate_rigid_m",
-        "end_drift_percent",
-        "pose_anees",
-        "pose_anees_band",
-        "landmark_anees",
-        "rpe_translation_percent",
-        "efficiency_percent",
-    ):
+    errors = ("position_rmse_m", "ate_rigid_m", "end_drift_percent", "rpe_translation_percent", "efficiency_percent")
+    for name in (*errors, "pose_anees", "pose_anees_band", "landmark_anees"):
         assert getattr(row, name) is None, name
     assert row.nis is not None
     assert set(row.consistency) == {"nis"}
     assert (row.frames, row.rpe, row.landmark_by_range, row.depth_convergence) == (0, (), (), ())
-
-
-def test_all_runs_failed(plain):
-    row = summary_of([replace(plain, failure="start: no")])
-    assert (row.diverged, row.position_rmse_m, row.pose_anees_band) == (1, None, None)
+    failed = summary_of([replace(plain, failure="start: no")])
+    assert (failed.diverged, failed.position_rmse_m, failed.pose_anees_band) == (1, None, None)
 
 
 def limit(run, sigma):

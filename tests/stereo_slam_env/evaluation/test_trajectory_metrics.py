@@ -11,16 +11,7 @@ from stereo_slam_env.files.readers import read_poses
 
 from ..real_data import real_data
 
-
-@pytest.fixture
-def curve():
-    t = np.linspace(0.0, 3.0, 50)
-    return np.column_stack([10 * np.sin(t), t, 20 * t])
-
-
-@pytest.fixture
-def motion():
-    return Rotation.from_euler("zyx", [20.0, 130.0, -40.0], degrees=True), np.array([3.0, -5.0, 7.0])
+TURN, SHIFT = Rotation.from_euler("zyx", [20.0, 130.0, -40.0], degrees=True), np.array([3.0, -5.0, 7.0])
 
 
 def test_alignment_never_mirrors_or_scales():
@@ -35,9 +26,10 @@ def test_the_residual_on_a_line_is_defined_all_the_same():
     assert metrics.ate_rigid(sideways, line) == pytest.approx(0.0, abs=1e-12)
 
 
-def test_rigid_error_ignores_a_motion_and_the_unaligned_one_does_not(curve, motion):
-    turn, shift = motion
-    assert metrics.ate_rigid(turn.apply(curve) + shift, curve) == pytest.approx(0.0, abs=1e-9)
+def test_rigid_error_ignores_a_motion_and_the_unaligned_one_does_not():
+    t = np.linspace(0.0, 3.0, 50)
+    curve = np.column_stack([10 * np.sin(t), t, 20 * t])
+    assert metrics.ate_rigid(TURN.apply(curve) + SHIFT, curve) == pytest.approx(0.0, abs=1e-9)
     assert metrics.ate_unaligned(curve + np.array([3.0, 0.0, 4.0]), curve) == pytest.approx(5.0)
 
 
@@ -81,6 +73,8 @@ def test_segments_start_at_every_tenth_row_and_end_just_beyond_their_length():
     np.testing.assert_array_equal(lengths, [5.0, 5.0, 5.0, 12.5, 12.5])
     np.testing.assert_array_equal(first, [0, 10, 20, 0, 10])
     np.testing.assert_array_equal(last, [6, 16, 26, 13, 23])
+    p, q, truth, true_q = turning_drive(rows=9)  # shorter than every segment
+    assert len(metrics.segment_errors(p, q, truth, true_q)) == 0
 
 
 def test_lengths_are_those_of_kitti_where_they_fit_and_shorter_ones_elsewhere():
@@ -105,18 +99,12 @@ def test_a_scale_error_and_a_steady_turn_have_their_relative_errors():
     np.testing.assert_allclose(errors.rotation_deg_per_100m, (errors.lengths + 1) / errors.lengths)
 
 
-def test_relative_errors_do_not_see_where_the_drive_began(motion):
-    turn, shift = motion
+def test_relative_errors_do_not_see_where_the_drive_began():
     p, q, truth, true_q = turning_drive()
-    moved = metrics.segment_errors(turn.apply(p) + shift, (turn * Rotation.from_quat(q)).as_quat(), truth, true_q)
+    moved = metrics.segment_errors(TURN.apply(p) + SHIFT, (TURN * Rotation.from_quat(q)).as_quat(), truth, true_q)
     errors = metrics.segment_errors(p, q, truth, true_q)
     np.testing.assert_allclose(moved.translation_percent, errors.translation_percent, rtol=1e-9)
     np.testing.assert_allclose(moved.rotation_deg_per_100m, errors.rotation_deg_per_100m, rtol=1e-9)
-
-
-def test_a_path_shorter_than_every_segment_has_none():
-    p, q, truth, true_q = turning_drive(rows=9)
-    assert len(metrics.segment_errors(p, q, truth, true_q)) == 0
 
 
 def assert_evo_agrees(p, q, truth, true_q):

@@ -41,11 +41,7 @@ def files(name):
 @pytest.mark.parametrize(
     ("name", "verdict", "note"),
     [
-        (
-            "fast_lio2",
-            "calibration, frames or truth: the reference's body seems to be turned by 88.9°",
-            "33 % of the poses the time",
-        ),
+        ("fast_lio2", "calibration, frames or truth: the reference's body seems to be turned by 88.9°", "33 % of the"),
         ("openvins", "not judged: the estimate diverged 5.75 s after its first pose", "is not that of the reference"),
         ("stereo vio", "none: no covariance", "the error is 0.111 m after a rigid alignment"),
         ("cnspy 6", "overconfident: errors are 1.59 times the claimed sigma; but it depends on the alignment", None),

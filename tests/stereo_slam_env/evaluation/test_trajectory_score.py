@@ -115,13 +115,6 @@ def test_poses_are_paired_by_time_each_once():
     assert sse.evaluate_trajectory(replace(estimate, timestamps=estimate.timestamps + 0.03), truth, max_gap=0.031)
 
 
-def test_two_estimates_near_one_reference_are_not_both_its_pair():
-    estimate, truth = drives(60)
-    score = sse.evaluate_trajectory(estimate, truth.rows(np.arange(0, 60, 5)), max_gap=0.25)
-    assert score.frames == 11
-    np.testing.assert_allclose(score.times, truth.timestamps[5::5])
-
-
 def test_files_without_times_are_paired_row_by_row(tmp_path):
     estimate, truth = drives(60)
     save_trajectory(tmp_path / "truth.kitti", truth)
@@ -145,12 +138,6 @@ def test_another_world_is_aligned_and_the_claims_with_it(align):
     here = sse.evaluate_trajectory(estimate, truth, align=align).claims["pose"].nees.mean
     there = sse.evaluate_trajectory(estimate.moved(T), truth, align=align).claims["pose"].nees.mean
     assert there == pytest.approx(here, rel=1e-6)
-
-
-def test_a_world_of_its_own_is_aligned_without_being_asked():
-    estimate, truth = drives(gauge="se3")
-    assert sse.evaluate_trajectory(estimate, truth).alignment == "rigid"
-    assert sse.evaluate_trajectory(estimate, truth, align="none").alignment == "none"
 
 
 @pytest.mark.parametrize("speed", [0.0, 1.0])
@@ -320,14 +307,6 @@ def test_a_short_or_constant_series_has_blocks_of_one():
     assert np.isnan(mean_interval(np.zeros(0)).mean)
 
 
-@pytest.mark.parametrize("unit", [1e-3, 1.0, 1e3])
-def test_the_length_of_a_block_is_that_of_theory_in_any_unit(unit):
-    """(4 a^2 / (1 - a^2)^2 N)^(1/3) for a first-order autoregression of memory a; the median of 40 estimates."""
-    rng, a, count = np.random.default_rng(2), 0.8, 3000
-    found = [block_length(unit * correlated(rng, count, a)) for _ in range(40)]
-    assert np.median(found) == pytest.approx((4.0 * a**2 / (1.0 - a**2) ** 2 * count) ** (1.0 / 3.0), rel=0.2)
-
-
 def test_blocks_go_on_by_one_and_have_the_mean_length():
     rows = stationary_rows(500, 8.0, np.random.default_rng(0), 200)
     goes_on = np.diff(rows, axis=1) % 500 == 1
@@ -338,26 +317,30 @@ def test_blocks_go_on_by_one_and_have_the_mean_length():
 
 
 @needs_smfeval
-@pytest.mark.parametrize("gauge", ["fixed", "se3"])
-def test_the_translation_figures_are_those_of_smfeval(tmp_path, capsys, gauge):
-    estimate, truth = drives(300, inflate=2.0, gauge=gauge)
+@pytest.mark.parametrize("unit", [1e-3, 1.0, 1e3])
+@pytest.mark.parametrize("memory", [0.0, 0.5, 0.95])
+def test_the_length_of_a_block_is_that_of_smfeval_in_any_unit(memory, unit):
+    from smfeval.scoring.summary import politis_white_block_length
+
+    values = correlated(np.random.default_rng(4), 700, memory)
+    assert block_length(unit * values) == pytest.approx(politis_white_block_length(values), rel=1e-9)
+
+
+@needs_smfeval
+def test_the_translation_figures_are_those_of_smfeval(tmp_path, capsys):
+    estimate, truth = drives(300, inflate=2.0, gauge="se3")
     save_trajectory(tmp_path / "est.square", estimate)
     save_trajectory(tmp_path / "truth.tum", truth)
     save_trajectory(tmp_path / "truth.square", truth)
-    smfeval = import_module("smfeval.cli.main")
     arguments = ["nees", str(tmp_path / "est.square"), str(tmp_path / "truth.tum"), "--ref-body-frame", "camera"]
-    assert smfeval.main([*arguments, "--json"]) == 0
+    assert import_module("smfeval.cli.main").main([*arguments, "--json"]) == 0
     theirs = json.loads(capsys.readouterr().out)
-    score = sse.evaluate_trajectory(tmp_path / "est.square", tmp_path / "truth.square")
-    # The first pose of a fixed world is not scored here.
-    assert theirs["n"] == score.frames + (gauge == "fixed")
-    ours = score.claims["position"] if gauge == "se3" else None
-    if ours is not None:
-        assert ours.claimed_scale_gap == pytest.approx(theirs["k"], rel=1e-6)
-        # Ours is carried through the alignment, theirs is as claimed.
-        assert ours.scale_gap == pytest.approx(theirs["k"], rel=1e-2)
-        assert ours.coverage[0.9] == pytest.approx(theirs["coverage"], abs=1e-2)
-        assert ours.nees.mean == pytest.approx(theirs["anees"]["anees"], rel=1e-2)
+    ours = sse.evaluate_trajectory(tmp_path / "est.square", tmp_path / "truth.square").claims["position"]
+    assert ours.claimed_scale_gap == pytest.approx(theirs["k"], rel=1e-6)
+    # Ours is carried through the alignment, theirs is as claimed.
+    assert ours.scale_gap == pytest.approx(theirs["k"], rel=1e-2)
+    assert ours.coverage[0.9] == pytest.approx(theirs["coverage"], abs=1e-2)
+    assert ours.nees.mean == pytest.approx(theirs["anees"]["anees"], rel=1e-2)
 
 
 @needs_smfeval
@@ -372,15 +355,6 @@ def test_the_log_score_of_each_pose_is_that_of_smfeval():
         theirs = gaussian_log_score_components(step, truth.positions[k], truth.orientations[k]).translation
         assert score.nees["position"][k - 1] == pytest.approx(theirs.nees, rel=1e-8)
         assert score.log_scores["position"][k - 1] == pytest.approx(theirs.log_score, rel=1e-8)
-
-
-@needs_smfeval
-@pytest.mark.parametrize("memory", [0.0, 0.5, 0.95])
-def test_the_length_of_a_block_is_that_of_smfeval(memory):
-    from smfeval.scoring.summary import politis_white_block_length
-
-    values = correlated(np.random.default_rng(4), 700, memory)
-    assert block_length(values) == pytest.approx(politis_white_block_length(values), rel=1e-9)
 
 
 # ---- runs of this package -------------------------------------------------------------------------------------------
@@ -408,11 +382,9 @@ def test_a_run_written_to_files_has_the_nees_of_its_own_figures(tmp_path, filter
         )
 
 
-def test_a_path_of_half_a_metre_has_a_drift_and_none_has_none():
+def test_a_path_of_half_a_metre_has_a_drift():
     _, truth = drives(30)
     scale = 0.5 / np.linalg.norm(np.diff(truth.positions[1:], axis=0), axis=1).sum()
     short = replace(truth, positions=scale * truth.positions)
     moved = replace(short, positions=short.positions + np.linspace(0.0, 0.01, 30)[:, None] * [1.0, 0.0, 0.0])
     assert sse.evaluate_trajectory(moved, short).end_drift_percent == pytest.approx(2.0, rel=1e-2)
-    still = replace(truth, positions=np.zeros((30, 3)))
-    assert sse.evaluate_trajectory(still, still).end_drift_percent is None

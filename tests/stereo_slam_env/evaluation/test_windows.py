@@ -98,11 +98,6 @@ def test_a_filter_without_clones_has_no_windows():
     assert np.isnan(run.window_nees_1s).all()
 
 
-def test_windows_of_a_reference_that_is_no_truth_are_not_scored():
-    recording = replace(small_recording(frames=25), truth_from=Reference("odometry", "By hand."))
-    assert np.isnan(run_filter(recording, "inverse-depth", windows=True).window_nees_1s).all()
-
-
 # ---- stated errors of the reference ---------------------------------------------------------------------------------
 
 

@@ -149,7 +149,6 @@ YAML_BOMB = "a: &a [x,x,x,x,x,x,x,x,x]\n" + "".join(
     f"{chr(98 + k)}: &{chr(98 + k)} [{','.join(9 * ['*' + chr(97 + k)])}]\n" for k in range(8)
 )
 MERGES = "m0: &m0 {a: 1}\n" + "".join(f"m{k + 1}: &m{k + 1} {{<<: [*m{k}, *m{k}]}}\n" for k in range(40))
-COLONS = f"a: 1{300_000 * ':59'}\n"
 
 
 def in_folder(path, content):

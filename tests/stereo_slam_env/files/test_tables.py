@@ -26,17 +26,16 @@ def test_a_table_is_read_as_it_is(tmp_path):
 @pytest.mark.filterwarnings("error")
 def test_a_wrong_table_is_named(tmp_path, text, complaint):
     (tmp_path / "t.txt").write_text(text)
-    with pytest.raises(ValueError, match=complaint) as caught:
+    with pytest.raises(ValueError, match=rf"\A.*{complaint}.*\Z"):
         read_table(tmp_path / "t.txt", 3)
-    assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("keep", [0, 10, 300])
-def test_a_truncated_archive_is_named(tmp_path, keep):
+@pytest.mark.parametrize("keep", [0, 300, None])
+def test_a_truncated_archive_and_one_of_pickles_are_named(tmp_path, keep):
     path = tmp_path / "a.npz"
-    np.savez(path, x=np.zeros(100))
+    np.savez(path, x=np.zeros(100) if keep is not None else np.array([{"evil": 1}], dtype=object))
     path.write_bytes(path.read_bytes()[:keep])
-    with pytest.raises(ValueError, match=r"a\.npz is damaged"):
+    with pytest.raises(ValueError, match=r"a\.npz is damaged and cannot be read"):
         read_archive(path, {"x": "n"})
 
 
@@ -44,12 +43,6 @@ def test_a_missing_array_is_named(tmp_path):
     np.savez(tmp_path / "a.npz", x=np.zeros(3))
     with pytest.raises(ValueError, match=r"a\.npz lacks the array y"):
         read_archive(tmp_path / "a.npz", {"x": 3, "y": 3})
-
-
-def test_pickles_are_not_opened(tmp_path):
-    np.savez(tmp_path / "a.npz", x=np.array([{"evil": 1}], dtype=object))
-    with pytest.raises(ValueError, match="cannot be read"):
-        read_archive(tmp_path / "a.npz", {"x": "n"})
 
 
 def test_poses_are_camera_to_world(tmp_path):

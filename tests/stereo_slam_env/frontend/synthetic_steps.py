@@ -7,9 +7,17 @@ import numpy as np
 from filters.geometry import rotations
 from filters.geometry.camera import StereoCamera
 from stereo_slam_env.frontend.ego_motion import Pairs, Step
+from stereo_slam_env.frontend.tracks import new_tracks
 
 CAMERA = StereoCamera(721.5, 721.5, 672.0, 195.5, 0.571, 1344, 391)
 STEP = Step(rotations.exp([0.004, 0.03, -0.002]), np.array([0.05, -0.02, 0.9]))
+
+
+def tracks_of(first, R):
+    """Landmarks that were measured for the first time in the pair before."""
+    patches = np.zeros((len(first), 23, 23), dtype=np.float32)
+    ids = np.arange(10, 10 + len(first), dtype=np.int64)
+    return new_tracks(ids, patches, first, R, np.eye(3), np.zeros(3)).next_pair()
 
 
 @dataclass

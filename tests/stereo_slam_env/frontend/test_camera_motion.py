@@ -93,17 +93,7 @@ def with_gyro(recording: Recording, scale: float, turning: int = FRAMES) -> Reco
 
 @pytest.mark.parametrize(
     ("scale", "refused"),
-    [
-        *(
-            (1.0, False),
-            (1.1, False),
-            (28.0, False),
-            (32.0, True),
-            (np.rad2deg(1.0), True),
-            (108.0, True),
-            (112.0, False),
-        )
-    ],
+    [(1.0, False), (28.0, False), (32.0, True), (np.rad2deg(1.0), True), (108.0, True), (112.0, False)],
 )
 def test_a_gyro_in_degrees_is_known_by_the_turns_of_the_images(scale, refused):
     """However slow it turns: its rates are below what any camera turns by."""

@@ -43,10 +43,6 @@ def test_in_the_end_it_assumes_what_a_look_at_the_whole_drive_says(errors: dict[
     recording = drive(**errors)
     slam = last_moment(recording).slam
     ahead = with_measured_noise(recording).noise
-    assert isinstance(slam, CausalNoiseEKF)
-    assert isinstance(ahead, ColouredNoise)
-    assert ahead.white is not None
-    assert ahead.lasting is not None
     np.testing.assert_allclose(slam.options.gauge_walk, ahead.gauge_walk, rtol=0.2)
     np.testing.assert_allclose(slam.noise.R[0, 0], ahead.white[0, 0], atol=0.4 * recording.noise.R[0, 0])
     assert kept_sigma(slam) == pytest.approx(ahead.lasting[0, 0] ** 0.5, rel=0.25, abs=0.1)
@@ -54,7 +50,6 @@ def test_in_the_end_it_assumes_what_a_look_at_the_whole_drive_says(errors: dict[
 
 def kept_sigma(slam: StereoFilter) -> float:
     """Standard deviation of the errors of u that a filter keeps in its state, px."""
-    assert isinstance(slam, CausalNoiseEKF)
     assert isinstance(slam.options.landmark, LastingErrors)
     return float(np.asarray(slam.options.landmark.covariance)[0, 0] ** 0.5)
 
@@ -63,18 +58,14 @@ def test_errors_that_last_are_allowed_for_once() -> None:
     """In the state, or as a walk where measurements bring a covariance of their own: never both."""
     bare = drive(slide=0.3)
     for moment in sse.run(CausalNoiseEKF, bare, use_odometry=False):
-        assert isinstance(moment.slam, CausalNoiseEKF)
         assert moment.slam.options.drift is None
     R = np.diag([0.1, 0.1, 0.2])
     measured = as_seen_with(bare, R)
     by_plain_noise = last_moment(measured).slam
     assert kept_sigma(by_plain_noise) == 0.0
     stated = last_moment(dataclasses.replace(measured, noise=TYPICAL_NOISE)).slam
-    assert isinstance(stated, CausalNoiseEKF)
     assert not isinstance(stated.options.landmark, LastingErrors)
     for slam in (by_plain_noise, stated):
-        assert isinstance(slam, CausalNoiseEKF)
-        assert slam.options.drift is not None
         assert slam.options.drift.share == DRIFT_SHARE
 
 
@@ -82,8 +73,6 @@ def told_wrong_motions(recording: Recording, wrong: float) -> TrackStatistics:
     """Statistics of the tracks by motions that are off by so many m, and by a fiftieth of it in rad."""
     statistics, rng = TrackStatistics(recording.camera), np.random.default_rng(0)
     for before, now in pairwise(recording.frames):
-        assert before.truth is not None
-        assert now.truth is not None
         true = before.truth.inverse() @ now.truth
         error = wrong * rng.normal(size=6) / [1.0, 1.0, 1.0, 50.0, 50.0, 50.0]
         step = Step(true.R_wc, true.position).moved(error)
@@ -119,7 +108,6 @@ def test_frames_that_tell_nothing_are_none_of_the_first_it_learns_from() -> None
 def test_what_it_assumes_changes_every_ten_frames() -> None:
     told = []
     for moment in sse.run(CausalNoiseEKF, drive(slide=0.3), use_odometry=False):
-        assert isinstance(moment.slam, CausalNoiseEKF)
         told.append((moment.slam.options.gauge_walk, float(moment.slam.noise.R[0, 0])))
     changes = [k for k, (before, now) in enumerate(pairwise(told), start=1) if before != now]
     assert changes[:3] == [10, 20, 30]
@@ -129,7 +117,6 @@ def test_what_it_assumes_changes_every_ten_frames() -> None:
 def test_it_starts_with_no_more_than_R_and_forgets_at_a_reset() -> None:
     recording = drive(slide=0.3)
     slam = last_moment(recording).slam
-    assert isinstance(slam, CausalNoiseEKF)
     slam.reset(recording.start)
     slam.update(recording.frames[0].observation)
     assert slam.options.gauge_walk == COMMON_WALK
@@ -159,8 +146,6 @@ def test_a_filter_goes_on_with_what_it_is_told_to_assume() -> None:
     """Told before the first frame, it is the filter that is made so, to the last bit."""
     recording = with_measured_noise(drive(slide=0.3)[:20])
     noise = recording.noise
-    assert isinstance(noise, ColouredNoise)
-    assert noise.white is not None
     made = ColouredNoiseEKF(recording.camera, noise)
     other_noise = dataclasses.replace(noise, white=None, lasting=4.0 * noise.R, lasting_time=1.0, gauge_walk=0.02)
     told = ColouredNoiseEKF(recording.camera, other_noise)

@@ -9,7 +9,6 @@ from stereo_slam_env.frontend.ego_motion import (
     Pairs,
     Step,
     chained,
-    continued,
     left_pixel_step,
     most_likely_step,
     perspective_n_point,
@@ -46,18 +45,6 @@ def test_its_covariance_is_honest():
         e = error(found.step)
         normalised.append(e @ np.linalg.solve(found.estimate.covariance, e) / 6)
     assert 0.75 < np.mean(normalised) < 1.35  # mean of 60 chi-squares with 6, over 6; the gate trims a little
-
-
-def test_too_few_pairs_tell_nothing():
-    assert robust_step(CAMERA, Cloud(count=7).pairs(), STEP) is None
-
-
-def test_half_a_step_twice_is_the_step():
-    half = continued(STEP, 0.5)
-    both = chained(half, half)
-    np.testing.assert_allclose(both.R, STEP.R, atol=1e-12)
-    # The translation is along a straight line in the first camera, so two halves agree to the turn within a step.
-    np.testing.assert_allclose(both.t, STEP.t, atol=0.02)
 
 
 def test_chaining_carries_points_through_both_cameras():

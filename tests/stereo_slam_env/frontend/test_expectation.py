@@ -11,21 +11,14 @@ from stereo_slam_env.frontend.tracks import (
     by_forecast,
     by_motion,
     constant_velocity_covariance,
-    new_tracks,
     searchable,
     step_of_forecast,
     sure_rows,
 )
 
-from .synthetic_steps import CAMERA, STEP, Cloud
+from .synthetic_steps import CAMERA, STEP, Cloud, tracks_of
 
 SETTINGS = TrackerSettings()
-
-
-def tracks_of(first, R):
-    ids = np.arange(10, 10 + len(first), dtype=np.int64)
-    patches = np.zeros((len(first), 23, 23), dtype=np.float32)
-    return new_tracks(ids, patches, first, R, np.eye(3), np.zeros(3)).next_pair()
 
 
 @pytest.fixture
@@ -56,12 +49,6 @@ def test_the_ellipse_holds_the_noise_of_both_measurements_and_of_the_motion(trac
     assert (np.linalg.eigvalsh(sure.S - tracks.R) > 0).all()
     assert (np.linalg.eigvalsh(unsure.S - sure.S) > -1e-9).all()
     assert (unsure.S[:, 0, 0] > sure.S[:, 0, 0]).all()
-
-
-def test_less_is_known_the_longer_the_step():
-    short, long = (constant_velocity_covariance(SETTINGS, dt) for dt in (0.1, 0.2))
-    assert long == pytest.approx(16 * short)
-    assert np.sqrt(short[0, 0]) == pytest.approx(0.03)
 
 
 def test_a_moving_landmark_goes_on_as_before():

@@ -30,47 +30,21 @@ def test_ours_keep_the_contract(name):
 
 
 class Faulty(KLTFrontEnd):
-    """A good front end with one fault."""
+    """A good front end with one fault, given as `spoilt(calls since the last reset, what was found)`."""
 
-    def __init__(self, camera, settings=None):
-        super().__init__(camera, settings)
+    calls = 0
+
+    def reset(self):
+        super().reset()
         self.calls = 0
 
     def track(self, left, right, dt=None, forecast=None):
         self.calls += 1
-        return self.spoilt(super().track(left, right, dt, forecast))
+        return type(self).spoilt(self.calls, super().track(left, right, dt, forecast))
 
-
-class Biased(Faulty):
-    def spoilt(self, found):
-        return replace(found, uvd=found.uvd + np.array([0.0, 0.0, 0.15]))
-
-
-class Shuffled(Faulty):
-    def spoilt(self, found):
-        return replace(found, ids=found.ids[::-1].copy())
-
-
-class Certain(Faulty):
-    def spoilt(self, found):
-        return replace(found, R=0.0 * found.R)
-
-
-class Forgetful(Faulty):
-    def spoilt(self, found):
-        return replace(found, ids=found.ids + 1000 * self.calls)
-
-
-class Undead(Faulty):
-    def spoilt(self, found):
-        return replace(found, dropped=found.ids[:1])
-
-
-class Moody(Faulty):
-    moods = np.random.default_rng(0)
-
-    def spoilt(self, found):
-        return replace(found, uvd=found.uvd + self.moods.normal(0.0, 0.01, found.uvd.shape))
+    @staticmethod
+    def spoilt(calls, found):
+        return found
 
 
 class Credulous(Faulty):
@@ -80,98 +54,79 @@ class Credulous(Faulty):
         except ValueError:
             return TrackedPair(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3, 3)))
 
-    def spoilt(self, found):
-        return found
-
 
 class Borrower(Faulty):
-    def spoilt(self, found):
-        return found
-
     def track(self, left, right, dt=None, forecast=None):
         found = super().track(left, right, dt, forecast)
         self._left = left
         return found
 
 
-@pytest.mark.parametrize(
-    ("front_end", "failed"),
-    [
-        (Biased, "to parts of a pixel. the median error of (u, v, d) is"),
-        (Shuffled, "ids must be int64 and ascend"),
-        (Certain, "symmetric and positive definite. pair 0 has one that is not"),
-        (Forgetful, "half of them are measured in the next pair, too. pair 3 has 0%"),
-        (Undead, "dropped does not come again. pair 1 has"),
-        (Moody, "give the same bits, after `reset`"),
-        (Credulous, "a smaller image is taken"),
-        (Borrower, "an image is kept that was overwritten"),
-    ],
-    ids=lambda value: getattr(value, "__name__", ""),
-)
-def test_each_fault_is_found_and_named(front_end, failed):
+def spoiling(spoilt):
+    return type("Spoilt", (Faulty,), {"spoilt": staticmethod(spoilt)})
+
+
+def moved(found, by):
+    return replace(found, uvd=found.uvd + by)
+
+
+MOODS = np.random.default_rng(0)
+FAULTS = {
+    "to parts of a pixel. the median error of (u, v, d) is": lambda calls, found: moved(found, np.array([0, 0, 0.15])),
+    "ids must be int64 and ascend": lambda calls, found: replace(found, ids=found.ids[::-1].copy()),
+    "symmetric and positive definite. pair 0 has one that is not": lambda calls, found: replace(found, R=0.0 * found.R),
+    "half of them are measured in the next pair, too. pair 3 has 0%": lambda calls, found: replace(
+        found, ids=found.ids + 1000 * calls
+    ),
+    "dropped does not come again. pair 1 has": lambda calls, found: replace(found, dropped=found.ids[:1]),
+    "give the same bits, after `reset`": lambda calls, found: moved(found, MOODS.normal(0.0, 0.01, found.uvd.shape)),
+    "a smaller image is taken": Credulous,
+    "an image is kept that was overwritten": Borrower,
+}
+
+
+@pytest.mark.parametrize("failed", FAULTS)
+def test_each_fault_is_found_and_named(failed):
+    front_end = FAULTS[failed] if isinstance(FAULTS[failed], type) else spoiling(FAULTS[failed])
     report = check_front_end(front_end, raise_on_failure=False)
     assert any(failed in line for line in report.failed), report
     with pytest.raises(AssertionError, match=front_end.__name__):
         check_front_end(front_end)
 
 
-class Few(Faulty):
-    keep = 10
-
-    def spoilt(self, found):
-        few = slice(self.keep)
-        return replace(found, ids=found.ids[few], uvd=found.uvd[few], R=found.R[few])
-
-
-class TooFew(Few):
-    keep = 9
-
-
-class Shifted(Faulty):
-    """From the second pair on, so that landmarks do not begin where they are taken to be."""
-
-    by = (0.0, 0.0, 0.0)
-
-    def reset(self):
-        super().reset()
-        self.calls = 0
-
-    def spoilt(self, found):
-        return replace(found, uvd=found.uvd + (np.array(self.by) if self.calls > 1 else 0.0))
-
-
-class Scattered(Faulty):
-    """A share of the disparities is wrong by 1.6 px."""
-
-    share = 0.0
-
-    def spoilt(self, found):
-        wrong = (np.arange(len(found.ids)) + 0.5) / len(found.ids) < self.share
-        return replace(found, uvd=found.uvd + np.outer(wrong, [0.0, 0.0, 1.6]))
-
-
-def failures(kind, **attributes):
-    front_end = type(kind.__name__, (kind,), attributes)
-    return list(check_front_end(front_end, raise_on_failure=False).failed)
+def failures(spoilt):
+    return list(check_front_end(spoiling(spoilt), raise_on_failure=False).failed)
 
 
 def test_ten_landmarks_are_enough_and_nine_are_not():
-    assert failures(Few) == []
-    assert any("has 9 landmarks, 10 are asked for" in line for line in failures(TooFew))
+    def first(count):
+        return lambda _, found: replace(found, ids=found.ids[:count], uvd=found.uvd[:count], R=found.R[:count])
+
+    assert failures(first(10)) == []
+    assert any("has 9 landmarks, 10 are asked for" in line for line in failures(first(9)))
 
 
 @pytest.mark.parametrize("axis", range(3))
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_a_bias_of_a_tenth_of_a_pixel_is_the_limit_in_each_coordinate(axis, sign):
+    """From the second pair on, so that landmarks do not begin where they are taken to be."""
     for size, fails in ((0.06, False), (0.14, True)):
-        found = failures(Shifted, by=tuple(sign * size * np.eye(3)[axis]))
+        by = sign * size * np.eye(3)[axis]
+        found = failures(lambda calls, found, by=by: moved(found, by * (calls > 1)))
         assert ([line for line in found if "the median error of (u, v, d) is" in line] != []) == fails
         assert (found != []) == fails
 
 
 def test_a_tenth_of_the_measurements_may_be_wrong_by_more():
-    assert failures(Scattered, share=0.07) == []
-    assert any("are wrong by more than 1.5 px" in line for line in failures(Scattered, share=0.14))
+    """By 1.6 px of disparity."""
+
+    def scattered(share):
+        return lambda _, found: moved(
+            found, np.outer((np.arange(len(found.ids)) + 0.5) / len(found.ids) < share, [0.0, 0.0, 1.6])
+        )
+
+    assert failures(scattered(0.07)) == []
+    assert any("are wrong by more than 1.5 px" in line for line in failures(scattered(0.14)))
 
 
 def test_a_tracked_pair_is_ids_measurements_and_covariances():

@@ -91,15 +91,6 @@ def test_a_recording_whose_samples_would_be_lost_is_not_saved(tmp_path):
     assert not (tmp_path / "drive.npz").exists()
 
 
-def test_a_recording_from_before_there_were_samples_is_read(tmp_path):
-    path = tmp_path / "drive.npz"
-    save_recording(path, small_recording())
-    with np.load(path) as stored:
-        old = {name: stored[name] for name in stored.files if "inertial" not in name}
-    np.savez(path, **old)
-    assert stream_digest(load_recording(path)) == stream_digest(small_recording())
-
-
 def test_a_file_is_read_like_any_recording(tmp_path):
     """The noise of a simulation is what it says; of other tracks it is measured."""
     path, drive = tmp_path / "drive.npz", dataclasses.replace(small_recording(), truth_from=SIMULATION)
@@ -125,19 +116,10 @@ def test_a_truncated_file_is_named_with_the_remedy(tmp_path, keep):
     path = tmp_path / "drive.npz"
     save_recording(path, small_recording())
     path.write_bytes(path.read_bytes()[:keep])
-    with pytest.raises(ValueError, match=r"drive\.npz is damaged \(.*\): copy or record it again") as caught:
+    with pytest.raises(ValueError, match=r"\A.*drive\.npz is damaged \(.*\): copy or record it again.*\Z"):
         load_recording(path)
-    assert "\n" not in str(caught.value)
-
-
-def test_a_flipped_bit_is_noticed(tmp_path):
-    path = tmp_path / "drive.npz"
-    save_recording(path, small_recording())
-    content = bytearray(path.read_bytes())
-    content[len(content) // 2] ^= 1
-    path.write_bytes(content)
-    with pytest.raises(ValueError, match=r"drive\.npz is damaged"):
-        load_recording(path)
+    with pytest.raises(ValueError, match="does not exist"):
+        load_recording(tmp_path / "nowhere.npz")
 
 
 def changed(path, **arrays):
@@ -167,18 +149,8 @@ def test_what_does_not_fit_together_is_named(tmp_path, arrays, complaint):
     path = tmp_path / "drive.npz"
     save_recording(path, small_recording())
     changed(path, **arrays)
-    with pytest.raises(ValueError, match=complaint) as caught:
+    with pytest.raises(ValueError, match=rf"\A.*{complaint}.*\Z"):
         load_recording(path)
-    assert "\n" not in str(caught.value)
-
-
-def test_other_files_and_none_are_told_apart(tmp_path):
-    np.save(tmp_path / "array.npy", np.zeros(3))
-    (tmp_path / "array.npy").rename(tmp_path / "array.npz")
-    with pytest.raises(ValueError, match=r"array\.npz is damaged"):
-        load_recording(tmp_path / "array.npz")
-    with pytest.raises(ValueError, match="does not exist"):
-        load_recording(tmp_path / "nowhere.npz")
 
 
 def test_what_cannot_be_kept_is_refused_before_anything_is_written(tmp_path):
@@ -188,23 +160,6 @@ def test_what_cannot_be_kept_is_refused_before_anything_is_written(tmp_path):
     with pytest.raises(ValueError, match=r"must end in \.npz"):
         save_recording(tmp_path / "drive.dat", small_recording())
     assert list(tmp_path.iterdir()) == []
-
-
-def test_recordings_made_before_there_were_heads_have_none(tmp_path):
-    save_recording(tmp_path / "new.npz", small_recording())
-    with np.load(tmp_path / "new.npz") as archive:
-        np.savez(tmp_path / "old.npz", **{name: archive[name] for name in archive.files if "head" not in name})
-    assert [frame.head for frame in load_recording(tmp_path / "old.npz").frames] == [None] * 15
-
-
-def test_recordings_made_before_they_said_what_their_truth_is_have_one_of_unknown_origin(tmp_path):
-    save_recording(tmp_path / "drive.npz", with_everything())
-    with np.load(tmp_path / "drive.npz") as archive:
-        arrays = {name: archive[name] for name in archive.files}
-    about = json.loads(str(arrays["about"]))
-    del about["truth_from"]
-    np.savez(tmp_path / "old.npz", **arrays | {"about": np.array(json.dumps(about))})
-    assert load_recording(tmp_path / "old.npz").reference == GIVEN_TRUTH
 
 
 @pytest.mark.parametrize(
@@ -217,9 +172,24 @@ def test_recordings_made_before_they_said_what_their_truth_is_have_one_of_unknow
 )
 def test_recordings_made_before_kinds_had_short_names_are_read_and_not_believed(tmp_path, kind, description, now):
     """What an earlier reader guessed of a layout is not taken over."""
-    save_recording(tmp_path / "drive.npz", small_recording())
-    changed(tmp_path / "drive.npz", truth_from={"kind": kind, "description": description})
-    assert load_recording(tmp_path / "drive.npz").truth_from == now
+    path = tmp_path / "drive.npz"
+    save_recording(path, small_recording())
+    changed(path, truth_from={"kind": kind, "description": description})
+    assert load_recording(path).truth_from == now
+
+
+def test_recordings_made_before_there_were_samples_heads_and_references_have_none(tmp_path):
+    path, made = tmp_path / "drive.npz", with_everything()
+    save_recording(path, made)
+    with np.load(path) as stored:
+        arrays = {name: stored[name] for name in stored.files if "inertial" not in name and "head" not in name}
+    about = json.loads(str(arrays["about"]))
+    del about["truth_from"]
+    np.savez(path, **arrays | {"about": np.array(json.dumps(about))})
+    old = load_recording(path)
+    assert old.reference == GIVEN_TRUTH
+    bare = tuple(dataclasses.replace(frame, inertial=None, head=None) for frame in made.frames)
+    assert dict(leaves(old.frames)) == dict(leaves(bare))
 
 
 def test_without_a_true_pose_there_is_no_reference_whatever_the_source_says():

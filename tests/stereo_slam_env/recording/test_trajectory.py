@@ -129,18 +129,6 @@ def test_plain_formats_are_known_by_their_columns(tmp_path, ending):
     np.testing.assert_allclose(turned, np.tile([0.0, 0.0, 0.0, 1.0], (len(again), 1)), rtol=0, atol=1e-8)
 
 
-def test_29_columns_without_a_header_are_not_guessed(tmp_path):
-    trajectory, _ = random_trajectory("right")
-    save_trajectory(tmp_path / "est.square", trajectory)
-    rows = [line for line in (tmp_path / "est.square").read_text().splitlines() if not line.startswith("#")]
-    (tmp_path / "est.txt").write_text("\n".join(rows))
-    with pytest.raises(
-        ValueError, match="29 columns and no header: is the covariance of the right or the left"
-    ) as caught:
-        load_trajectory(tmp_path / "est.txt")
-    assert "\n" not in str(caught.value)
-
-
 def test_the_order_of_the_tangent_is_what_the_header_says(tmp_path):
     trajectory, truth = random_trajectory("right")
     swapped = trajectory.covariances[:, [3, 4, 5, 0, 1, 2]][:, :, [3, 4, 5, 0, 1, 2]]
@@ -169,46 +157,42 @@ def test_smfeval_reads_what_is_written(tmp_path, tangent):
     np.testing.assert_allclose([step.covariance for step in steps], wanted, rtol=1e-9, atol=1e-13)
 
 
+SQUARE = "#%FORMAT SQUARE/0.3\n"
+
+
 @pytest.mark.parametrize(
     ("content", "complaint"),
     [
         ("1 2\n4 5\n", "has 2 columns: a trajectory has 8"),
         ("", "has no rows: a trajectory has 8"),
+        ("0 1 2 3 0 0 0 1" + 21 * " 1", "29 columns and no header: is the covariance of the right or the left"),
         ("0 1 2 3 0 0 0 2\n", "row 0 has length 2"),
         ("1 1 2 3 0 0 0 1\n0 1 2 3 0 0 0 1\n", "timestamps must ascend, row 1"),
         ("0 1 nan 3 0 0 0 1\n", "none of its 1 rows holds a pose"),
         ("0 1 2 3 0 0 0 x\n", "not a table of 8 numbers"),
         ("Dear reader,\nthis is a letter\n", "is no trajectory: its first row is 'Dear reader,'"),
         ("#%FORMAT TUM\n0 1 2 3 0 0 0 1\n", "without FORMAT SQUARE"),
+        (f"{SQUARE}#%REPRESENTATION gaussian_se3\n0 1 2 3 0 0 0 1\n", "8 columns where its header has 29"),
+        (f"{SQUARE}#%REPRESENTATION ensemble_se3\n0 1 2 3 0 0 0 1\n", "REPRESENTATION must be one of"),
         (
-            "#%FORMAT SQUARE/0.3\n#%REPRESENTATION gaussian_se3\n0 1 2 3 0 0 0 1\n",
-            "8 columns where its header has 29",
+            f"{SQUARE}#%REPRESENTATION deterministic\n#%GAUGE so3\n0 1 2 3 0 0 0 1\n",
+            "GAUGE must be one of fixed, .* 'so3'",
         ),
-        ("#%FORMAT SQUARE/0.3\n#%REPRESENTATION ensemble_se3\n0 1 2 3 0 0 0 1\n", "REPRESENTATION must be one of"),
-        (
-            "#%FORMAT SQUARE/0.3\n#%REPRESENTATION deterministic\n#%GAUGE so3\n0 1 2 3 0 0 0 1\n",
-            "GAUGE must be one of fixed, se3, gravity_yaw, sim3, got 'so3'",
-        ),
-        ("#%FORMAT SQUARE/0.3\n#%FORMAT SQUARE/0.3\n0 1 2 3 0 0 0 1\n", "two header lines FORMAT"),
+        (f"{SQUARE}{SQUARE}0 1 2 3 0 0 0 1\n", "two header lines FORMAT"),
     ],
 )
 def test_a_file_that_is_none_is_named_in_one_line(tmp_path, content, complaint):
     (tmp_path / "bad.txt").write_text(content)
-    with pytest.raises(ValueError, match=complaint) as caught:
+    with pytest.raises(ValueError, match=rf"\A.*bad\.txt.*{complaint}.*\Z"):
         load_trajectory(tmp_path / "bad.txt")
-    assert str(tmp_path / "bad.txt") in str(caught.value)
-    assert "\n" not in str(caught.value)
-
-
-def test_a_missing_file_is_named(tmp_path):
-    with pytest.raises(ValueError, match=r"none\.tum does not exist"):
-        load_trajectory(tmp_path / "none.tum")
 
 
 def test_what_cannot_be_written_is_refused(tmp_path):
     trajectory, _ = random_trajectory()
     with pytest.raises(ValueError, match=r"must end in \.tum, \.kitti, \.square"):
         save_trajectory(tmp_path / "est.csv", trajectory)
+    with pytest.raises(ValueError, match=r"none\.tum does not exist"):
+        load_trajectory(tmp_path / "none.tum")
     untimed = Trajectory(trajectory.positions, trajectory.orientations)
     with pytest.raises(ValueError, match=r"has no timestamps: write it as \.kitti"):
         save_trajectory(tmp_path / "est.tum", untimed)
@@ -223,15 +207,10 @@ def test_what_cannot_be_written_is_refused(tmp_path):
         ({"frame_numbers": np.array([3, 3])}, "frame_numbers must be 2 ascending"),
         ({"positions": np.zeros((0, 3)), "orientations": np.zeros((0, 4))}, "at least one pose"),
         ({"orientations": np.zeros((2, 4))}, "unit quaternions"),
+        ({"positions": np.array([[0.0] * 3, [1e300] * 3])}, r"positions must be in m, below 1e\+12: row 1 has"),
     ],
 )
 def test_an_impossible_trajectory_is_refused(change, complaint):
     usual = {"positions": np.zeros((2, 3)), "orientations": np.tile([0.0, 0.0, 0.0, 1.0], (2, 1))}
     with pytest.raises(ValueError, match=complaint):
         Trajectory(**usual | change)
-
-
-def test_a_position_that_no_vehicle_has_is_refused():
-    """Squares of errors would overflow."""
-    with pytest.raises(ValueError, match=r"positions must be in m, below 1e\+12: row 1 has"):
-        Trajectory(np.array([[0.0] * 3, [1e300] * 3]), np.tile([0.0, 0.0, 0.0, 1.0], (2, 1)), np.arange(2.0))

@@ -71,7 +71,7 @@ def test_euroc_and_tum_vi_have_nanoseconds_and_the_scalar_part_first(tmp_path, n
     header = ",".join(EUROC.strip().split(",")[: 8 + len(others)]) + "\n" if named else ""
     rows = [[*row, *others] for row in nanoseconds(POSES)]
     found = load_trajectory(written(tmp_path / "data.csv", rows, header, ","))
-    np.testing.assert_allclose(found.timestamps, 1.5e9 + POSES[:, 0], atol=1e-6)
+    np.testing.assert_allclose(found.timestamps, 1.5e9 + POSES[:, 0], rtol=0, atol=1e-6)
     np.testing.assert_allclose(found.orientations, POSES[:, 4:])
     np.testing.assert_allclose(found.positions, POSES[:, 1:4])
 
@@ -140,49 +140,13 @@ def test_rows_of_kitti_may_be_numbered_with_some_missing(tmp_path):
 
 
 @needs_rosbags
-def test_a_topic_of_a_bag_is_read(tmp_path):
-    from rosbags.rosbag2 import StoragePlugin, Writer
-    from rosbags.typesys import Stores, get_typestore
-
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    kinds = {
-        name.rpartition("/")[2]: kind
-        for name, kind in store.types.items()
-        if name.startswith(("builtin", "std_msgs", "geometry"))
-    }
-    time = kinds["Time"](sec=12, nanosec=500_000_000)
-    header = kinds["Header"](stamp=time, frame_id="map")
-    pose = kinds["Pose"](position=kinds["Point"](*POSES[0, 1:4]), orientation=kinds["Quaternion"](*POSES[0, 4:]))
-    claimed = kinds["PoseWithCovariance"](pose=pose, covariance=np.diag(np.arange(1.0, 7.0)).ravel())
-    with Writer(tmp_path / "drive", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        for topic, kind, content in (
-            ("/bare", "PoseStamped", pose),
-            ("/claimed", "PoseWithCovarianceStamped", claimed),
-        ):
-            name = f"geometry_msgs/msg/{kind}"
-            connection = writer.add_connection(topic, name, typestore=store)
-            writer.write(connection, 0, store.serialize_cdr(kinds[kind](header, content), name))
-    found = load_trajectory(f"{tmp_path / 'drive'}:/claimed")
-    assert found.timestamps.tolist() == [12.5]
-    np.testing.assert_allclose(found.positions, POSES[:1, 1:4])
-    R = Rotation.from_quat(POSES[0, 4:]).as_matrix()
-    np.testing.assert_allclose(found.covariances[0, 3:, 3:], R.T @ np.diag([4.0, 5.0, 6.0]) @ R, atol=1e-12)
-    assert load_trajectory(f"{tmp_path / 'drive' / 'drive.mcap'}:bare").covariances is None
-    with pytest.raises(ValueError, match=r"several topics: ask for one by .*\(topics with poses: /bare, /cl"):
-        load_trajectory(tmp_path / "drive")
-    with pytest.raises(ValueError, match="no poses on /none"):
-        load_trajectory(f"{tmp_path / 'drive'}:/none")
-
-
-@needs_rosbags
 @pytest.mark.parametrize("name", ["a.bag", "a.db3", "a.mcap"])
 def test_a_bag_that_is_none_is_refused_in_one_line(tmp_path, name):
     with pytest.raises(ValueError, match="does not exist"):
         load_trajectory(tmp_path / name)
     (tmp_path / name).write_bytes(b"no bag at all\n" * 9)
-    with pytest.raises(ValueError, match="is damaged, or no bag") as caught:
+    with pytest.raises(ValueError, match=r"\A.*is damaged, or no bag.*\Z"):
         load_trajectory(tmp_path / name)
-    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -208,17 +172,12 @@ def test_published_samples_are_read(path, rows, first):
 
 
 def test_rows_that_claim_nothing_are_left_out_and_counted(tmp_path):
-    covariances = np.tile(np.diag([4e-4] * 3 + [9e-6] * 3), (len(POSES), 1, 1))
-    for filler in (9999.0, np.nan, 1e6):
-        doubts = covariances.copy()
-        doubts[1] = filler * np.eye(6)
-        rows = [[*row, *doubt.ravel()] for row, doubt in zip(POSES, doubts, strict=True)]
-        left = load_trajectory(written(tmp_path / "lost.txt", rows))
-        assert len(left) == len(POSES) - 1
-        assert f"1 of {len(POSES)} rows claim nothing" in " ".join(left.notes)
+    """All kinds of them: `test_doubted_inputs.py`."""
     lost = POSES.copy()
     lost[1, 4:] = 0.0
-    assert len(load_trajectory(written(tmp_path / "null.tum", lost))) == len(POSES) - 1
+    left = load_trajectory(written(tmp_path / "null.tum", lost))
+    assert len(left) == 1
+    assert "1 of 2 rows claim nothing" in left.notes[0]
 
 
 def test_a_covariance_that_grows_is_a_claim_however_large(tmp_path):
@@ -230,11 +189,12 @@ def test_a_covariance_that_grows_is_a_claim_however_large(tmp_path):
 def test_one_triangle_of_a_covariance_is_mirrored(tmp_path):
     full = np.diag([4e-4] * 3 + [9e-6] * 3)
     full[0, 1] = full[1, 0] = 1e-4
-    both, upper = (
-        load_trajectory(written(tmp_path / f"{name}.txt", [[*row, *P.ravel()] for row in POSES])).covariances
-        for name, P in (("both", full), ("upper", np.triu(full)))
+    both, upper, lower = (
+        load_trajectory(written(tmp_path / "est.txt", [[*row, *P.ravel()] for row in POSES])).covariances
+        for P in (full, np.triu(full), np.tril(full))
     )
     np.testing.assert_array_equal(both, upper)
+    np.testing.assert_array_equal(both, lower)
 
 
 def test_matrices_of_4_by_4_and_a_byte_order_mark_are_read(tmp_path):
