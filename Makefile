@@ -26,10 +26,11 @@ help: ## Show this help
 bench: $(VENV)/.installed ## Compare the filters in the simulated world and write the report (under a minute after set-up)
 	@$(BIN)/stereo-slam bench $(BENCH)
 
-test: lint ## Lint, types and the tests that show that the installation can be trusted
+test: lint ## Lint, types and the test suite (20 minutes after set-up)
+	@$(BIN)/stereo-slam warm-up
 	@$(RUN_TESTS) -m 'not slow' $(PYTEST)
 
-test-slow: $(VENV)/.installed-dev ## The other tests: examples, the manual, packaging, browser, clusters, long statistics
+test-slow: $(VENV)/.installed-dev ## Examples, the manual, packaging, browser, clusters, long statistics
 	@$(RUN_TESTS) -m slow $(PYTEST)
 
 test-all: test test-slow ## All of them
