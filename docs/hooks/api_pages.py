@@ -12,6 +12,8 @@ ROOT = Path(__file__).resolve().parents[2]
 ROOMS = sorted(stub.parent.name for stub in ROOT.glob("stereo_slam_env/*/__init__.pyi"))
 PACKAGES = ("filters", "stereo_slam_env", *(f"stereo_slam_env/{room}" for room in ROOMS))
 """Folders whose stub is a list of public names."""
+SUBJECTS = {"api": "Record, evaluate, compare", "envs": "Environments", "loop": "Run a filter"}
+"""Titles of subjects that the name of the module does not tell."""
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
@@ -22,13 +24,22 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def page(package: str) -> str:
-    """The Markdown page of a package: what it is, and each public name, or where that is described."""
+    """The Markdown page of a package: what it is, and each public name by subject, or where that is described."""
     about = ast.get_docstring(ast.parse((ROOT / package / "__init__.py").read_text(encoding="utf-8")))
     if not about:
         raise ValueError(f"{package}/__init__.py needs a docstring, it begins the page of its names")
     own = places(package)
     elsewhere = [] if package == "stereo_slam_env" else [place for place in own if place in places("stereo_slam_env")]
-    entries = [f"::: {place}" for place in own if place not in elsewhere]
+    subjects: dict[str, list[str]] = {}
+    for place in own:
+        if place not in elsewhere:
+            subject = place.removeprefix(f"{dotted(package)}.").partition(".")[0]
+            subjects.setdefault(subject, []).append(f"::: {place}\n    options:\n      heading_level: 3")
+    entries = [
+        text
+        for subject, names in sorted(subjects.items())
+        for text in (f"## {SUBJECTS.get(subject, subject.replace('_', ' ').capitalize())}", *names)
+    ]
     links = ", ".join(f"[`{place.rpartition('.')[2]}`][{place}]" for place in elsewhere)
     shared = [f"Also here: {links}."] if links else []
     return "\n\n".join([f"# {dotted(package)}", about, *shared, *entries]) + "\n"
