@@ -6,7 +6,9 @@ The simulator and the charts are imported where they are used: recordings are ev
 from __future__ import annotations
 
 import io
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -28,7 +30,7 @@ from stereo_slam_env.evaluation.run_figures import Figures, figures_of, summaris
 from stereo_slam_env.recording import notebook_html as html
 from stereo_slam_env.recording.filter_setup import FilterSetup
 from stereo_slam_env.recording.recording import Recording, require_frames
-from stereo_slam_env.report.console import show_results
+from stereo_slam_env.report.console import progress_bar, show_results
 
 
 def record(
@@ -269,7 +271,7 @@ def compare(
     options : mapping of str to mapping, optional
         Options by label of the filter (its name, or that of its class or function), JSON-able.
     progress : callable, optional
-        Called with (runs done, runs).
+        Called with (runs done, runs); None: a bar where stderr is a terminal.
 
     Raises
     ------
@@ -303,14 +305,15 @@ def compare(
         about = {"scenario": {"recordings": [dict(one.source) for one in given_recordings]}}
     runs: list[FilterRun] = []
     setups: dict[str, FilterSetup] = {}
-    for seed, recording in recordings:
-        if frames is not None:
-            recording = recording[:frames]
-        setups[str(recording.filter_setup)] = recording.filter_setup
-        for label, one in zip(labels, filters, strict=True):
-            runs.append(run_filter(recording, one, filter_options[label], label=label, seed=seed))
-            if progress is not None:
-                progress(len(runs), count * len(labels))
+    bar = progress_bar(Console(stderr=True), "runs") if progress is None and sys.stderr.isatty() else None
+    with bar or nullcontext(progress or (lambda done, total: None)) as tell:
+        for seed, recording in recordings:
+            if frames is not None:
+                recording = recording[:frames]
+            setups[str(recording.filter_setup)] = recording.filter_setup
+            for label, one in zip(labels, filters, strict=True):
+                runs.append(run_filter(recording, one, filter_options[label], label=label, seed=seed))
+                tell(len(runs), count * len(labels))
     limits = {setup.divergence_percent for setup in setups.values()}
     if len(limits) != 1:
         raise ValueError(f"recordings must state one divergence_percent, got {sorted(limits)}")
