@@ -98,7 +98,7 @@ class Done:
 
 AT_ONCE = 8
 """Tasks of a batch."""
-TIMED = 10
+TIMED = 5
 """Recordings on which every filter is run by itself, and timed."""
 SECONDS_BETWEEN_SIGNS = 0.1
 """Between signs of life of a trial."""
