@@ -1,4 +1,4 @@
-"""Every published layout gives back the drive that it was written from (3 s)."""
+"""Every published layout gives back the drive that it was written from; true poses may be beside the images (4 s)."""
 
 from itertools import pairwise
 
@@ -9,9 +9,12 @@ from scipy.spatial.transform import Rotation
 from filters import Pose
 from stereo_slam_env import run
 from stereo_slam_env.datasets import open_image_sequence
+from stereo_slam_env.datasets.restated import pose_at
 from stereo_slam_env.datasets.single_data_sets import P_I, R_CI
 from stereo_slam_env.frontend.track_recorder import record_tracks
 from stereo_slam_env.recording.archive import load_recording, save_recording
+from stereo_slam_env.recording.trajectory import Trajectory
+from stereo_slam_env.recording.trajectory_files import save_trajectory
 
 from ..real_data import real_data
 from .small_image_folders import (
@@ -180,12 +183,6 @@ def test_raw_without_gps_has_neither_truth_nor_odometry(tmp_path):
         assert pair.odometry is None
 
 
-def test_raw_colour_cameras_share_the_truth_of_their_own_place(tmp_path):
-    sequence = open_image_sequence(kitti_raw(tmp_path, cameras=("02", "03")))
-    moved = moved_left(true_poses(), 0.06)
-    assert_same_poses([p.truth for p in sequence.pairs()], relative_to(moved[0], moved), atol=1e-6)
-
-
 def test_added_noise_is_of_the_stated_size_and_seeded(tmp_path):
     folder = kitti06(tmp_path)
 
@@ -278,3 +275,36 @@ def test_the_real_pairs_of_kitti_06():
     rotations = Rotation.from_quat([pair.truth.orientation for pair in pairs])
     true_steps = rotations[:-1].inv().apply(np.diff(path, axis=0))
     np.testing.assert_allclose(np.abs(steps - true_steps).max(axis=0), 0.0, atol=0.05)
+
+
+def test_pairs_before_the_first_true_pose_are_left_out_and_counted(tmp_path):
+    """W is the camera at the first pair that has a pose; how it came there is not told."""
+    late = true_poses()[2:]
+    positions, turns = np.array([pose.position for pose in late]), np.array([pose.orientation for pose in late])
+    save_trajectory(tmp_path / "late.tum", Trajectory(positions, turns, DT * np.arange(2, FRAMES)))
+    sequence = open_image_sequence(kitti_odometry(tmp_path, truth=False), truth=str(tmp_path / "late.tum"))
+    assert sequence.skipped == {}  # not known before they are read
+    pairs = list(sequence.pairs())
+    assert len(sequence) == FRAMES == len(pairs) + 2
+    assert sequence.skipped == {"before the first true pose": 2}
+    origin = late[0].inverse()
+    assert_same_poses([pair.truth for pair in pairs], [origin @ pose for pose in late], atol=1e-6)
+    assert pairs[0].odometry is None
+
+
+def test_true_poses_are_interpolated_over_a_tenth_of_a_second_at_most():
+    """Half-way in place and turn; at a row that pose; none outside of the rows or in a gap."""
+    turns = Rotation.from_euler("y", [[0.0], [10.0], [30.0]], degrees=True)
+    rows = Trajectory(np.diag([0.0, 2.0, 4.0]), turns.as_quat(), np.array([5.0, 5.1, 5.201]))
+    for time, expected in (
+        *((5.0, ([0, 0, 0], 0.0)), (5.05, ([0, 1, 0], 5.0)), (5.1, ([0, 2, 0], 10.0)), (5.15, None)),
+        *((5.201, ([0, 0, 4], 30.0)), (4.99, None), (5.21, None)),
+    ):
+        pose = pose_at(rows, time)
+        assert (pose is None) == (expected is None), time
+        if pose is not None:
+            np.testing.assert_allclose(pose.position, expected[0], atol=1e-12)
+            turn = Rotation.from_quat(pose.orientation).as_rotvec(degrees=True)
+            np.testing.assert_allclose(turn, [0.0, expected[1], 0.0], atol=1e-9)
+    camera = Pose(np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.0, 0.0, 1.0]))
+    np.testing.assert_allclose(pose_at(rows, 5.0, camera).position, [0.0, 0.0, 1.0], atol=1e-12)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from stereo_slam_env.datasets import layouts, load, open_image_sequence
-from stereo_slam_env.datasets.layouts import KNOWN, KnownRecording, digest, known_by
+from stereo_slam_env.datasets.layouts import KnownRecording, digest, known_by
 from stereo_slam_env.recording.recording import Reference
 
 from ..real_data import real_data
@@ -132,11 +132,6 @@ def test_the_published_poses_are_known_with_the_errors_that_are_stated_of_them(f
     assert said in known.reference.description
     assert (known.reference.position_jitter, known.reference.rotation_jitter) == jitter
     assert known_by(positions[1:]) is None
-
-
-def test_every_known_recording_is_of_a_kind_that_no_camera_has_a_part_in():
-    assert all(re.fullmatch("[0-9a-f]{64}", key) for key in KNOWN)
-    assert all(known.reference.is_independent for known in KNOWN.values())
 
 
 def test_a_kind_can_be_stated_and_keeps_what_the_reader_knows():

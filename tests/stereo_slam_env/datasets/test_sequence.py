@@ -242,20 +242,6 @@ def random_tracks(seed=3, landmarks=60, frames=30):
     return PointTracks(frame, ids, rng.uniform(1.0, 9.0, (len(frame), 3)), rng.uniform(0, 9, len(frame)))
 
 
-def seen_in(tracks, landmark):
-    return set(tracks.frame[tracks.ids == landmark].tolist())
-
-
-@pytest.mark.parametrize("limit", [1, 5, 12])
-def test_thinned_tracks_respect_the_limit_and_are_never_cut_short(limit):
-    tracks = random_tracks()
-    thinned = tracks.thinned(limit)
-    assert np.bincount(thinned.frame).max() == limit
-    for landmark in np.unique(thinned.ids):
-        kept, all_frames = seen_in(thinned, landmark), seen_in(tracks, landmark)
-        assert kept == {k for k in all_frames if k >= min(kept)}
-
-
 def test_the_choice_does_not_depend_on_the_order_of_the_rows():
     tracks = random_tracks()
     shuffled = tracks.select(np.random.default_rng(1).permutation(len(tracks)))

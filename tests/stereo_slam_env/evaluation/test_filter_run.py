@@ -15,7 +15,6 @@ from stereo_slam_env.evaluation.results import COUNTS, peak_memory_mb
 from stereo_slam_env.evaluation.windows import WINDOW_SERIES
 from stereo_slam_env.recording.recording import Reference
 
-from ...filters.delayed import DelayedEKF
 from ...synthetic_runs import summary_of
 from ..benchmark.small_recordings import CAMERA, DT, SPEED, small_recording
 
@@ -200,16 +199,6 @@ def test_a_filter_with_a_motion_model_of_its_own_keeps_it_and_the_result_says_so
         "_ItsOwnWay does not get the common motion: it has its own, "
         "ConstantVelocity(sigma_acceleration=2.0, sigma_angular_acceleration=0.4)."
     )
-
-
-@pytest.mark.parametrize("until_tracks_end", [False, True])
-def test_a_filter_with_delayed_updates_runs_like_any_other(until_tracks_end):
-    recording = small_recording()
-    run = run_filter(recording, DelayedEKF, {"until_tracks_end": until_tracks_end}, common_options={"gate": 0.99})
-    assert run.failure is None
-    assert run.options["gate"] == 0.99
-    usual = summary_of([run_filter(recording, "inverse-depth", common_options={"gate": 0.99})])
-    assert summary_of([run]).position_rmse_m < 5.0 * usual.position_rmse_m
 
 
 def test_progress_counts_frames():

@@ -8,7 +8,7 @@ import pytest
 from stereo_slam_env.evaluation.cramer_rao import Bound
 from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.evaluation.landmark_statistics import LandmarkStatistics
-from stereo_slam_env.evaluation.run_figures import RunFigures, summarise
+from stereo_slam_env.evaluation.run_figures import RunFigures, score_of, summarise
 
 from ...synthetic_runs import scored, summary_of
 from ..benchmark.small_recordings import small_recording
@@ -72,6 +72,7 @@ def test_far_from_the_truth_at_the_end_is_divergence(plain):
     lost = off_by(plain, [0.0, 0.0, 2.0])
     assert summary_of([lost], divergence_percent=10.0).diverged == 1
     assert summary_of([lost], divergence_percent=90.0).diverged == 0
+    assert score_of(lost, divergence_percent=90.0).judged(10.0).figures["diverged"] == 1
 
 
 def test_what_is_not_known_is_none(plain):

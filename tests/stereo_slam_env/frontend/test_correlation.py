@@ -36,15 +36,6 @@ def test_correlation_is_that_of_opencv():
         np.testing.assert_allclose(correlation_map(window, template), expected, atol=2e-5)
 
 
-def test_brightness_and_contrast_do_not_matter():
-    waves = Waves(1)
-    image, centers = waves.image(*SIZE), spread_points(np.random.default_rng(0), 50, *SIZE)
-    dimmed = np.rint(0.6 * image + 20.0).astype(np.uint8)
-    found = search(dimmed, cut_patches(image, centers, PATCH), centers, circles(50, 2.0))
-    assert np.abs(found.position - centers).max() < 0.05
-    assert found.score.min() > 0.995
-
-
 @pytest.mark.parametrize("shift", SHIFTS)
 def test_the_position_has_no_bias(shift):
     error, result = followed(shift, noise=0.0)
@@ -125,16 +116,6 @@ def test_a_repeated_pattern_has_a_rival_as_good():
     assert (repeated.second > 0.95 * repeated.score).all()
     _, unique = followed((0.0, 0.0), noise=2.0)
     assert (unique.second < 0.9 * unique.score).mean() > 0.99
-
-
-def test_something_else_in_its_place_scores_low():
-    waves, other = Waves(4), Waves(5)
-    centers = spread_points(np.random.default_rng(0), 200, *SIZE)
-    hidden = search(other.image(*SIZE), cut_patches(waves.image(*SIZE), centers, PATCH), centers, circles(200, 2.0))
-    assert (hidden.score < 0.8).mean() > 0.9
-    flat = search(np.full((391, 500), 90, dtype=np.uint8), cut_patches(waves.image(*SIZE), centers, PATCH), centers,
-                  circles(200, 2.0))  # fmt: skip
-    assert np.abs(flat.score).max() < 0.1
 
 
 def test_outside_the_image_nothing_is_found():

@@ -3,10 +3,8 @@
 import numpy as np
 import pytest
 
-from stereo_slam_env.frontend.finding import detect_corners
 from stereo_slam_env.frontend.matching import match_rows
 
-from ..real_data import real_data
 from .textures import Waves, spread_points
 
 SIZE = (500, 300)
@@ -121,22 +119,3 @@ def test_no_points_and_bad_input():
         match_rows(left, right[:50], np.zeros((0, 2)), np.zeros(0), np.zeros(0))
     with pytest.raises(ValueError, match="disparity_low"):
         match_rows(left, right, np.full((2, 2), 50.0), np.zeros(3), np.ones(2))
-
-
-def test_on_a_real_street_disparities_grow_towards_the_bottom():
-    cv2 = pytest.importorskip("cv2")
-    folder = real_data("kitti06_stereo51")
-    left, right = (
-        cv2.imread(str(folder / name / "000000.png"), cv2.IMREAD_GRAYSCALE) for name in ("image_l", "image_r")
-    )
-    corners = detect_corners(left, 200, np.zeros((0, 2)))
-    match = matched(left, right, corners, 0.5, 250.0)
-    d, v = match.disparity[match.accepted], corners[match.accepted, 1]
-    assert len(d) > 130
-    # Nothing lies below the road, 1.65 m under the camera: d <= (v - cy) b / 1.65, with room for a slope.
-    ground = (v - 183.1) * 0.537 / 1.65
-    below = v > 230
-    assert (d[below] < 1.3 * ground[below] + 2.0).mean() > 0.6
-    assert (d > 0).all()
-    assert d.max() < 100
-    assert np.median(np.sqrt(match.variance[match.accepted])) < 0.15

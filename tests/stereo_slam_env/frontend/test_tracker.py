@@ -207,16 +207,6 @@ def test_the_motion_is_that_of_the_scene_in_spite_of_a_car():
 # Where landmarks are searched for.
 
 
-def forecast_of(tracker, street, number, variance):
-    """What a filter that knows the motion would say of the landmarks of the last pair."""
-    tracks = tracker._tracks
-    points, _ = street.points_at(number - 1, tracks.uvd[:, :2])
-    uvd = street.seen(number, points)
-    S = np.tile(variance * np.eye(3), (len(uvd), 1, 1))
-    known = np.isfinite(uvd).all(axis=1)
-    return Forecast(tracks.ids[known], uvd[known], S[known], np.ones(known.sum(), dtype=bool))
-
-
 def test_a_forecast_says_where_to_search():
     """The camera stops dead: constant velocity would look 30 px off, the forecast does not."""
     street = DrawnStreet(4, step=(0.0, 0.0, 0.6), turn=(0.0, 0.0, 0.0))
@@ -233,20 +223,6 @@ def test_a_forecast_says_where_to_search():
     assert (tracked.search.outcome == Outcome.MATCHED).mean() > 0.9
     assert np.nanmax(off) < 1.0
     assert tracker.last_step[0].t == pytest.approx(np.zeros(3), abs=0.01)
-
-
-def test_a_forecast_too_unsure_to_search_by_is_not_used():
-    street = DrawnStreet(5)
-    results = []
-    for forecast in (False, True):
-        tracker = StereoTracker(CAMERA, SETTINGS)
-        for _ in run(street, range(4), tracker=tracker):
-            pass
-        unsure = forecast_of(tracker, street, 4, variance=1e8) if forecast else None
-        pair = street.pair(4)
-        results.append(tracker.track(pair.left, pair.right, DT, unsure))
-    assert same(results[0].observation, results[1].observation)
-    assert len(results[0].observation) > SETTINGS.refill_below
 
 
 def test_a_jump_that_no_motion_explains_is_found_by_optical_flow():

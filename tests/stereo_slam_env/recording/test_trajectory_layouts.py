@@ -172,7 +172,7 @@ def test_published_samples_are_read(path, rows, first):
 
 
 def test_rows_that_claim_nothing_are_left_out_and_counted(tmp_path):
-    """All kinds of them: `test_doubted_inputs.py`."""
+    """All kinds of them: `test_pairs_of_files.py`."""
     lost = POSES.copy()
     lost[1, 4:] = 0.0
     left = load_trajectory(written(tmp_path / "null.tum", lost))
