@@ -874,3 +874,14 @@ def test_settings_are_completed_from_the_tree_of_scenarios():
     keys = setting_keys()
     assert {"gate", "motion.sigma_acceleration", "options.reference", "options.path"} <= set(keys)
     assert len(set(keys)) == len(keys)
+
+
+def test_a_filter_of_the_working_directory_is_checked(command, tmp_path, monkeypatch):
+    (tmp_path / "handed_in.py").write_text("from filters import InverseDepthStereoEKF as Mine\n", encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    code, out, _ = command("filters", "check", "handed_in:Mine")
+    assert (code, "0 failed" in out) == (0, True)
+    for wrong in ("handed_in:Yours", "nosuch:Mine"):
+        code, _, err = command("filters", "check", wrong)
+        assert (code, "must be a filter or MODULE:CLASS" in err) == (2, True)
