@@ -160,8 +160,13 @@ def observe(
         fleet.used[b, CHOICE] = used + number
         wanted_count = rules.most - kept_count
         drawn = draw(around, waiting, fresh[:number], keys[:number], wanted_count, ids[kept_count:])
-        ids[: kept_count + drawn] = np.sort(ids[: kept_count + drawn])
         kept_count += drawn
+        for k in range(kept_count - drawn, kept_count):  # into those that are tracked, which are in order
+            drawn_id, place = ids[k], k
+            while place > 0 and ids[place - 1] > drawn_id:
+                ids[place] = ids[place - 1]
+                place -= 1
+            ids[place] = drawn_id
     ids[kept_count:] = -1
     sensed.number[b] = kept_count
     project(rules, fleet, sensed, b, kept_count)
