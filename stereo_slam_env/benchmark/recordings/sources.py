@@ -29,9 +29,9 @@ ENTRY_POINT_GROUP = "stereo_slam.sources"
 GAZE = "StereoSlam/Gaze-v0"
 
 
-def _require_frames(frames: int, route: Route) -> None:
+def _require_frames(frames: int, route: Route, which: str) -> None:
     if frames > route.frames:
-        raise ValueError(f"frames must be at most {route.frames} on this route, got {frames}")
+        raise ValueError(f"frames must be at most {route.frames} on {which}, got {frames}")
 
 
 class StreetSource(Source, frozen=True, tag="street"):
@@ -79,7 +79,7 @@ class StreetSource(Source, frozen=True, tag="street"):
         if options.draws:
             require_renderer(options.renderer)
         if frames is not None and options.route is not None and options.route not in RANDOM_ROUTES:
-            _require_frames(frames, named_route(options.route))
+            _require_frames(frames, named_route(options.route), f"route {options.route!r}")
 
     def sequence(self, seed: int | None, frames: int | None = None) -> OpenedImages:
         """Rendered image pairs of a drive."""
@@ -112,7 +112,7 @@ class GazeSource(Source, frozen=True, tag="gaze"):
         route = env.get_wrapper_attr("route")
         env.close()
         if frames is not None:
-            _require_frames(frames, route)
+            _require_frames(frames, route, "the route of its car")
         if self.takes_images:
             require_renderer(self.arguments.get("renderer", "tiny"))
 
