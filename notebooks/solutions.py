@@ -1,6 +1,6 @@
 """Solutions of the exercises, and marks for what students hand in. Leave this file out of what you hand out.
 
-    python notebooks/solutions.py answers.json                        # {"1a": 4.0, ..., "3a": {"First": "R", ...}}
+    python notebooks/solutions.py answers.json                        # {"1a": 1.0, ..., "3a": {"First": "S", ...}}
     python notebooks/solutions.py answers.json student:MyFilter       # 3b: the filter that they wrote
 
 Prints the points of each exercise as JSON.
