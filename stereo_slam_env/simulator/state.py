@@ -313,9 +313,10 @@ def _empty(kind: Callable[..., Record], **sizes: int) -> Record:
     """Record of zeros, whose annotations say the type and the axes of each array; an axis without a size is empty."""
     arrays = {}
     for name, hint in get_type_hints(kind, include_extras=True).items():
-        array, axes = get_args(hint)
+        scalar, axes = get_args(hint)
+        while inner := get_args(scalar):  # NDArray is a class in NumPy 2.4, an alias in 2.5: the scalar is the innermost
+            scalar = inner[-1]
         shape = [int(axis) if axis.isdigit() else sizes.get(axis, 0) for axis in axes.split()]
-        (scalar,) = get_args(get_args(array)[1])
         arrays[name] = np.zeros(shape, dtype=scalar)
     return kind(**arrays)
 
