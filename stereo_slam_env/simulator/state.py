@@ -314,7 +314,7 @@ def _empty(kind: Callable[..., Record], **sizes: int) -> Record:
     arrays = {}
     for name, hint in get_type_hints(kind, include_extras=True).items():
         scalar, axes = get_args(hint)
-        while inner := get_args(scalar):  # NDArray is a class in NumPy 2.4, an alias in 2.5: the scalar is the innermost
+        while inner := get_args(scalar):  # the scalar is innermost; NumPy 2.5 has fewer levels than 2.4
             scalar = inner[-1]
         shape = [int(axis) if axis.isdigit() else sizes.get(axis, 0) for axis in axes.split()]
         arrays[name] = np.zeros(shape, dtype=scalar)
