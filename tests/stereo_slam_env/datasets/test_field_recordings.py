@@ -168,7 +168,9 @@ def test_a_ros_1_bag_is_read_with_a_truth_of_the_robots_clock(tmp_path, encoding
     assert_the_drive(open_image_sequence(bag), truth=False)
     tum = truth_file(tmp_path / "truth.tum", EPOCH)
     assert_the_drive(open_image_sequence(bag, truth=tum))
-    assert len(list(open_image_sequence(bag, first=1, last=3).pairs())) == 3
+    part = open_image_sequence(bag, first=1, last=3)
+    assert len(list(part.pairs())) == 3
+    assert (part.source["first"], part.source["last"]) == (1, 3)
     with pytest.raises(ValueError, match=r"truth\.tum covers none of the images: .* give times of one clock"):
         list(open_image_sequence(bag, truth=truth_file(tmp_path / "truth.tum", 0.0)).pairs())
 
