@@ -23,8 +23,8 @@ def test_a_preset_has_its_name_a_line_on_itself_and_filters_that_exist(name, dat
         pytest.importorskip("gtsam", reason="batch and fixed-lag need the extra gtsam")
     assert study.name == name
     assert 20 < len(presets()[name]) < 120
-    if name in ("real", "systems"):  # their recordings are not there
-        with pytest.raises(ValueError, match="does not exist: give a folder with a recording"):
+    if name in ("real", "systems"):  # the folders of their recordings are empty here
+        with pytest.raises(ValueError, match="is empty"):
             check_study(study)
     else:
         check_study(study)
