@@ -80,8 +80,8 @@ def write_study_report(
 
 
 _MATRIX_NOTE = (
-    "Position RMSE, and pose NEES / 6 (1 is ideal) below it. Green: the smallest error, and shown to be; red: shown to"
-    " be larger than the smallest run by run, or diverged; plain: nothing is shown. NEES: green in its band, red"
+    "Position RMSE, and pose NEES / 6 (1 is ideal) below it. Green: significantly the smallest error; red:"
+    " significantly larger than the smallest, or diverged; plain: not significant. NEES: green in its band, red"
     " overconfident, brown too cautious. Links lead to the full report of each scenario."
 )
 

@@ -63,10 +63,10 @@ def answer(
 def colour_key(names: Sequence[str]) -> Markup:
     """A line with the colours of the filters and what colours of words mean; it stays in sight."""
     tones = (
-        ("good", "shown to be better, or consistent"),
-        ("bad", "shown to be worse, overconfident, or lost"),
+        ("good", "significantly better, or consistent"),
+        ("bad", "significantly worse, overconfident, or diverged"),
         ("fair", "too cautious"),
-        ("none", "nothing shown"),
+        ("none", "not significant"),
     )
     return part("colour_key", list(filter_colours(names).items()), tones)
 

@@ -120,7 +120,7 @@ def _note(summaries: Sequence[FilterSummary], looks: Looks | None) -> str:
         note += " NEES is correlated in time, so the share of the frames inside the band is a rough measure"
         runs = max((s.consistency["pose"].runs for s in summaries if "pose" in s.consistency), default=0)
         if runs >= MIN_PAIRS:
-            note += ": consistent filters have some 88 to 99 % of them, and within that it ranks nothing."
+            note += ": consistent filters have 88 to 99 % of them; differences within that mean nothing."
         else:
             note += f", and of {'one run' if runs == 1 else f'{runs} runs'} it tells nothing."
     return note

@@ -62,7 +62,7 @@ def test_the_contents_name_every_section_in_order(pages):
 def test_the_key_has_the_colour_of_every_filter_and_says_what_colours_mean(pages):
     for path in pages:
         key = re.search('<div class="colours.*?</div>', without_library(path))[0]
-        for words in ("in_and-out", "theirs", "overconfident", "too cautious", "nothing shown"):
+        for words in ("in_and-out", "theirs", "overconfident", "too cautious", "not significant"):
             assert words in key
         assert key.count("--colour: var(--series-") == 2
 
