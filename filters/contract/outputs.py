@@ -62,9 +62,9 @@ class Forecast:
     uvd: FloatArray
     """(N, 3): predicted left pixel and disparity, px."""
     S: FloatArray
-    """(N, 3, 3): innovation covariance H P H^T + R of each (Eq. 15), px^2."""
+    """(N, 3, 3): innovation covariance H P H^T + R of each (Eq. 15), px^2; NaN where rounding leaves none."""
     in_view: BoolArray
-    """(N,): in front of the camera and inside both images."""
+    """(N,): in front of the camera and inside both images, with an innovation covariance."""
 
 
 _NO_IDS: IntArray = np.zeros(0, dtype=np.int64)

@@ -270,7 +270,8 @@ def forecasts(
     """Predicted (u, v, d) of all landmarks of some filters, from the first on, and H P H^T + R of each.
 
     Landmarks of filter first + f are at offsets[f] to offsets[f + 1] - 1 of the last three, which are written; its
-    noise is noise[f].
+    noise is noise[f]. A landmark whose S is not definite, by rounding in a point almost at infinity, has NaN there, and
+    is not in front.
     """
     calls, plan, storage = read_calls(calls_at), read_plan(plan_at), read_storage(storage_at)
     s = read_scratch(scratch_at)
@@ -305,6 +306,15 @@ def forecasts(
                     for c in range(width):
                         total += s.gate_HP[k, c] * H[j, c]
                     S[m, k, j], S[m, j, k] = total + noise[f, k, j], total + noise[f, j, k]
+            minor = S[m, 0, 0] * S[m, 1, 1] - S[m, 0, 1] ** 2
+            first_cofactor = S[m, 0, 1] * S[m, 1, 2] - S[m, 0, 2] * S[m, 1, 1]
+            second_cofactor = S[m, 0, 1] * S[m, 0, 2] - S[m, 0, 0] * S[m, 1, 2]
+            determinant = S[m, 0, 2] * first_cofactor + S[m, 1, 2] * second_cofactor + S[m, 2, 2] * minor
+            if not (S[m, 0, 0] > 0.0 and minor > 0.0 and determinant > 0.0):
+                in_front[m] = False
+                for k in range(3):
+                    for j in range(3):
+                        S[m, k, j] = np.nan
 
 
 def compile_forecasts() -> None:

@@ -110,9 +110,6 @@ def shows_readme(names, printed):
     assert np.nanmean([moment.nees for moment in names["sse"].run("inverse-depth", names["recording"])]) < 30.0
     assert names["evaluation"].figures.position_rmse_m < 0.5
     assert {summary.filter_name for summary in names["comparison"].summaries} == {"inverse-depth", "dual-bearing"}
-    assert Path("runs/turn/report.html").is_file()
-    assert "StackedEKF: " in printed
-    assert " 0 failed" in printed
     names["env"].reset(seed=0)
     assert np.isfinite(names["env"].step(names["env"].action_space.sample())[1])
 

@@ -48,6 +48,7 @@ calls = st.one_of(
     st.tuples(st.just("forget"), ids),
     st.tuples(st.just("forecast")),
     st.tuples(st.just("reset"), seeds),
+    st.tuples(st.just("refuse"), st.integers(0, 8)),
 )
 sequences = st.lists(calls, min_size=4, max_size=25)
 options = st.fixed_dictionaries(
@@ -139,6 +140,24 @@ class Drive:
         finite = np.isfinite(forecast.S).all(axis=(1, 2))
         assert (np.linalg.eigvalsh(forecast.S[finite]) > 0).all()
         assert np.isfinite(forecast.uvd[forecast.in_view]).all()
+        assert same_bits(before, self.stereo_filter)
+
+    def refuse(self, which: int) -> None:
+        """A call with bad input raises `ValueError` and changes nothing."""
+        before = copy.deepcopy(self.stereo_filter)
+        attempts = (
+            lambda: self.stereo_filter.predict(0.0),
+            lambda: self.stereo_filter.predict(float("nan")),
+            lambda: self.stereo_filter.predict(0.1, odometry=(1.0, 0.0, 0.0)),
+            lambda: self.stereo_filter.update(None),
+            lambda: self.stereo_filter.forecast([10**9]),
+            lambda: self.stereo_filter.forget([0, 0]),
+            lambda: self.stereo_filter.reset(Start(position=(np.nan, 0.0, 0.0))),
+            lambda: self.stereo_filter.reset(Start(covariance=-np.eye(12))),
+            lambda: self.stereo_filter.pose_error((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0)),
+        )
+        with pytest.raises(ValueError, match=r"."):
+            attempts[which]()
         assert same_bits(before, self.stereo_filter)
 
     def run(self, sequence: list[tuple]) -> None:
