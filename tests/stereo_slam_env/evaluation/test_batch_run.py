@@ -90,8 +90,9 @@ def test_a_batch_has_the_bits_of_single_runs(name, options, odometry):
     assert_same(in_a_batch(recordings, name, options, **settings), alone(recordings, name, options, **settings))
 
 
-def test_without_truth_and_without_the_map():
-    recordings = [small_recording(seed, truth=False) for seed in range(2)]
+def test_without_a_truth_that_counts_and_without_the_map():
+    from_images = dataclasses.replace(small_recording(), truth_from=Reference("odometry", "By hand."))
+    recordings = [small_recording(0, truth=False), from_images]
     settings = {"score_map": False}
     found = in_a_batch(recordings, "inverse-depth", **settings)
     assert_same(found, alone(recordings, "inverse-depth", **settings))
