@@ -62,5 +62,5 @@ def test_its_own_tests_pass(home):
 def test_it_asks_for_this_version():
     (version,) = re.findall(r'^version = "(.*)"', (ROOT / "pyproject.toml").read_text(encoding="utf-8"), re.MULTILINE)
     major, minor, _ = map(int, version.split("."))
-    wanted = f'"stereo-slam-env>={major}.{minor},<{major}.{minor + 1}"'
+    wanted = f'"stereo-slam-env>={major}.{minor},<{major + 1}"'
     assert wanted in (TEMPLATE / "pyproject.toml").read_text(encoding="utf-8")

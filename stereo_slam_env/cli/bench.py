@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import errno
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -32,6 +32,7 @@ from stereo_slam_env.cli.shared_options import (
 if TYPE_CHECKING:
     from stereo_slam_env.benchmark import FilterChoice, PolicyChoice, Scenario, Study
     from stereo_slam_env.benchmark.recordings.source import Source
+    from stereo_slam_env.benchmark.storage.result_tables import CellResult
     from stereo_slam_env.benchmark.storage.store import StudyDirectory
 
 
@@ -170,9 +171,16 @@ class RunOptions:
 
         workers = Backend(checked("backend", self.backend, BackendName), self.jobs, self.address)
         show_study(console(), directory.study)
+
+        def show_and_write(directory: StudyDirectory, cells: Sequence[CellResult]) -> Path:
+            bar.close()  # the table comes first: the charts of the report take seconds
+            show_cells(console(), cells)
+            return write_report_of(directory, cells)
+
         try:
-            with progress_bar(console(stderr=True), "steps") as progress:
-                result = run_checked(directory, workers, progress, write_report_of)
+            with ExitStack() as bar:
+                progress = bar.enter_context(progress_bar(console(stderr=True), "steps"))
+                result = run_checked(directory, workers, progress, show_and_write)
         except KeyboardInterrupt:
             raise Interrupted(directory.out) from None
         except OSError as error:
@@ -183,7 +191,6 @@ class RunOptions:
                 f"the disk is full: {kept_count} finished trials are kept in {directory.out}; make room and run the "
                 f"same command again with --out {directory.out}"
             ) from error
-        show_cells(console(), result.cells)
         show_place(result.report or result.out)
         if all(run.failure is not None for cell in result.cells for run in cell.runs):
             raise typer.Exit(1)
