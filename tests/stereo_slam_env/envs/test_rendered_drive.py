@@ -15,6 +15,8 @@ from stereo_slam_env.frontend.track_recorder import ActiveSearch, record_tracks
 from stereo_slam_env.rendering.pinhole import grey
 from stereo_slam_env.rendering.renderers import image_quality, renderer_identity
 
+from ..rendering.planes import skip_where_missing
+
 DRIVE = {"route": "right-turn", "rig": "qvga"}
 FRAMES = 6
 
@@ -86,6 +88,7 @@ def test_through_a_kitti_folder_the_tracks_stay_the_same(drive, tmp_path):
 
 @pytest.mark.parametrize("renderer", ["tiny", "gl"])
 def test_the_front_end_is_told_what_the_renderer_says_of_its_images(renderer):
+    skip_where_missing(renderer)
     quality = image_quality(renderer)
     drive = RenderedDrive({**DRIVE, "renderer": renderer, "max_landmarks": 40})
     assert drive.front_end.image_blur == quality.blur
@@ -97,6 +100,7 @@ def test_the_front_end_is_told_what_the_renderer_says_of_its_images(renderer):
 
 @pytest.mark.parametrize("renderer", ["tiny", "gl"])
 def test_without_settings_tracks_are_recorded_with_those_of_who_drew_the_pictures(renderer, drive):
+    skip_where_missing(renderer)
     quality = image_quality(renderer)
     drawn = _Drawn(drive, RenderedDrive({**DRIVE, "renderer": renderer}, seed=2, frames=2).front_end)
     settings = record_tracks(drawn, frames=2).source["front_end"]
