@@ -17,8 +17,8 @@ for name in ("inverse-depth", "dual-bearing", "euclidean", "right-invariant", "c
 _WORLDS = """
 import gymnasium as gym
 import stereo_slam_env
-for name in ("Gaze", "Drive", "ActiveGaze", "ClosedLoop", "Branches", "Explore", "Revisit"):
-    with gym.make(f"StereoSlam/{name}-v0") as env:
+for name in [name for name in gym.registry if name.startswith("StereoSlam/")]:
+    with gym.make(name) as env:
         env.reset(seed=0)
         env.step(env.action_space.sample())
 """
