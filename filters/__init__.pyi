@@ -1,5 +1,7 @@
 """Public names of `filters`; each is imported when it is first used."""
 
+from .bodies.rigid_bodies import BodiesBelief as BodiesBelief
+from .bodies.rigid_bodies import RigidBodies as RigidBodies
 from .catalogue.msckf import MultiStateConstraintEKF as MultiStateConstraintEKF
 from .catalogue.presets import ColouredNoiseEKF as ColouredNoiseEKF
 from .catalogue.presets import DualBearingEKF as DualBearingEKF
@@ -8,6 +10,7 @@ from .catalogue.presets import HybridEKF as HybridEKF
 from .catalogue.presets import InertialEKF as InertialEKF
 from .catalogue.presets import InverseDepthStereoEKF as InverseDepthStereoEKF
 from .catalogue.presets import MonocularEKF as MonocularEKF
+from .catalogue.presets import MovingBodiesEKF as MovingBodiesEKF
 from .catalogue.presets import RightInvariantEKF as RightInvariantEKF
 from .catalogue.presets import UnscentedStereoFilter as UnscentedStereoFilter
 from .catalogue.registry import available_filters as available_filters

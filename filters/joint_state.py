@@ -147,6 +147,8 @@ class Clone:
     position: FloatArray
     orientation: FloatArray
     blocks: IntArray
+    moves: bool = False
+    """Whether it has been moved since, as the pose of a body."""
 
 
 @dataclass(frozen=True, eq=False)

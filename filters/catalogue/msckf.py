@@ -166,7 +166,7 @@ class MultiStateConstraintEKF(StereoEKF):
         An option has an unknown or impossible value.
     """
 
-    open_options = StereoEKF.open_options - {"landmark", "error", "drop_unseen"}
+    open_options = StereoEKF.open_options - {"landmark", "error", "drop_unseen", "bodies"}
 
     def __init__(
         self, camera: StereoCamera, noise: StereoNoise, *, window: int = 11, map_landmarks: int = 30, **options: Any
@@ -179,6 +179,8 @@ class MultiStateConstraintEKF(StereoEKF):
         sensor, error, gate = self.options.measurement, self.options.error, self.options.gate
         if type(sensor) not in (RangeBearing, LeftOnly):
             raise ValueError(f"measurement must be 'joint' or 'left' with a window, got {type(sensor).__name__}")
+        if self.options.bodies is not None:
+            raise ValueError("bodies must be None with a window: its landmarks are not in the state")
         if error.first_estimates:
             raise ValueError(f"error must linearise at the state with a window, got {type(error).__name__}")
         if type(sensor) is LeftOnly and map_landmarks:

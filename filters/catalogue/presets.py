@@ -187,6 +187,20 @@ class ColouredNoiseEKF(StereoEKF):
         return PoseBelief(pose.position, pose.orientation, pose.covariance + (by_unseen * self._unseen) @ by_unseen.T)
 
 
+class MovingBodiesEKF(StereoEKF):
+    """Stereo EKF with moving bodies in the state, and which landmarks are on them found out.
+
+    `bodies={"reach": 2.0, ...}` sets how bodies move and are born (`RigidBodies`). A landmark is used once it is known
+    to stand or to be on a body, and few of one place are, so that the scene is what takes up most room.
+    """
+
+    open_options = StereoEKF.open_options - {"landmark", "error", "consensus"}
+
+    def __init__(self, camera: StereoCamera, noise: StereoNoise, *, gate: float | None = 0.99, **options: Any) -> None:
+        usual = {"landmark": "shared-anchor", "error": "so3", "consensus": gate is not None, "bodies": True}
+        super().__init__(camera, noise, gate=gate, **{**usual, **options})
+
+
 PRESETS: Mapping[str, type[StereoFilter]] = {
     "inverse-depth": InverseDepthStereoEKF,
     "dual-bearing": DualBearingEKF,
@@ -197,6 +211,7 @@ PRESETS: Mapping[str, type[StereoFilter]] = {
     "unscented": UnscentedStereoFilter,
     "monocular": MonocularEKF,
     "coloured-noise": ColouredNoiseEKF,
+    "moving-bodies": MovingBodiesEKF,
     "submaps": SubmapEKF,
 }
 """The named filters by name; the first line of a class describes it."""

@@ -31,6 +31,9 @@ class StereoObservation:
     R : (M, 3, 3) array_like, optional
         Covariance of each measurement, px^2; where None, the filter's `noise` holds. One whose last variance is 1e18
         has no disparity: `of_left` makes such ones.
+    bodies : (M,) array_like of int, optional
+        Where it is known: the moving body that each landmark is on, -1 for the scene, -2 for unknown. Only filters with
+        moving bodies ask for it.
 
     Raises
     ------
@@ -42,6 +45,7 @@ class StereoObservation:
     uvd: FloatArray
     v_right: FloatArray | None = None
     R: FloatArray | None = None
+    bodies: IntArray | None = None
 
     def __post_init__(self) -> None:
         ids = unique_ids("ids", self.ids)
@@ -55,6 +59,11 @@ class StereoObservation:
             if len(v_right) != len(ids):
                 raise ValueError(f"v_right must have one entry per id: {len(ids)} ids, {len(v_right)} entries")
             object.__setattr__(self, "v_right", v_right)
+        if self.bodies is not None:
+            bodies = np.asarray(self.bodies)
+            if bodies.shape != ids.shape or not np.issubdtype(bodies.dtype, np.integer) or (bodies < -2).any():
+                raise ValueError(f"bodies must be {len(ids)} integers >= -2, one per id, got {self.bodies!r}")
+            object.__setattr__(self, "bodies", bodies.astype(np.int64))
         if self.R is not None:
             R = np.zeros((0, 3, 3)) if len(ids) == 0 else self.R
             object.__setattr__(self, "R", covariance_matrix("R", R, 3, batch=len(ids), definite=True))

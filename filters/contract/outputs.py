@@ -84,12 +84,13 @@ class UpdateReport:
     initialised: IntArray = field(default_factory=_no_ids)
     """(K,): ids that entered the map."""
     dropped: IntArray = field(default_factory=_no_ids)
-    """(K,): ids that left the map."""
+    """(K,): ids that left the map: they were not seen, or, with moving bodies, are not on what they were taken for."""
     gated: IntArray = field(default_factory=_no_ids)
     """(K,): known ids whose measurement failed the chi-square gate (Mahalanobis distance too large), in the first or in
     a later stage of the update; the stages before it have used the measurement."""
     rejected: IntArray = field(default_factory=_no_ids)
-    """(K,): new ids the filter could not initialise from (for XYZ: d <= 0 or below `min_disparity`)."""
+    """(K,): new ids the filter did not initialise from (for XYZ: d <= 0 or below `min_disparity`; with moving bodies:
+    it is not known yet whether they stand)."""
     behind_camera: IntArray = field(default_factory=_no_ids)
     """(K,): known ids predicted behind the camera, so not used."""
     failed: IntArray = field(default_factory=_no_ids)
@@ -99,6 +100,14 @@ class UpdateReport:
     """Normalised innovation squared over the accepted measurements, chi-square with `nis_dof` if consistent."""
     nis_dof: int = 0
     """Degrees of freedom of `nis`."""
+    born: IntArray = field(default_factory=_no_ids)
+    """(K,): numbers of moving bodies that entered the state."""
+    died: IntArray = field(default_factory=_no_ids)
+    """(K,): numbers of moving bodies that left it."""
+    joined: IntArray = field(default_factory=_no_ids)
+    """(K,): ids that are on a moving body from now on."""
+    left: IntArray = field(default_factory=_no_ids)
+    """(K,): ids that are on it no longer."""
 
     @property
     def failed_factorisations(self) -> int:
@@ -241,3 +250,20 @@ class MovedLandmarks:
         """No landmark, beside a variable of so many error numbers."""
         empty = np.zeros((0, 3, size))
         return cls(np.zeros(0, dtype=np.int64), np.zeros((0, 3)), np.zeros((0, 3, 3)), empty)
+
+
+@dataclass(frozen=True, eq=False)
+class VariableSteps:
+    """Steps of G groups of variables and clones, with s error numbers each, and of landmarks that they carry along."""
+
+    names: tuple[tuple[str, ...], ...]
+    """(G,): the variables of each group."""
+    values: FloatArray
+    """(G, v): theirs after the step, one after the other; of a clone position and orientation."""
+    F: FloatArray
+    """(G, s, s): by their errors before the step."""
+    Q: FloatArray
+    """(G, s, s): noise of these errors, before the step."""
+    landmarks: MovedLandmarks
+    carriers: IntArray
+    """(N,): group that carries each landmark."""

@@ -162,25 +162,24 @@ class Engine:
         S.held[index, held : held + count] = np.arange(old, old + count)
         S.counts[index, BLOCKS] += count
 
-    def move(
-        self,
-        index: int,
-        rows: IntArray,
-        F: FloatArray,
-        Q: FloatArray,
-        landmarks: IntArray,
-        by_landmark: FloatArray,
-        by_rows: FloatArray,
-    ) -> None:
-        """Carry P of filter `index` along with a step of the w errors at `rows`, and of N landmarks that follow them.
+    def add_noise(self, index: int, rows: IntArray, Q: FloatArray) -> None:
+        """Add process noise Q (w, w) to P of filter `index` at these rows."""
+        P = self.storage.P[index]
+        P[np.minimum(rows[:, None], rows), np.maximum(rows[:, None], rows)] += Q
 
-        `landmarks` are their first rows; they step by their own errors (N, 3, 3) and by those at `rows` (N, 3, w).
+    def move(self, index: int, rows: IntArray, columns: IntArray, T: FloatArray) -> None:
+        """P = T P T^T of filter `index`, T the identity but for C rows with at most k numbers each.
+
+        Row `rows[i]` has T[i, j] in column columns[i, j], (C, k) both; -1 where it has no more.
         """
-        plan = self.recipe.plan
-        n, changed = plan.leading + plan.size * int(self.storage.counts[index, BLOCKS]), len(rows) + 3 * len(landmarks)
-        room = np.empty((2, changed, n))
-        copies = (np.array(array, dtype=np.float64, order="C") for array in (F, Q, by_landmark, by_rows))
-        carry_along(self._storage.address, index, rows, landmarks, *copies, room)
+        n = self.recipe.plan.leading + self.recipe.plan.size * int(self.storage.counts[index, BLOCKS])
+        sources, places = np.unique(columns, return_inverse=True)
+        places, count = places.reshape(columns.shape), len(rows)
+        if len(sources) and sources[0] < 0:
+            sources, places = sources[1:], places - 1
+        room = np.empty((len(sources), n)), np.empty((count, n)), np.empty((count, count))
+        T = np.array(T, dtype=np.float64, order="C")
+        carry_along(self._storage.address, index, rows, sources, np.ascontiguousarray(places), T, *room)
 
     def release(self, index: int, blocks: IntArray) -> None:
         """Hold these blocks of filter `index` no longer; those that no landmark uses leave the map."""

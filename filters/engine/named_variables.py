@@ -9,7 +9,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from filters.contract.noise import gate_limit
-from filters.contract.outputs import POSE, VELOCITY, Correction, MovedLandmarks, PoseBelief, Variable, VariableBelief
+from filters.contract.outputs import (
+    POSE,
+    VELOCITY,
+    Correction,
+    MovedLandmarks,
+    PoseBelief,
+    Variable,
+    VariableBelief,
+    VariableSteps,
+)
 from filters.contract.stereo_filter import StereoFilter
 from filters.contract.validation import covariance_matrix, finite_array, gate_probability, require_known
 from filters.engine.options import Options
@@ -180,42 +189,49 @@ class VariableFilter(StereoFilter):
         self._row.remove(name)
 
     def move_variable(
-        self, name: str, value: ArrayLike, F: ArrayLike, Q: ArrayLike, landmarks: MovedLandmarks | None = None
+        self,
+        name: str | tuple[str, ...],
+        value: ArrayLike,
+        F: ArrayLike,
+        Q: ArrayLike,
+        landmarks: MovedLandmarks | None = None,
     ) -> None:
         """Step of an added variable, perhaps with landmarks that it carries along, such as those on a moving body.
 
-        P becomes T P T^T + Q, T the identity but for these rows. Call it between `predict` and `update`.
+        P becomes T (P + Q) T^T, T the identity but for these rows: noise stands before the step, as in Eq. 6. Call it
+        between `predict` and `update`.
 
         Parameters
         ----------
-        name : str
-            An added variable of s error numbers.
+        name : str or tuple of str
+            An added variable, or a clone of the pose; of several, all below is one after the other.
         value : (v,) array_like
-            After the step.
+            After the step; of a clone position and orientation (7,).
         F, Q : (s, s) array_like
-            Its Jacobian by the error before the step, and the noise that it adds.
+            Jacobian by the error before the step, and the covariance of the noise that is added to it.
         landmarks : MovedLandmarks, optional
-            Points of W in the map that move with it.
+            Landmarks in the map that move with it. They must have a finite position.
 
         Raises
         ------
         ValueError
-            There is no such variable or landmark, a shape is wrong, or landmarks are not points of W.
+            There is no such variable or landmark, or a shape is wrong.
         """
-        require_known("there is no added variable", [name], self._row.held)
-        variable = self._row.held[name].variable
-        if variable is None:
-            raise ValueError(f"name must be that of an added variable, {name!r} is a clone of the pose, which stays")
-        s = variable.size
-        checked = finite_array("value", value, (len(variable.value),)), finite_array("F", F, (s, s))
-        moved = MovedLandmarks.none(s) if landmarks is None else landmarks
-        finite_array("landmarks.by_variable", moved.by_variable, (len(moved.ids), 3, s))
+        names = (name,) if isinstance(name, str) else tuple(name)
+        require_known("there is no added variable", names, self._row.held)
+        known = self._row.held_values()
+        size = sum(len(rows) for rows in self._row.rows_of(names))
+        numbers = finite_array("value", value, (sum(len(known[one]) for one in names),))
+        moved = MovedLandmarks.none(size) if landmarks is None else landmarks
+        finite_array("landmarks.by_variable", moved.by_variable, (len(moved.ids), 3, size))
         unknown = moved.ids[~np.isin(moved.ids, self.ids)]
         if len(unknown):
             raise ValueError(f"landmarks.ids must be in the map, not there: {unknown[:5].tolist()}")
-        if len(moved.ids) and not self.options.landmark.in_world:
-            raise ValueError('landmarks must be points of W to be moved: choose landmark="euclidean"')
-        self._row.move(name, *checked, covariance_matrix("Q", Q, s), moved)
+        if not np.isfinite(self._row.landmark_positions(moved.ids)).all():
+            raise ValueError("landmarks must have a finite position to be moved: forget those at infinity")
+        F, Q = finite_array("F", F, (size, size)), covariance_matrix("Q", Q, size)
+        carriers = np.zeros(len(moved.ids), dtype=np.int64)
+        self._row.move(VariableSteps((names,), numbers[None], F[None], Q[None], moved, carriers))
 
     def _require_new(self, name: str) -> None:
         if name in (*self.options.layout.places, *self._row.held):

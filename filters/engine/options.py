@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from filters.bodies.rigid_bodies import RigidBodies
 from filters.contract.inputs import InertialSamples, Start
 from filters.contract.noise import LandmarkDrift
 from filters.contract.outputs import VELOCITY
@@ -46,10 +47,20 @@ class Options:
     relinearise_above: float
     drop_unseen: bool
     min_disparity: float | None
+    bodies: RigidBodies | None
 
     @classmethod
     def of(
-        cls, *, motion: Any, landmark: Any, measurement: Any, error: Any, update: Any, drift: Any, **others: Any
+        cls,
+        *,
+        motion: Any,
+        landmark: Any,
+        measurement: Any,
+        error: Any,
+        update: Any,
+        drift: Any,
+        bodies: Any,
+        **others: Any,
     ) -> Options:
         """Options with the parts that their names stand for."""
         return cls(
@@ -59,6 +70,7 @@ class Options:
             error=make_part("error", error),
             update=make_part("update", update),
             drift=LandmarkDrift.of(drift),
+            bodies=RigidBodies.of(bodies),
             **others,
         )
 
@@ -98,6 +110,11 @@ class Options:
                     f"measurement must have no variables with update={type(self.update).__name__}, which takes no "
                     f'Jacobians, got {type(self.measurement).__name__}: use update="extended"'
                 )
+        if self.bodies is not None and not _is_rectified(self.measurement):
+            raise ValueError(
+                f"measurement must be of a rectified pair with bodies, got {type(self.measurement).__name__}: "
+                'use "joint", or no bodies'
+            )
         positive("gauge_walk", self.gauge_walk, allow_zero=True)
         if self.gauge_walk and not self.error.keeps_gauge:
             raise ValueError(
@@ -110,6 +127,14 @@ class Options:
     def layout(self) -> StateLayout:
         """Rows of the named variables that the parts ask for."""
         return StateLayout.of(self.measurement.variables, self.motion.variables, self.measurement.sees_velocity)
+
+
+def _is_rectified(measurement: MeasurementModel) -> bool:
+    """Whether (u, v, d) means what it does to a rectified pair: bodies are told apart by such numbers."""
+    rig, uvd = Rig(500.0, 500.0, 320.0, 240.0, 0.2), (330.0, 250.0, 25.0)
+    named = measurement.named({**{x.name: x.value for x in measurement.variables}, VELOCITY: np.zeros(6)})
+    seen = np.array(measurement.unproject(rig, uvd, *named)[:4], dtype=np.float64)
+    return bool(np.allclose(seen / seen[2], [0.02, 0.02, 1.0, 0.25]))
 
 
 def _check_landmark(landmark: LandmarkModel) -> None:

@@ -10,17 +10,19 @@ import numpy as np
 
 from filters.contract.inputs import StereoObservation
 from filters.contract.noise import StereoNoise
-from filters.contract.outputs import MovedLandmarks, UpdateReport, Variable
+from filters.contract.outputs import MovedLandmarks, UpdateReport, Variable, VariableSteps
 from filters.contract.validation import require_known
 from filters.engine.engine import Engine
 from filters.engine.frame_arrays import FrameOutcome, Observations, Odometry, ValuePlaces
 from filters.engine.options import Options
 from filters.engine.recipes import recipe_of
+from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray, IntArray
 from filters.geometry.camera import StereoCamera
+from filters.geometry.derivatives import columns_of
 from filters.joint_state import AddedVariable, Clone, JointState
 from filters.kernels import records as fates
-from filters.kernels.records import CLONE_POSITION, CLONE_ROTATION, OWN, PLAIN, POINT, VECTOR, FilterState
+from filters.kernels.records import AXES, CLONE_POSITION, CLONE_ROTATION, OWN, PLAIN, POINT, VECTOR, FilterState
 from filters.motions.motion_model import CameraState, StepInput
 
 _FATES = {
@@ -173,17 +175,105 @@ class Row:
         self.engine.hold(self.number, state, rows, by_rows)
         self.held[variable.name] = Held(first, count, variable)
 
-    def move(self, name: str, value: FloatArray, F: FloatArray, Q: FloatArray, landmarks: MovedLandmarks) -> None:
-        """Step of an added variable, and of landmarks of W that it moves."""
+    def move(self, steps: VariableSteps) -> None:
+        """Steps of variables and clones, and of the landmarks that these carry along."""
+        layout, size, moved = self.options.layout, self.options.landmark.size, steps.landmarks
+        places = [self._places(names) for names in steps.names]
+        blocks = self.engine.storage.held[self.number, [place for one in places for place, _ in one]]
+        within = [number for one in places for _, number in one]
+        variable_rows = (layout.size + size * blocks + within).reshape(len(places), -1)
+        for rows, Q in zip(variable_rows, steps.Q, strict=True):
+            self.engine.add_noise(self.number, rows, Q)
+        rows, T = variable_rows.ravel(), steps.F.reshape(-1, variable_rows.shape[1])
+        columns = np.repeat(variable_rows, variable_rows.shape[1], axis=0)
+        if len(moved.ids):
+            own_rows, others, by_all = self._carried(moved)
+            wide = np.hstack([variable_rows[steps.carriers], others])
+            more = ((0, 0), (0, others.shape[1]))
+            rows = np.concatenate([rows, own_rows.ravel()])
+            columns = np.concatenate([np.pad(columns, more, constant_values=-1), np.repeat(wide, 3, axis=0)])
+            T = np.concatenate([np.pad(T, more), by_all.reshape(-1, by_all.shape[2])])
+        self.engine.move(self.number, rows, columns, T)
+        for names, value in zip(steps.names, steps.values, strict=True):
+            self._put_values(names, value)
+
+    def _places(self, names: Iterable[str]) -> list[tuple[int, int]]:
+        """Places among the held blocks, and there, of the errors of variables and clones."""
+        places = []
+        for one in (self.held[name] for name in names):
+            count = 6 if one.variable is None else one.variable.size
+            places += [(one.first + i // 3, i % 3) for i in range(count)]
+        return places
+
+    def _put_values(self, names: Iterable[str], value: FloatArray) -> None:
+        """Put the values of variables and clones there, one after the other; they are their first estimates, too."""
+        S, b, first = self.engine.storage, self.number, 0
+        for one in (self.held[name] for name in names):
+            held = S.held[b, one.first : one.first + one.count].tolist()
+            if one.variable is None:
+                parts = [value[first : first + 3], value[first + 3 : first + 7]]
+                S.kind[b, held] = POINT, AXES  # they go with the world, not with where the camera was
+                first += 7
+            else:
+                parts = [value[first + i : first + min(i + 3, one.variable.size)] for i in range(0, 3 * one.count, 3)]
+                first += one.variable.size
+            for block, numbers in zip(held, parts, strict=True):
+                S.blocks[b, block, : len(numbers)] = S.first[b, block, : len(numbers)] = numbers
+
+    def _carried(self, landmarks: MovedLandmarks) -> tuple[IntArray, IntArray, FloatArray]:
+        """Move landmarks: their rows (N, 3), rows beside those of the variable that they depend on, and T (N, 3, w).
+
+        T is by the variable, then by the other rows. With B the Jacobian of a position by a landmark's own numbers, B'
+        that after the step, M and V those of the step, the errors become B'^-1 (V x + M B y + (M - 1) a): x of the
+        variable, y its own, a of the anchor, which stays.
+        """
         S, b, layout, size = self.engine.storage, self.number, self.options.layout, self.options.landmark.size
-        own = S.own[b, np.searchsorted(self.ids, landmarks.ids)]
-        (rows,) = self.rows_of([name])
-        first = layout.size + size * own
-        self.engine.move(b, rows, F, Q, first, landmarks.by_landmark, landmarks.by_variable)
-        blocks = self.blocks_of(name)
-        S.blocks[b, blocks, :3] = S.first[b, blocks, :3] = _by_three(value, len(blocks))
-        S.first[b, own, :3] += landmarks.positions - S.blocks[b, own, :3]
-        S.blocks[b, own, :3] = landmarks.positions
+        first_estimates = self.options.error.first_estimates
+        index = np.searchsorted(self.ids, landmarks.ids)
+        own, anchor, M = S.own[b, index], S.anchor[b, index], landmarks.by_landmark
+        positions, B, seen = self._points(own, anchor, S.blocks)
+        if first_estimates:  # the step is affine in the position
+            first, B, seen_first = self._points(own, anchor, S.first)
+            first_moved = landmarks.positions + rotations.turned(M, first - positions)
+            self._place(own, anchor, S.first, seen_first, first_moved)
+        self._place(own, anchor, S.blocks, seen, landmarks.positions)
+        if not first_estimates:
+            S.first[b, own] = S.blocks[b, own]
+        inverse = np.linalg.inv(self._points(own, anchor, S.first)[1])
+        rows = layout.size + size * own[:, None] + np.arange(3)
+        by_both = np.concatenate([inverse @ landmarks.by_variable, inverse @ M @ B], axis=2)
+        if not self.options.landmark.anchored:
+            return rows, rows, by_both
+        anchor_rows = np.where(anchor[:, None] < 0, -1, layout.size + size * anchor[:, None] + np.arange(3))
+        return rows, np.hstack([rows, anchor_rows]), np.concatenate([by_both, inverse @ (M - np.eye(3))], axis=2)
+
+    def landmark_positions(self, ids: IntArray) -> FloatArray:
+        """Positions of landmarks in W, (N, 3) m; of a landmark at infinity they are not finite."""
+        index, S, b = np.searchsorted(self.ids, ids), self.engine.storage, self.number
+        return self._points(S.own[b, index], S.anchor[b, index], S.blocks)[0]
+
+    def _points(self, own: IntArray, anchor: IntArray, values: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Positions of landmarks in W, Jacobians (N, 3, 3) by the first three own errors, and what they are seen by."""
+        recipe, b = self.engine.recipe, self.number
+        seen, by_own = np.zeros((len(own), recipe.seen_size)), np.zeros((len(own), recipe.seen_size, recipe.plan.size))
+        self.engine.points(np.ascontiguousarray(values[b, own, : recipe.value_size]), seen, by_own)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            positions = seen[:, :3] / seen[:, 3:4]
+            J = (by_own[:, :3, :3] - positions[:, :, None] * by_own[:, 3:4, :3]) / seen[:, 3, None, None]
+        positions += np.where(anchor[:, None] < 0, 0.0, values[b, anchor, :3])
+        points = self.engine.storage.kind[b, own] == POINT
+        positions[points], J[points] = values[b, own[points], :3], np.eye(3)
+        return positions, J, seen
+
+    def _place(
+        self, own: IntArray, anchor: IntArray, values: FloatArray, seen: FloatArray, positions: FloatArray
+    ) -> None:
+        """Put landmarks at positions in W (N, 3); what else they are `seen` by stays."""
+        b, points = self.number, self.engine.storage.kind[self.number, own] == POINT
+        seen[:, :3], seen[:, 3] = positions - np.where(anchor[:, None] < 0, 0.0, values[b, anchor, :3]), 1.0
+        started = columns_of(self.options.landmark.start_from, seen)
+        started[points, :3] = positions[points]
+        values[b, own, : started.shape[1]] = started
 
     def remove(self, name: str) -> None:
         """Marginalise a clone or an added variable out."""
@@ -225,7 +315,8 @@ class Row:
         for name, one in self.held.items():
             blocks = self.blocks_of(name).copy()
             if one.variable is None:
-                clones[name] = Clone(state.blocks[blocks[0], :3], state.blocks[blocks[1], :4], blocks)
+                moves = bool(state.kind[blocks[1]] == AXES)
+                clones[name] = Clone(state.blocks[blocks[0], :3], state.blocks[blocks[1], :4], blocks, moves)
             else:
                 added[name] = AddedVariable(one.variable, blocks)
         return JointState(
@@ -257,7 +348,7 @@ class Row:
         kind[own_blocks[~points]] = OWN
         for clone in state.clones.values():
             position, rotation = clone.blocks
-            kind[position], kind[rotation] = CLONE_POSITION, CLONE_ROTATION
+            kind[clone.blocks] = (POINT, AXES) if clone.moves else (CLONE_POSITION, CLONE_ROTATION)
             for values in (blocks, first):
                 values[position, :3], values[rotation, :4] = clone.position, clone.orientation
         for one in state.added.values():

@@ -12,9 +12,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from filters.bodies.moving_bodies import MovingBodies
+from filters.bodies.rigid_bodies import BodiesBelief, RigidBodies
 from filters.contract.inputs import BodyVelocity, InertialSamples, Start, StereoObservation
 from filters.contract.noise import LandmarkDrift, StereoNoise
-from filters.contract.outputs import POSE, VELOCITY, Forecast, LandmarkBelief, PoseBelief, UpdateReport, VelocityBelief
+from filters.contract.outputs import (
+    POSE,
+    VELOCITY,
+    Forecast,
+    LandmarkBelief,
+    PoseBelief,
+    UpdateReport,
+    VariableBelief,
+    VelocityBelief,
+)
 from filters.contract.stereo_filter import AT_ORIGIN, check_rig, check_start, check_step
 from filters.contract.validation import (
     finite_array,
@@ -31,7 +42,7 @@ from filters.joint_state import JointState, joint_covariance, landmark_belief, p
 from filters.landmarks.landmark_model import LandmarkModel
 from filters.measurements.measurement_model import MeasurementModel
 from filters.motions.constant_velocity import moved_by
-from filters.motions.motion_model import CameraState, MotionModel, input_of
+from filters.motions.motion_model import CameraState, MotionModel, StepInput, input_of
 from filters.parts import Named
 
 if TYPE_CHECKING:
@@ -83,6 +94,9 @@ class StereoEKF(VariableFilter):
         miss over the variances of the rows. 0: all, which makes the way too long where odometry is the scale.
     drop_unseen : bool
         The paper's policy: a landmark not in the current observation leaves the map.
+    bodies : RigidBodies, mapping or bool, optional
+        Moving bodies in the state: what they are, or a table of its settings; True: with the defaults. None: there are
+        none, and what moves is for the gate.
     min_disparity : float, optional
         A landmark is not started from a smaller disparity, px. None: whatever the parametrisation can do.
 
@@ -94,7 +108,7 @@ class StereoEKF(VariableFilter):
 
     open_options = frozenset(
         {"motion", "gate", "landmark", "measurement", "error", "update", "consensus", "tail_dof", "drift", "gauge_walk"}
-        | {"iterations", "relinearise_above", "drop_unseen", "min_disparity"}
+        | {"iterations", "relinearise_above", "drop_unseen", "min_disparity", "bodies"}
     )
 
     def __init__(
@@ -116,6 +130,7 @@ class StereoEKF(VariableFilter):
         relinearise_above: float = 0.0,
         drop_unseen: bool = True,
         min_disparity: float | None = None,
+        bodies: RigidBodies | Mapping[str, Any] | bool | None = None,
     ) -> None:
         from filters.engine.row import Row  # Numba takes longer to import than all the rest
 
@@ -137,6 +152,7 @@ class StereoEKF(VariableFilter):
             relinearise_above=relinearise_above,
             drop_unseen=drop_unseen,
             min_disparity=min_disparity,
+            bodies=bodies,
         )
         self._row = Row.of(camera, self.options)
         self.reset()
@@ -145,11 +161,18 @@ class StereoEKF(VariableFilter):
         """Start again with an empty map; see `StereoFilter.reset`."""
         check_start(start)
         self.state = JointState.at(start, self.options.layout, self.options.landmark)
+        self._bodies = None if self.options.bodies is None else MovingBodies(self.options.bodies, self.camera)
 
     def predict(self, dt: float, odometry: BodyVelocity | None = None, inertial: InertialSamples | None = None) -> None:
         """Move the belief forward (Eq. 6, 11, 12), then fuse what odometry adds."""
         dt = check_step(dt, odometry, inertial)
         step_input = input_of(self.options.motion, self, odometry, inertial)
+        self._move(dt, odometry, step_input)
+        if self._bodies is not None:
+            self._bodies.step(self._row, dt)
+
+    def _move(self, dt: float, odometry: BodyVelocity | None, step_input: StepInput | None) -> None:
+        """Move the camera, and fuse what odometry adds."""
         if odometry is None or step_input is odometry:
             self._row.predict(dt, step_input)
             return
@@ -167,7 +190,12 @@ class StereoEKF(VariableFilter):
         if not isinstance(observation, StereoObservation):
             raise ValueError(f"observation must be a StereoObservation, got {type(observation).__name__}")
         # One order for everything below, so that the result cannot depend on the order of the measurements.
-        return self._row.update(self.options.measurement.completed(observation.ordered(), self.camera), self.noise)
+        observation = self.options.measurement.completed(observation.ordered(), self.camera)
+        if self._bodies is None:
+            return self._row.update(observation, self.noise)
+        admitted = self._bodies.admit(self._row, observation, self.noise)
+        report = self._row.update(admitted, self.noise)
+        return self._bodies.after(self._row, observation, report)
 
     def assume(self, noise: StereoNoise, **options: Any) -> None:
         """Go on with another noise of the measurements, as one that is measured while the drive goes.
@@ -226,7 +254,7 @@ class StereoEKF(VariableFilter):
         unchanged = (
             getattr(type(self), name) is not getattr(StereoEKF, name) or name in vars(self) for name in _ENGINE_DOES
         )
-        return not any(unchanged)
+        return self.options.bodies is None and not any(unchanged)
 
     @property
     def engine(self) -> Engine:
@@ -243,6 +271,19 @@ class StereoEKF(VariableFilter):
         """Pose of the left camera."""
         camera = self.camera_state
         return PoseBelief(camera.position, camera.orientation, self._row.joint(POSE))
+
+    def belief(self, *names: str) -> VariableBelief:
+        """Belief of named variables, or of moving bodies, "body-3"; see the base class.
+
+        Of a body: position, orientation, velocity, angular velocity, and a covariance (12, 12), as in `BodiesBelief`.
+        """
+        bodies = {} if self._bodies is None else {body.names[0]: body.names for body in self._bodies.bodies}
+        return super().belief(*(part for name in names for part in bodies.get(name, (name,))))
+
+    @property
+    def bodies(self) -> BodiesBelief:
+        """Moving bodies in the state; none where the option `bodies` is None."""
+        return (MovingBodies(RigidBodies(), self.camera) if self._bodies is None else self._bodies).belief(self._row)
 
     @property
     def velocity(self) -> VelocityBelief:

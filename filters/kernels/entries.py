@@ -9,7 +9,7 @@ from numba import types
 
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.geometry.vectors import cross_matrix, put, times, transposed
-from filters.kernels.blas import PLAIN, entry, kernel
+from filters.kernels.blas import PLAIN, entry
 from filters.kernels.calls import (
     FLAGS,
     INDEX,
@@ -77,69 +77,52 @@ def carry_along(
     storage_at: int,
     b: int,
     rows: IntArray,
-    landmarks: IntArray,
-    F: FloatArray,
-    Q: FloatArray,
-    by_landmark: FloatArray,
-    by_rows: FloatArray,
-    room: FloatArray,
+    sources: IntArray,
+    places: IntArray,
+    factors: FloatArray,
+    before: FloatArray,
+    after: FloatArray,
+    among: FloatArray,
 ) -> None:
-    """P = T P T^T + Q of filter b, T the identity but for some rows and for landmarks, from their first rows on.
+    """P = T P T^T of filter b, T the identity but for C rows, each of which has at most k numbers.
 
-    `room` (2, w + 3 N, n) is for the rows of P that change, before and after.
+    Row `rows[i]` of T has `factors[i, j]` in the column `sources[places[i, j]]`; a place of -1 ends it. The last three
+    arrays are room: for the rows of P at the sources (U, n), for the changed ones (C, n), and where these cross (C, C).
     """
-    P, before, after, w = read_storage(storage_at).P[b], room[0], room[1], len(rows)
-    changed, n = room.shape[1], room.shape[2]
-    for i in range(changed):
-        row = _row(rows, landmarks, i)
+    P, n, width = read_storage(storage_at).P[b], before.shape[1], places.shape[1]
+    for i in range(len(sources)):
+        row = sources[i]
+        for j in range(row):
+            before[i, j] = P[j, row]
+        for j in range(row, n):
+            before[i, j] = P[row, j]
+    for i in range(len(rows)):
+        target = after[i]
         for j in range(n):
-            before[i, j] = P[row, j] if row <= j else P[j, row]
-    for i in range(changed):
-        for j in range(n):
-            after[i, j] = 0.0
-        _add(after[i], before, i, w, F, by_landmark, by_rows)
-    for i in range(changed):  # the columns that change: T P T^T from T P
-        for j in range(changed):
-            total, m = 0.0, (j - w) // 3
-            for k in range(w):
-                total += after[i, rows[k]] * (F[j, k] if j < w else by_rows[m, (j - w) % 3, k])
-            if j >= w:
-                for k in range(3):
-                    total += after[i, landmarks[m] + k] * by_landmark[m, (j - w) % 3, k]
-            before[i, j] = total + Q[i, j] if i < w and j < w else total
-    for i in range(changed):
-        row = _row(rows, landmarks, i)
-        for j in range(n):
-            P[min(row, j), max(row, j)] = after[i, j]
-    for i in range(changed):
-        row = _row(rows, landmarks, i)
-        for j in range(i, changed):
-            column = _row(rows, landmarks, j)
-            P[min(row, column), max(row, column)] = before[i, j]
-
-
-@kernel
-def _row(rows: IntArray, landmarks: IntArray, i: int) -> int:
-    """Row of P of the i-th error that changes."""
-    place: int = rows[i] if i < len(rows) else landmarks[(i - len(rows)) // 3] + (i - len(rows)) % 3
-    return place
-
-
-@kernel
-def _add(
-    target: FloatArray, before: FloatArray, i: int, w: int, F: FloatArray, by_landmark: FloatArray, by_rows: FloatArray
-) -> None:
-    """Add row i of T P."""
-    m, a = (i - w) // 3, (i - w) % 3
-    for k in range(w):
-        factor = F[i, k] if i < w else by_rows[m, a, k]
-        if factor != 0.0:
-            for j in range(len(target)):
-                target[j] += factor * before[k, j]
-    if i >= w:
-        for k in range(3):
-            for j in range(len(target)):
-                target[j] += by_landmark[m, a, k] * before[w + 3 * m + k, j]
+            target[j] = 0.0
+        for k in range(width):
+            if places[i, k] < 0:
+                break
+            factor, source = factors[i, k], before[places[i, k]]
+            for j in range(n):
+                target[j] += factor * source[j]
+    for i in range(len(rows)):
+        for j in range(i, len(rows)):
+            total = 0.0
+            for k in range(width):
+                if places[j, k] < 0:
+                    break
+                total += after[i, sources[places[j, k]]] * factors[j, k]
+            among[i, j] = total
+    for i in range(len(rows)):
+        row = rows[i]
+        for j in range(row):
+            P[j, row] = after[i, j]
+        for j in range(row, n):
+            P[row, j] = after[i, j]
+    for i in range(len(rows)):
+        for j in range(i, len(rows)):
+            P[min(rows[i], rows[j]), max(rows[i], rows[j])] = among[i, j]
 
 
 @entry

@@ -12,14 +12,14 @@ from __future__ import annotations
 import math
 
 from filters.geometry.arrays import FloatArray, IntArray
-from filters.geometry.rotations import Nine, product_of
+from filters.geometry.rotations import Nine, matrix_of, product_of
 from filters.geometry.vectors import IDENTITY, cross_matrix, transposed
 from filters.kernels.blas import add_square, kernel
 from filters.kernels.calls import Calls, call, exists, unit
 from filters.kernels.covariance import orientation
 from filters.kernels.linearisation import clear_all, from_camera, take_points
 from filters.kernels.recipe import Plan
-from filters.kernels.records import BLOCKS, LANDMARKS, OWN, POINT, VECTOR, Scratch, Storage
+from filters.kernels.records import AXES, BLOCKS, LANDMARKS, OWN, POINT, VECTOR, Scratch, Storage
 
 SMALLEST_DETERMINANT = 1e-3
 """Of d(u, v, d) / d(own numbers): below, a landmark is so far that a step in the image has no place in the map."""
@@ -172,6 +172,9 @@ def _find_directions(calls: Calls, plan: Plan, S: Storage, b: int, s: Scratch, n
             away = cross_matrix(blocks[c, 0] - x[0], blocks[c, 1] - x[1], blocks[c, 2] - x[2])
             _put_columns(B, 0, column, away, -1.0)
             _put_columns(B, 3, column, IDENTITY, 1.0)
+        elif S.kind[b, c] == AXES:
+            turn = matrix_of(blocks[c, 0], blocks[c, 1], blocks[c, 2], blocks[c, 3])
+            _put_columns(B, 0, column, transposed(turn), 1.0)
         elif S.kind[b, c] == VECTOR:
             _put_columns(B, 0, column, cross_matrix(blocks[c, 0], blocks[c, 1], blocks[c, 2]), -1.0)
     if turning > 0:

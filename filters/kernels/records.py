@@ -45,9 +45,10 @@ def aligned(*shape: int) -> FloatArray:
 
 
 LANDMARKS, BLOCKS = 0, 1
-POINT, OWN, CLONE_POSITION, CLONE_ROTATION, VECTOR, PLAIN = range(6)
-"""Kinds of blocks: points of W, a landmark's own numbers, the two blocks of a clone of the pose, and those of a
-variable that was added: a vector in W, or numbers that do not turn with the world."""
+POINT, OWN, CLONE_POSITION, CLONE_ROTATION, AXES, VECTOR, PLAIN = range(7)
+"""Kinds of blocks: points of W, a landmark's own numbers, the two blocks of a clone of the pose, axes that move in W
+(beside a point: those of a body), and those of a variable that was added: a vector in W, or numbers that do not turn
+with the world."""
 USED, BEHIND, GATED, FAILED, STARTED, REJECTED = range(6)
 """Outcome of a measurement: used, behind the camera, gated, no Cholesky factor of S; started a landmark, or not."""
 

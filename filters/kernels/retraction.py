@@ -22,7 +22,7 @@ from filters.kernels.calls import Calls, call, unit
 from filters.kernels.covariance import clear, identity, orientation, scale_block, transform_leading
 from filters.kernels.linearisation import clear_all
 from filters.kernels.recipe import Plan
-from filters.kernels.records import BLOCKS, CLONE_ROTATION, OWN, PLAIN, POINT, Scratch, Storage
+from filters.kernels.records import AXES, BLOCKS, CLONE_ROTATION, OWN, PLAIN, POINT, Scratch, Storage
 
 CORRECTED, SETTLED = range(2)
 """What a correction does to first estimates: landmarks leave them, odometry and other measurements move them along."""
@@ -158,7 +158,7 @@ def move(calls: Calls, plan: Plan, S: Storage, b: int, s: Scratch) -> None:
             for c in range(a):
                 D[k, a, c] = D[k, c, a] = 0.0
             D[k, a, a] = 1.0
-        if kind[k] == CLONE_ROTATION:
+        if CLONE_ROTATION <= kind[k] <= AXES:
             q0, q1, q2, q3 = _rotated(plan, blocks[k], d0, d1, d2)
             moved_blocks[k, 0], moved_blocks[k, 1], moved_blocks[k, 2], moved_blocks[k, 3] = q0, q1, q2, q3
             put(D[k], 0, 0, _rotation_transport(plan, d0, d1, d2), 1.0)
@@ -207,7 +207,7 @@ def turn_with_world(plan: Plan, S: Storage, b: int, s: Scratch) -> None:
         _put_shift(W, row, x, moved, row + 1, R)
     for k in range(S.counts[b, BLOCKS]):
         row = plan.leading + plan.size * k
-        if kind[k] == CLONE_ROTATION:
+        if CLONE_ROTATION <= kind[k] <= AXES:
             put(W, row, 0, multiply(transposed(_orientation(moved_blocks, k)), R), 1.0)
             before = multiply(transposed(_orientation(blocks, k)), R)
             for i in range(9):
@@ -257,7 +257,7 @@ def retract(calls: Calls, plan: Plan, S: Storage, b: int, s: Scratch) -> None:
         call(calls.scale_blocks, (plan, P, n, s))
     elif not (plan.turns or plan.first_estimates):
         for c in range(count):
-            if S.kind[b, c] == CLONE_ROTATION:
+            if CLONE_ROTATION <= S.kind[b, c] <= AXES:
                 row = plan.leading + plan.size * c
                 D = _rotation_transport(plan, delta[row], delta[row + 1], delta[row + 2])
                 scale_block(P, n, row, D, s.block)

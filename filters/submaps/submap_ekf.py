@@ -223,7 +223,7 @@ class SubmapEKF(StereoFilter):
         An option is unknown, or has an unknown or impossible value.
     """
 
-    open_options = StereoEKF.open_options - {"landmark", "drop_unseen"}
+    open_options = StereoEKF.open_options - {"landmark", "drop_unseen", "bodies"}
 
     def __init__(
         self,
@@ -244,6 +244,8 @@ class SubmapEKF(StereoFilter):
                 raise ValueError(f"option {name!r} is not one of SubmapEKF: see StereoEKF, max_unseen and patience")
         if options.pop("drop_unseen", False):
             raise ValueError("drop_unseen must be False with submaps, got True: they keep every landmark")
+        if options.get("bodies"):
+            raise ValueError("bodies must be None with submaps: landmarks at rest cannot be moved")
         active = StereoEKF(camera, noise, landmark=landmark, drop_unseen=False, **options)
         for slot, able in (("landmark", _able("landmark")), ("error", _able("error"))):
             part = getattr(active.options, slot)

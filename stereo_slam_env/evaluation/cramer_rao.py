@@ -237,7 +237,7 @@ class ReferenceBelief:
         # A point behind the camera is not what was measured: the id is wrong.
         sound = points_c[:, 2] > 0
         uvd, R = self._rig.project(points_c[sound]), self._noise_of(observation)[sound]
-        return unchecked(StereoObservation, ids=observation.ids[sound], uvd=uvd, v_right=None, R=R)
+        return unchecked(StereoObservation, ids=observation.ids[sound], uvd=uvd, v_right=None, R=R, bodies=None)
 
     def _move_to(self, frame: Frame, dt: float, linear: FloatArray, angular: FloatArray) -> None:
         """Move to the true pose, and learn as much as the odometry of the step says."""

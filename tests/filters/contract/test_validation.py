@@ -69,7 +69,7 @@ def test_ids_of_any_integer_type_become_int64(dtype: type) -> None:
 def test_an_unchecked_observation_equals_a_checked_one_and_its_arrays_cannot_be_changed() -> None:
     ids, uvd = np.arange(2), np.ones((2, 3))
     checked = StereoObservation(ids, uvd)
-    made = validation.unchecked(StereoObservation, ids=ids, uvd=uvd, v_right=None, R=None)
+    made = validation.unchecked(StereoObservation, ids=ids, uvd=uvd, v_right=None, R=None, bodies=None)
     assert vars(made).keys() == vars(checked).keys()
     assert made.uvd is uvd
     with pytest.raises(ValueError, match="read-only"):

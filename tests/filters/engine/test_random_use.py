@@ -116,7 +116,8 @@ class Drive:
         before = set(self.stereo_filter.landmarks.ids.tolist())
         twin = copy.deepcopy(self.stereo_filter) if reordered else None
         report = self.stereo_filter.update(observation)
-        assert_partition(report, set(observation.ids.tolist()), before)
+        released = getattr(self.stereo_filter, "options", None) is not None and self.stereo_filter.options.bodies
+        assert_partition(report, set(observation.ids.tolist()), before, may_leave=bool(released))
         after = (before - set(report.dropped.tolist())) | set(report.initialised.tolist())
         assert set(self.stereo_filter.landmarks.ids.tolist()) == after
         if twin is not None:
@@ -167,15 +168,18 @@ class Drive:
             assert_healthy(self.stereo_filter)
 
 
-def assert_partition(report: UpdateReport, observed: set[int], before: set[int]) -> None:
-    """Every observed id is told once; known ones are corrected or say why not, new ones are started or say why not."""
+def assert_partition(report: UpdateReport, observed: set[int], before: set[int], *, may_leave: bool) -> None:
+    """Every observed id is told once; known ones are corrected or say why not, new ones are started or say why not.
+
+    An observed one `may_leave` the map where it is not on the body, or on the scene, that it was taken for.
+    """
     known = [report.updated, report.gated, report.behind_camera, report.failed]
     new = [report.initialised, report.rejected]
     told = np.concatenate(known + new).tolist()
     assert len(told) == len(set(told))
     assert set(told) == observed
     assert set(np.concatenate(known).tolist()) == observed & before
-    assert set(report.dropped.tolist()) <= before - observed
+    assert set(report.dropped.tolist()) <= (before if may_leave else before - observed)
     assert np.isfinite(report.nis)
     assert report.nis >= 0
     # Each landmark brings 2 to 4 numbers; one refused in the right eye may have brought its left pixel.

@@ -119,7 +119,7 @@ TWIST = Variable("twist", [0.5, 0.0, 2.0, 0.0, 0.1, 0.0], 0.1 * np.eye(6))
 
 
 def test_a_step_carries_landmarks_along() -> None:
-    """Against whole matrices: T P T^T + Q."""
+    """Against whole matrices: T (P + Q) T^T."""
     slam = make(landmark="euclidean", drop_unseen=False)
     list(run(slam, drive(53, 4, visible=8, missed=0.0, depths=(6.0, 20.0))))
     slam.add_variable(TWIST, {"velocity": 0.2 * np.eye(6)})
@@ -132,7 +132,7 @@ def test_a_step_carries_landmarks_along() -> None:
     for at, D, B in zip(own, carried.by_landmark, carried.by_variable, strict=True):
         T[np.ix_(at, at)], T[np.ix_(at, rows)] = D, B
     slam.move_variable("twist", value + 0.1, F, Q, carried)
-    np.testing.assert_allclose(symmetric.full(slam.state.P), T @ P @ T.T + added, rtol=1e-9, atol=1e-13)
+    np.testing.assert_allclose(symmetric.full(slam.state.P), T @ (P + added) @ T.T, rtol=1e-9, atol=1e-13)
     np.testing.assert_allclose(slam.belief("twist").value, value + 0.1)
     where = np.searchsorted(slam.landmarks.ids, carried.ids)
     np.testing.assert_allclose(slam.landmarks.positions[where], carried.positions)
@@ -187,12 +187,15 @@ def test_a_copy_of_the_state_has_it() -> None:
         (lambda s: s.remove_variable("tilt"), r"^there is no added variable 'tilt'"),
         (lambda s: s.add_variable(TILT, {"pose": np.eye(3)}), r"^H of 'pose' must have shape \(3, 6\), got \(3, 3\)$"),
         (lambda s: s.add_variable(TILT, {"nobody": np.eye(3)}), r"^there is no variable 'nobody'"),
-        (lambda s: s.move_variable("here", np.zeros(7), np.eye(6), np.eye(6)), r"'here' is a clone of the pose"),
+        (
+            lambda s: s.move_variable("nobody", np.zeros(7), np.eye(6), np.eye(6)),
+            r"^there is no added variable 'nobody'",
+        ),
         (lambda s: s.move_variable("scales", np.zeros(3), np.eye(4), np.eye(4)), r"^value must have shape \(4,\)"),
         (lambda s: carry(s, MovedLandmarks.none(3)), r"^landmarks.by_variable must have shape \(0, 3, 4\), got"),
         (
-            lambda s: carry(s, MovedLandmarks(s.ids[:1], np.zeros((1, 3)), np.zeros((1, 3, 3)), np.zeros((1, 3, 4)))),
-            r'^landmarks must be points of W to be moved: choose landmark="euclidean"$',
+            lambda s: carry(s, MovedLandmarks([10**6], np.zeros((1, 3)), np.zeros((1, 3, 3)), np.zeros((1, 3, 4)))),
+            r"^landmarks.ids must be in the map, not there: \[1000000\]$",
         ),
     ],
 )
