@@ -141,7 +141,7 @@ class StereoOptions:
         return int(self.moving_cars) + int(self.pedestrians) + (self.bus is not None)
 
     @property
-    def rows(self) -> int:
+    def max_measurements(self) -> int:
         """Most measurements in one frame: of `max_landmarks`, and of `moving_landmarks` on each moving body."""
         on_people = int(self.pedestrians) * landmarks_on("pedestrian", int(self.moving_landmarks))
         on_others = (self.moving_bodies - int(self.pedestrians)) * int(self.moving_landmarks)

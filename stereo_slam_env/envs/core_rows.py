@@ -82,7 +82,7 @@ class CoreRows(Rows):
         rules = make_rules(
             self.camera,
             options.tracking,
-            moving=options.rows - int(options.max_landmarks),
+            moving=options.max_measurements - int(options.max_landmarks),
             noise=options.noise,
             sigma=options.sigma,
             lasting=options.lasting,
@@ -255,7 +255,7 @@ class CoreRows(Rows):
 
     def _extras(self, v_right: FloatArray) -> Arrays:
         """Measurements that not every sensor has, see `padded_extras`."""
-        rows = self.options.rows
+        rows = self.options.max_measurements
         if self._sees_images:
             each = [padded_extras(images, rows) for images in self._seen if images is not None]
             return {key: np.stack([extras[key] for extras in each]) for key in each[0]}
@@ -358,7 +358,7 @@ class CoreRows(Rows):
         return sensor
 
     def _make_observation_space(self) -> spaces.Dict:
-        options, camera, rows = self.options, self.camera, self.options.rows
+        options, camera, rows = self.options, self.camera, self.options.max_measurements
         if self._sees_images:
             largest, slack = float(camera.width), _IMAGE_SLACK
         else:

@@ -1,8 +1,8 @@
 """A `Recording` as one npz file and back, bit for bit, without pickles.
 
 What all frames have lies end to end in flat arrays. What a frame may lack (rows of the right image, covariances,
-odometry, inertial samples, truth, moving bodies) is kept for the frames that have it, and `has.*` says which those are. `about` is
-JSON: format version, name, camera, noise that lasts, source, and what the truth is.
+odometry, inertial samples, truth, moving bodies) is kept for the frames that have it, and `has.*` says which those are.
+`about` is JSON: format version, name, camera, noise that lasts, source, and what the truth is.
 """
 
 from __future__ import annotations

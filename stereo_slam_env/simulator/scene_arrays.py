@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray, IntArray
 from filters.geometry.rotations import Nine, Three
 from filters.kernels.compilation import entry, kernel
@@ -19,7 +18,7 @@ from stereo_slam_env.simulator.contacts import touches
 from stereo_slam_env.simulator.motion import LOOK_AHEAD, route_ahead, route_of
 from stereo_slam_env.simulator.rays import COLUMNS, KIND, TRIANGLE, Obstacles, hits, obstacles, solid_rows, way_to
 from stereo_slam_env.simulator.state import ARENA, Fleet, Rules, Sensed
-from stereo_slam_env.world.frames import R_SW, WorldFrame
+from stereo_slam_env.world.frames import WorldFrame
 from stereo_slam_env.world.routes import FRAME_PERIOD, Route
 from stereo_slam_env.world.scene import BOX, CYLINDER, MovingBody, Scene
 from stereo_slam_env.world.traffic import surface_points
@@ -58,9 +57,10 @@ def traffic_arrays(bodies: Sequence[MovingBody], landmarks: int = 0, rng: np.ran
         shares[m, 6] = BODY_KINDS.index(body.kind) + 1 if body.kind in BODY_KINDS else 0
         balls[m, :4] = _ball_around(rows)
     surface = [np.zeros((0, 7))]
-    for m, body in enumerate(bodies if rng is not None and landmarks else ()):
+    generators = rng.spawn(len(bodies)) if rng is not None and landmarks else []
+    for m, (body, own_rng) in enumerate(zip(bodies, generators, strict=bool(generators))):
         most = landmarks_on(body.kind, landmarks)
-        points = surface_points(body, _SPARE * most, rng.spawn(1)[0])
+        points = surface_points(body, _SPARE * most, own_rng)
         first = sum(len(part) for part in surface)
         shares[m, 3:6] = first, first + len(points), most
         surface.append(np.column_stack([points, np.full(len(points), m)]))
@@ -116,11 +116,16 @@ def move_bodies(fleet: Fleet, b: int) -> None:
                 _turn(part, now, 6, cos, sin)
 
 
+_WAITING = -100.0
+"""Bodies that are lower than this, m, wait before they come or after they have gone, see `traffic`."""
+
+
 @kernel
-def _height(fleet: Fleet, b: int, m: int) -> float:
-    """Height of a moving body in S, m; where it waits if it comes or goes in this step."""
+def is_present(fleet: Fleet, b: int, m: int) -> bool:
+    """Whether a moving body neither waits nor comes or goes in this step."""
     last, step = fleet.shares[b, m, 2] - 1, max(fleet.step[b] - 1, 0)
-    return float(min(fleet.tracks[b, m, min(step, last), 2], fleet.tracks[b, m, min(step + 1, last), 2]))
+    track = fleet.tracks[b, m]
+    return bool(track[min(step, last), 2] > _WAITING and track[min(step + 1, last), 2] > _WAITING)
 
 
 @kernel
@@ -132,7 +137,7 @@ def move_landmarks(fleet: Fleet, b: int, camera_height: float) -> None:
         m = int(point[6])
         at = fleet.tracks[b, m, min(fleet.step[b], fleet.shares[b, m, 2] - 1)]
         landmarks[0, first + q] = -(at[1] + at[4] * point[0] + at[3] * point[1])
-        landmarks[1, first + q] = camera_height - (_height(fleet, b, m) + point[2])
+        landmarks[1, first + q] = camera_height - (at[2] + point[2])
         landmarks[2, first + q] = at[0] + at[3] * point[0] - at[4] * point[1]
 
 
@@ -142,26 +147,32 @@ def bodies_now(fleet: Fleet, most: int, rows: slice = slice(None)) -> FloatArray
     These are the code of the kind, position (3) and orientation (4, xyzw) in W, and linear and angular velocity in W
     over the last step, as in `BodyTruth`; 0 where there is none, or where it has come or gone in this step.
     """
-    step, sizes = fleet.step[rows], fleet.sizes[rows]
-    shares, number = fleet.shares[rows, :most], min(most, fleet.shares.shape[1])
-    bodies = np.zeros((len(step), most, 14))
-    b, m = np.ogrid[: len(step), :number]
-    tracks, last = fleet.tracks[rows], shares[..., 2] - 1
-    before = np.maximum(step - 1, 0)[:, None]
-    start, end, now = (tracks[b, m, np.minimum(k, last)] for k in (before, before + 1, step[:, None]))
-    yaw = 0.5 * np.arctan2(now[..., 4], now[..., 3])
-    turn = start[..., 3] * end[..., 4] - start[..., 4] * end[..., 3]
-    turned = np.arctan2(turn, start[..., 3] * end[..., 3] + start[..., 4] * end[..., 4])
-    R_ws, zero = R_SW.T, np.zeros_like(yaw)
-    bodies[:, :number, 0] = shares[..., 6]
-    bodies[:, :number, 1:4] = WorldFrame(CAMERA_HEIGHT).to_world(now[..., :3])
-    in_scene = np.stack([zero, zero, np.sin(yaw), np.cos(yaw)], axis=-1)
-    bodies[:, :number, 4:8] = rotations.multiply(rotations.from_matrix(R_ws), in_scene)
-    bodies[:, :number, 8:11] = (end - start)[..., :3] @ R_SW / FRAME_PERIOD
-    bodies[:, :number, 11:14] = np.stack([zero, zero, turned], axis=-1) @ R_SW / FRAME_PERIOD
-    is_there = (m < sizes[:, 2:3]) & (start[..., 2] > -1.0) & (end[..., 2] > -1.0) & (shares[..., 6] > 0)
-    bodies[:, :number][~is_there] = 0.0
+    chosen = np.arange(len(fleet.step))[rows]
+    bodies = np.zeros((len(chosen), most, 14))
+    _put_bodies(fleet, chosen, bodies)
     return bodies
+
+
+@entry
+def _put_bodies(fleet: Fleet, rows: IntArray, bodies: FloatArray) -> None:
+    for k in range(len(rows)):
+        b = rows[k]
+        before, step = max(fleet.step[b] - 1, 0), fleet.step[b]
+        for m in range(min(fleet.sizes[b, 2], bodies.shape[1])):
+            body, last = bodies[k, m], fleet.shares[b, m, 2] - 1
+            if not is_present(fleet, b, m) or fleet.shares[b, m, 6] == 0:
+                continue
+            now, track = fleet.tracks[b, m, min(step, last)], fleet.tracks[b, m]
+            start, end = track[min(before, last)], track[min(before + 1, last)]
+            turned = math.atan2(start[3] * end[4] - start[4] * end[3], start[3] * end[3] + start[4] * end[4])
+            half = 0.5 * math.atan2(now[4], now[3])
+            cos, sin = 0.5 * math.cos(half), 0.5 * math.sin(half)
+            body[0] = fleet.shares[b, m, 6]
+            body[1], body[2], body[3] = -now[1], CAMERA_HEIGHT - now[2], now[0]
+            body[4], body[5], body[6], body[7] = cos - sin, -cos - sin, cos + sin, cos - sin
+            for axis, sign, of_scene in ((8, -1.0, 1), (9, -1.0, 2), (10, 1.0, 0)):
+                body[axis] = sign * (end[of_scene] - start[of_scene]) / FRAME_PERIOD
+            body[12] = -turned / FRAME_PERIOD
 
 
 def bodies_of_measurements(fleet: Fleet, sensed: Sensed, rows: slice = slice(None)) -> IntArray:

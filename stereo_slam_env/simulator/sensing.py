@@ -13,7 +13,7 @@ from filters.geometry.rotations import Three
 from filters.kernels.compilation import kernel
 from stereo_slam_env.simulator.motion import CHOICE, NOISE, back, rotation_of
 from stereo_slam_env.simulator.rays import is_seen
-from stereo_slam_env.simulator.scene_arrays import Bodies, bodies_of, is_behind_body
+from stereo_slam_env.simulator.scene_arrays import Bodies, bodies_of, is_behind_body, is_present
 from stereo_slam_env.simulator.state import Fleet, Kept, Rules, Sensed
 
 
@@ -135,13 +135,18 @@ _TRACKED = 2
 
 @kernel
 def hide_far_sides(rules: Rules, fleet: Fleet, b: int) -> None:
-    """Take landmarks on surfaces of moving bodies that are turned away from a camera out of `fleet.inside`."""
+    """Take landmarks on moving bodies whose surface is turned away from a camera out of `fleet.inside`.
+
+    So are those on bodies that come or go in this step.
+    """
     around, first = view_of(rules, fleet, b), fleet.sizes[b, 0]
     points, inside = around.points, fleet.inside[b]
     for q in range(fleet.sizes[b, 4]):
         i, point = first + q, fleet.surface[b, q]
         if inside[i] == 1:
             m = int(point[6])
+            if not is_present(fleet, b, m):
+                inside[i] = 0
             at = fleet.tracks[b, m, min(fleet.step[b], fleet.shares[b, m, 2] - 1)]
             x, y, z = at[3] * point[3] - at[4] * point[4], at[4] * point[3] + at[3] * point[4], point[5]
             to = (points[2, i], -points[0, i], around.height - points[1, i])
