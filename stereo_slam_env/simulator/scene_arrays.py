@@ -147,9 +147,9 @@ def bodies_now(fleet: Fleet, most: int, rows: slice = slice(None)) -> FloatArray
     These are the code of the kind, position (3) and orientation (4, xyzw) in W, and linear and angular velocity in W
     over the last step, as in `BodyTruth`; 0 where there is none, or where it has come or gone in this step.
     """
-    chosen = np.arange(len(fleet.step))[rows]
-    bodies = np.zeros((len(chosen), most, 14))
-    _put_bodies(fleet, chosen, bodies)
+    numbers = np.arange(len(fleet.step))[rows]
+    bodies = np.zeros((len(numbers), most, 14))
+    _put_bodies(fleet, numbers, bodies)
     return bodies
 
 

@@ -162,13 +162,13 @@ def track_bodies(
     """Fill up what is tracked of each moving body, append all of it to the first `number` ids, and count these."""
     inside, first = fleet.inside[b], fleet.sizes[b, 0]
     for m in range(fleet.sizes[b, 2]):
-        start, end, wanted = first + fleet.shares[b, m, 3], first + fleet.shares[b, m, 4], fleet.shares[b, m, 5]
+        start, end, missing_count = first + fleet.shares[b, m, 3], first + fleet.shares[b, m, 4], fleet.shares[b, m, 5]
         for i in range(start, end):
-            wanted -= inside[i] == _TRACKED
+            missing_count -= inside[i] == _TRACKED
         for i in range(start, end):
-            if wanted > 0 and inside[i] == 1 and not fleet.lost[b, i] and is_visible(around, waiting, i):
+            if missing_count > 0 and inside[i] == 1 and not fleet.lost[b, i] and is_visible(around, waiting, i):
                 inside[i] = _TRACKED
-                wanted -= 1
+                missing_count -= 1
             if inside[i] == _TRACKED and number < rules.room:
                 ids[number] = i
                 number += 1

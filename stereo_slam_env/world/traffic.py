@@ -193,9 +193,9 @@ class _Cast:
         stations = [station]
         for time, ego, ego_speed in zip(self._times[1:], self._ego[:-1], speeds[:-1], strict=True):
             if leads or time > _BUS_STARTS:
-                wanted = ego_speed + 0.3 * (_BUS_GAP - (station - ego))
+                target = ego_speed + 0.3 * (_BUS_GAP - (station - ego))
                 limit = _BUS_PULL * FRAME_PERIOD
-                speed = max(speed + float(np.clip(wanted - speed, -limit, limit)), 0.0)
+                speed = max(speed + float(np.clip(target - speed, -limit, limit)), 0.0)
             station += speed * FRAME_PERIOD
             stations.append(station)
         return _Way(np.array(stations), np.full(len(stations), -LANE_OFFSET), np.zeros(len(stations)))
