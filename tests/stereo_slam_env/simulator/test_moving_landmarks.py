@@ -2,6 +2,7 @@
 
 from contextlib import closing
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
@@ -174,6 +175,18 @@ def test_a_bus_is_on_the_lane_ahead_and_hides_what_is_behind_it(bus):
         (frame.observation.uvd[:, 2] < 15.0) & one for frame, one in zip((frames[-1], free[-1]), middle, strict=True)
     ]
     assert far[0].sum() == 0 < far[1].sum()
+
+
+@pytest.mark.parametrize("task", ["ActiveGaze", "Branches", "ClosedLoop", "Explore", "Revisit"])
+def test_tasks_take_them(task):
+    arguments = {"moving_cars": 3, "moving_landmarks": 6, "bus": "leads"}
+    with gym.make(f"StereoSlam/{task}-v0", arguments=arguments, disable_env_checker=True) as env:
+        env.reset(seed=1)
+        env.action_space.seed(1)
+        _, reward, *_, info = env.step(env.action_space.sample())
+        assert np.isfinite(reward)
+        assert info["truth_bodies"].shape == (4, 14)
+        assert (info["truth_body_of"] >= 0).any()
 
 
 def test_what_cannot_be_is_refused():
