@@ -34,6 +34,8 @@ class Traffic(NamedTuple):
     surface: FloatArray
 
 
+_WAITING = -100.0
+"""Bodies that are lower than this, m, wait before they come or after they have gone, see `traffic`."""
 _SPARE = 8
 """Landmarks on a moving body for each that is tracked at a time."""
 
@@ -114,10 +116,6 @@ def move_bodies(fleet: Fleet, b: int) -> None:
             elif part[KIND] == TRIANGLE:
                 _turn(part, now, 3, cos, sin)
                 _turn(part, now, 6, cos, sin)
-
-
-_WAITING = -100.0
-"""Bodies that are lower than this, m, wait before they come or after they have gone, see `traffic`."""
 
 
 @kernel
@@ -222,7 +220,7 @@ def is_behind_body(bodies: Bodies, left: Three, right: Three, to: Three) -> bool
     for camera in (left, right):
         way = way_to(camera, to)
         for m in range(bodies.number):
-            if _passes(bodies.balls[m], camera, way):
+            if bodies.balls[m, 6] > _WAITING and _passes(bodies.balls[m], camera, way):
                 for p in range(bodies.shares[m, 0], bodies.shares[m, 1]):
                     if hits(bodies.parts[p], camera, way):
                         return True
