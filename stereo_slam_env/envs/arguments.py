@@ -16,10 +16,12 @@ from stereo_slam_env.sensing.corruptions import NoiseName
 from stereo_slam_env.sensing.imu import DATA_SHEETS
 from stereo_slam_env.sensing.padding import TrackingPolicy
 from stereo_slam_env.sensing.rigs import RIGS, Rig, camera_of
+from stereo_slam_env.simulator.scene_arrays import landmarks_on
 from stereo_slam_env.simulator.simulator import Physics
 from stereo_slam_env.simulator.state import ODOMETRY_SIGMAS
 from stereo_slam_env.world.routes import named_route
 from stereo_slam_env.world.surroundings import named_surroundings
+from stereo_slam_env.world.traffic import Bus
 from stereo_slam_env.world.vehicle import Head
 
 if TYPE_CHECKING:
@@ -46,6 +48,8 @@ class StereoOptions:
     surroundings: str = "street"
     moving_cars: int = 0
     pedestrians: int = 0
+    bus: Bus | None = None
+    moving_landmarks: int = 0
     randomise: bool = False
     visibility: float = TrackingPolicy.farthest
     blank_from: float | None = None
@@ -76,7 +80,8 @@ class StereoOptions:
             choices = (True, False) if kind is bool else get_args(kind) if get_origin(kind) is Literal else None
             if choices is not None:
                 one_of(name, getattr(self, name), choices)
-        limits = {"moving_cars": (0, 100), "pedestrians": (0, 100), "max_landmarks": (1, 10_000), "supersample": (1, 4)}
+        limits = {"max_landmarks": (1, 10_000), "supersample": (1, 4)}
+        limits |= dict.fromkeys(("moving_cars", "pedestrians", "moving_landmarks"), (0, 100))
         for name, (low, high) in limits.items():
             whole_number(name, getattr(self, name), low, high)
         if not (
@@ -87,6 +92,13 @@ class StereoOptions:
             from stereo_slam_env.frontend.front_ends import front_end_factory  # OpenCV, only where it is needed
 
             front_end_factory(self.front_end_name)
+        if self.bus is not None:
+            one_of("bus", self.bus, get_args(Bus))
+        if self.moving_landmarks and self.sensor == "images":
+            raise ValueError(
+                "moving_landmarks must be 0 with sensor='images', whose front end drops what moves: use "
+                "sensor='landmarks'"
+            )
         positive("sigma", self.sigma)
         positive("lasting", self.lasting, allow_zero=True)
         if self.lasting_time is not None:
@@ -122,6 +134,18 @@ class StereoOptions:
         return TrackingPolicy(
             max_landmarks=self.max_landmarks, refill_below=refill, farthest=self.visibility, revisit=self.revisit
         )
+
+    @property
+    def moving_bodies(self) -> int:
+        """Most moving bodies in a scene."""
+        return int(self.moving_cars) + int(self.pedestrians) + (self.bus is not None)
+
+    @property
+    def max_measurements(self) -> int:
+        """Most measurements in one frame: of `max_landmarks`, and of `moving_landmarks` on each moving body."""
+        on_people = int(self.pedestrians) * landmarks_on("pedestrian", int(self.moving_landmarks))
+        on_others = (self.moving_bodies - int(self.pedestrians)) * int(self.moving_landmarks)
+        return int(self.max_landmarks) + on_others + on_people
 
     @property
     def front_end(self) -> TrackerSettings:

@@ -185,9 +185,10 @@ class BranchChoice(PaidRows):
         sigmas = np.sqrt(np.einsum("nii->n", maps.covariances))
         for b in np.flatnonzero(which).tolist():
             mine, truth = slice(*maps.offsets[b : b + 2]), self.world.landmark_truth(b).positions
-            errors = np.linalg.norm(maps.positions[mine] - truth[maps.ids[mine]], axis=1)
+            standing = maps.ids[mine] < len(truth)  # the others are on moving bodies
+            errors = np.linalg.norm(maps.positions[mine][standing] - truth[maps.ids[mine][standing]], axis=1)
             most = len(truth) * min(self._roads / self._streets(b).count, 1.0)
-            for share, each in ((self._credit, errors), (self._claimed, sigmas[mine])):
+            for share, each in ((self._credit, errors), (self._claimed, sigmas[mine][standing])):
                 share[b] = np.maximum(1.0 - (each / self._accuracy) ** 2, 0.0).sum() / most
 
 

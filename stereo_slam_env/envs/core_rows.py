@@ -26,7 +26,13 @@ from stereo_slam_env.sensing.corruptions import NOISE_MODELS
 from stereo_slam_env.sensing.imu import Imu
 from stereo_slam_env.sensing.padding import NO_LANDMARK, padded_extras
 from stereo_slam_env.simulator.motion import LOOK_AHEAD
-from stereo_slam_env.simulator.scene_arrays import MAX_VELOCITY, SceneArrays, scene_arrays
+from stereo_slam_env.simulator.scene_arrays import (
+    MAX_VELOCITY,
+    SceneArrays,
+    bodies_now,
+    bodies_of_measurements,
+    scene_arrays,
+)
 from stereo_slam_env.simulator.simulator import Simulator
 from stereo_slam_env.simulator.state import ARENA, RIDE_STEPS, WEIGHTS, make_rules
 from stereo_slam_env.world.routes import FRAME_PERIOD, RANDOM_ROUTES, Route, named_route
@@ -76,6 +82,7 @@ class CoreRows(Rows):
         rules = make_rules(
             self.camera,
             options.tracking,
+            moving=options.max_measurements - int(options.max_landmarks),
             noise=options.noise,
             sigma=options.sigma,
             lasting=options.lasting,
@@ -186,9 +193,16 @@ class CoreRows(Rows):
         options, route = self.options, self._route
         if options.route in RANDOM_ROUTES:
             route = RANDOM_ROUTES[options.route](rng.spawn(1)[0])
-        traffic = {"moving_cars": options.moving_cars, "pedestrians": options.pedestrians}
-        scene = build_scene(options.surroundings, route, rng, randomise=options.randomise, **traffic)
-        return scene_arrays(scene, route)
+        scene = build_scene(
+            options.surroundings,
+            route,
+            rng,
+            moving_cars=options.moving_cars,
+            pedestrians=options.pedestrians,
+            bus=options.bus,
+            randomise=options.randomise,
+        )
+        return scene_arrays(scene, route, int(options.moving_landmarks), rng)
 
     def _image_sensor(self, b: int) -> ImageSensor:
         pictures = self._pictures[b]
@@ -233,12 +247,15 @@ class CoreRows(Rows):
         }
         if self.simulator.rules.steered:
             info["cross_track"] = sensed.beside.copy()
+        if options.moving_landmarks:
+            info["truth_bodies"] = bodies_now(fleet, options.moving_bodies)
+            info["truth_body_of"] = bodies_of_measurements(fleet, sensed)
         info |= {f"reward_{name}": sensed.terms[k].copy() for name, k in self._weights.items()}
         return observation, info | self._extras(shown.v_right)
 
     def _extras(self, v_right: FloatArray) -> Arrays:
         """Measurements that not every sensor has, see `padded_extras`."""
-        rows = int(self.options.max_landmarks)
+        rows = self.options.max_measurements
         if self._sees_images:
             each = [padded_extras(images, rows) for images in self._seen if images is not None]
             return {key: np.stack([extras[key] for extras in each]) for key in each[0]}
@@ -341,7 +358,7 @@ class CoreRows(Rows):
         return sensor
 
     def _make_observation_space(self) -> spaces.Dict:
-        options, camera, rows = self.options, self.camera, int(self.options.max_landmarks)
+        options, camera, rows = self.options, self.camera, self.options.max_measurements
         if self._sees_images:
             largest, slack = float(camera.width), _IMAGE_SLACK
         else:

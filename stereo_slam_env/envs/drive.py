@@ -38,8 +38,9 @@ class StereoDriveEnv(StereoEnv, gym.Env[Observation, NDArray[np.float32]]):
 
     ## Observation Space
 
-    `Dict`; N is `max_landmarks`, rows are sorted by id, padding rows come last. `car` and `route` are there where the
-    agent drives.
+    `Dict`; N is `max_landmarks`, and with `moving_landmarks` so many more for each car that was asked for and half as
+    many for each pedestrian. Rows are sorted by id, padding rows come last. `car` and `route` are there where the agent
+    drives.
 
     | Key | Shape | Type | Meaning |
     |-----|-------|------|---------|
@@ -71,6 +72,12 @@ class StereoDriveEnv(StereoEnv, gym.Env[Observation, NDArray[np.float32]]):
     `v_right` (N,), the row in the right image, and `v_right_measured`; `R` (N, 3, 3), covariances of (u, v, d) in px^2,
     and `R_measured`; and the terms of the reward.
 
+    With `moving_landmarks` there are also the moving bodies, for scores only. `truth_bodies` (K, 14) has a row for each
+    that may be there, its number: the code of its kind (1 a car, 2 a pedestrian, 3 a bus), position (3) and orientation
+    (4, xyzw) in W, linear and angular velocity (3 and 3) in W over the last step, m/s and rad/s. A body is x forward,
+    y left, z up, with its origin on the ground. All are 0 where there is none, and in the step in which it comes or
+    goes. `truth_body_of` (N,) is the number of the body that each measurement is of, -1 where it stands.
+
     ## Rewards
 
     *reward = reward_progress + reward_tracking + reward_collision + reward_goal + reward_time + reward_jerk*, each in
@@ -78,8 +85,8 @@ class StereoDriveEnv(StereoEnv, gym.Env[Observation, NDArray[np.float32]]):
 
     - *reward_progress*: `progress_weight` for each metre of the route that is driven for the first time, times
       1 - (`cross_track` / `lane`)^2 where the agent drives;
-    - *reward_tracking*: `tracking_weight` for each such metre, x tracked landmarks / `max_landmarks`: to drive where
-      nothing can be seen is bad for SLAM;
+    - *reward_tracking*: `tracking_weight` for each such metre, x tracked landmarks that stand / `max_landmarks`: to
+      drive where nothing can be seen is bad for SLAM;
     - *reward_collision*: -`collision_weight` when the car hits something, leaves its lane, or is too late: an agent
       must arrive with a mean speed of `slowest`;
     - *reward_goal*: `goal_weight` when it reaches the end of the route without that;
@@ -111,6 +118,8 @@ class StereoDriveEnv(StereoEnv, gym.Env[Observation, NDArray[np.float32]]):
     | `surroundings` | `"street"` | `"street"`; `"groves"`, `"field"`, `"corridor"`: see `stereo-slam scenes list` |
     | `moving_cars` | `0` | most cars that drive |
     | `pedestrians` | `0` | most people that walk |
+    | `bus` | `None` | in the lane ahead: `"leads"`, 13 m ahead; `"pulls-away"`, stands 25 m ahead for 0.8 s |
+    | `moving_landmarks` | `0` | landmarks on each car and bus that are tracked at a time, half as many on people |
     | `randomise` | `False` | textures, colours, light, air and cameras (exposure, noise, blur) by the seed too |
     | `visibility` | `150.0` | fog: landmarks farther than this are not measured, m (8 to 150) |
     | `blank_from` | `None` | from then on nothing that is drawn has a texture, s; None: never |

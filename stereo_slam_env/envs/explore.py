@@ -119,7 +119,8 @@ class Coverage(PaidRows):
         accurate = np.sqrt(np.einsum("nii->n", maps.covariances)) < self._accuracy
         for b in np.flatnonzero(which).tolist():
             mine, truth = slice(*maps.offsets[b : b + 2]), self.world.landmark_truth(b).positions
-            ids, positions = maps.ids[mine][accurate[mine]], maps.positions[mine][accurate[mine]]
+            counted = accurate[mine] & (maps.ids[mine] < len(truth))  # the others are on moving bodies
+            ids, positions = maps.ids[mine][counted], maps.positions[mine][counted]
             errors = np.linalg.norm(positions - truth[ids], axis=1)
             mapped, in_reach = self._mapped[b], self._in_reach[b]
             mapped[ids[errors < _SINCERE * self._accuracy]] = True

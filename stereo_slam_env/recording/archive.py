@@ -1,8 +1,8 @@
 """A `Recording` as one npz file and back, bit for bit, without pickles.
 
 What all frames have lies end to end in flat arrays. What a frame may lack (rows of the right image, covariances,
-odometry, inertial samples, truth) is kept for the frames that have it, and `has.*` says which those are. `about` is
-JSON: format version, name, camera, noise that lasts, source, and what the truth is.
+odometry, inertial samples, truth, moving bodies) is kept for the frames that have it, and `has.*` says which those are.
+`about` is JSON: format version, name, camera, noise that lasts, source, and what the truth is.
 """
 
 from __future__ import annotations
@@ -34,8 +34,10 @@ from stereo_slam_env.files.opening import NotOpened
 from stereo_slam_env.files.record_files import DAMAGE, Arrays, NoRecord, OtherFormat, packed, unpacked
 from stereo_slam_env.recording.filter_setup import FilterSetup
 from stereo_slam_env.recording.recording import (
+    BODY_KINDS,
     GIVEN_TRUTH,
     SIMULATION,
+    BodyTruth,
     Frame,
     LandmarkTruth,
     Recording,
@@ -54,6 +56,10 @@ _UNIT_OF_SAMPLES: Mapping[str, tuple[int, ...]] = {"position": (3,), "orientatio
     ("gyro_density", "accelerometer_density", "gyro_walk", "accelerometer_walk"), ()
 )
 _SAMPLES: Mapping[str, tuple[int, ...]] = {"times": (), "angular_rates": (3,), "specific_forces": (3,)}
+_BODIES: Mapping[str, str] = {"positions": "position", "orientations": "orientation"} | {
+    name: name for name in ("linear", "angular")
+}
+"""Attributes of `BodyTruth` that are numbers of each body, and their names in the file."""
 _START = {"position": (3,), "orientation": (4,), "linear_velocity": (3,), "angular_velocity": (3,)}
 
 _KINDS = {"numbers": "fiu", "integers": "iu", "truth values": "b"}
@@ -172,6 +178,7 @@ def _arrays_of(recording: Recording) -> Arrays:
     arrays["has.head"] = np.array([head is not None for head in heads], dtype=np.bool_)
     arrays["head"] = _joined((head[None] for head in heads if head is not None), (2,))
     arrays |= _inertial_arrays([frame.inertial for frame in frames])
+    arrays |= _body_arrays([frame.bodies for frame in frames])
     arrays |= {f"start.{name}": np.asarray(getattr(recording.start, name)) for name in _START}
     if recording.start.covariance is not None:
         arrays["start.covariance"] = np.asarray(recording.start.covariance)
@@ -197,6 +204,7 @@ def _recording_of(about: Mapping[str, Any], arrays: Arrays) -> Recording:
     optional_entries = {part: _entries(arrays, part, len(timestamps)) for part in _PARTS}
     optional_entries["head"] = _heads(arrays, len(timestamps))
     optional_entries["inertial"] = _inertial_entries(arrays, len(timestamps))
+    optional_entries["bodies"] = _body_entries(arrays, counts)
     frames = []
     for k, (begin, end) in enumerate(zip((ends - counts).tolist(), ends.tolist(), strict=True)):
         observation = StereoObservation(ids[begin:end], uvd[begin:end], v_right[k], R[k])
@@ -317,6 +325,52 @@ def _inertial_entries(arrays: Arrays, frames: int) -> list[InertialSamples | Non
         unit = InertialUnit(*(numbers[entry] for numbers in units))
         steps[k] = InertialSamples(times[mine], rates[mine], forces[mine], unit)
     return steps
+
+
+def _body_arrays(truths: Sequence[BodyTruth | None]) -> Arrays:
+    """Moving bodies end to end, how many each frame has, and the body of each measurement; nothing without any."""
+    present = [truth for truth in truths if truth is not None]
+    if not present:
+        return {}
+    codes = [[BODY_KINDS.index(kind) + 1 for kind in truth.kinds] for truth in present]
+    return {
+        "has.bodies": np.array([truth is not None for truth in truths], dtype=np.bool_),
+        "bodies.counts": np.array([len(truth.ids) for truth in present], dtype=np.int64),
+        "bodies.ids": _joined((truth.ids for truth in present), (), np.int64),
+        "bodies.kinds": _joined((np.array(entry, dtype=np.int64) for entry in codes), (), np.int64),
+        "bodies.of_measurements": _joined((truth.of_measurements for truth in present), (), np.int64),
+        **{
+            f"bodies.{column}": _joined((getattr(truth, name) for truth in present), (4 if "orient" in name else 3,))
+            for name, column in _BODIES.items()
+        },
+    }
+
+
+def _body_entries(arrays: Arrays, measurements: NDArray[Any]) -> list[BodyTruth | None]:
+    """Moving bodies of each frame, or None; recordings without any do not have the arrays."""
+    frames = len(measurements)
+    if "has.bodies" not in arrays:
+        return [None] * frames
+    has = _has(arrays, "bodies", frames)
+    counts = _shaped(arrays, "bodies.counts", (int(has.sum()),), "integers")
+    if (counts < 0).any():
+        raise ValueError("array bodies.counts must be >= 0")
+    total, ends = int(counts.sum()), np.cumsum(counts)[:-1]
+    ids, codes = (_shaped(arrays, f"bodies.{name}", (total,), "integers") for name in ("ids", "kinds"))
+    if (codes < 1).any() or (codes > len(BODY_KINDS)).any():
+        raise ValueError(f"array bodies.kinds must be from 1 to {len(BODY_KINDS)}")
+    labels = _shaped(arrays, "bodies.of_measurements", (int(measurements[has].sum()),), "integers")
+    numbers = {
+        name: np.split(_shaped(arrays, f"bodies.{column}", (total, 4 if "orient" in name else 3)), ends)
+        for name, column in _BODIES.items()
+    }
+    entries: list[BodyTruth | None] = [None] * frames
+    split = np.split(ids, ends), np.split(codes, ends), np.split(labels, np.cumsum(measurements[has])[:-1])
+    for entry, k in enumerate(np.flatnonzero(has).tolist()):
+        kinds = tuple(BODY_KINDS[code - 1] for code in split[1][entry].tolist())
+        rest = {name: parts[entry] for name, parts in numbers.items()}
+        entries[k] = BodyTruth(split[0][entry], kinds, **rest, of_measurements=split[2][entry])
+    return entries
 
 
 def _has(arrays: Arrays, name: str, frames: int) -> NDArray[Any]:

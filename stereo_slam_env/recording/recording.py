@@ -102,6 +102,33 @@ class Velocity:
     angular: FloatArray
 
 
+BODY_KINDS = ("car", "pedestrian", "bus")
+"""Kinds of moving bodies, in the order of their codes in files and in `info`, which begin at 1."""
+
+
+@dataclass(frozen=True, eq=False)
+class BodyTruth:
+    """Moving bodies in one frame, and the body of each measurement; for scores only.
+
+    Bodies that come or go in a step are left out of its last frame, and none of their points is measured in it.
+    """
+
+    ids: IntArray
+    """(K,): number of each body in the scene, the same in all frames, ascending."""
+    kinds: tuple[str, ...]
+    """(K,): each one of `BODY_KINDS`."""
+    positions: FloatArray
+    """(K, 3): origin of each body in W, m: on the ground, in the middle."""
+    orientations: FloatArray
+    """(K, 4): unit quaternions xyzw that take vectors of a body (x forward, y left, z up) into W."""
+    linear: FloatArray
+    """(K, 3): velocity of the origin in W over the step from the previous frame to this one, m/s."""
+    angular: FloatArray
+    """(K, 3): angular velocity in W over that step, rad/s."""
+    of_measurements: IntArray
+    """(M,): number of the body that each measurement of the frame is of, -1 where it stands."""
+
+
 @dataclass(frozen=True, eq=False)
 class Frame:
     """One instant of a recording."""
@@ -120,6 +147,8 @@ class Frame:
     """(2,): pan and tilt of the head that carries the eyes, rad; None where they are fixed to the car."""
     inertial: InertialSamples | None = None
     """What an inertial unit measured over the step from the previous frame to this one."""
+    bodies: BodyTruth | None = None
+    """True moving bodies; None where no measurement is of any."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -315,9 +344,25 @@ class Recording:
         return replace(self, frames=self.frames[frames])
 
     def with_observations(self, observations: Iterable[StereoObservation]) -> Recording:
-        """The same drive, seen differently: one observation for each frame."""
+        """The same drive, seen differently: one observation for each frame. Bodies keep their measurements by id."""
         pairs = zip(self.frames, observations, strict=True)
-        return replace(self, frames=tuple(replace(frame, observation=observation) for frame, observation in pairs))
+        frames = tuple(replace(frame, observation=observation) for frame, observation in pairs)
+        if any(frame.bodies is not None for frame in self.frames):
+            body_by_id: dict[int, int] = {}
+            for frame in self.frames:
+                if frame.bodies is not None:
+                    labels = frame.bodies.of_measurements.tolist()
+                    body_by_id.update(zip(frame.observation.ids.tolist(), labels, strict=True))
+            frames = tuple(_relabelled(frame, body_by_id) for frame in frames)
+        return replace(self, frames=frames)
+
+
+def _relabelled(frame: Frame, body_by_id: Mapping[int, int]) -> Frame:
+    """Frame whose measurements are of the bodies of their ids."""
+    if frame.bodies is None:
+        return frame
+    labels = np.array([body_by_id.get(i, -1) for i in frame.observation.ids.tolist()], dtype=np.int64)
+    return replace(frame, bodies=replace(frame.bodies, of_measurements=labels))
 
 
 GreyImage = NDArray[np.uint8]

@@ -30,7 +30,10 @@ class BulletAnswers:
         """Put the answers for the frame that a row has moved to into `fleet.seen` and `fleet.touching`."""
         world, pose, body = self.worlds[b], _pose(fleet.pose[b]), _pose(fleet.body[b])
         world.set_time(fleet.step[b] * rules.dt)
-        tracked = sensed.ids[b, : sensed.number[b]]
+        standing, moving = fleet.sizes[b, [0, 4]].tolist()
+        on_bodies = standing + np.flatnonzero(fleet.inside[b, standing : standing + moving])
+        fleet.seen[b, on_bodies] = self._seen(rules, fleet, b, pose, on_bodies)
+        tracked = sensed.ids[b, : sensed.number[b] - sensed.moving[b]]
         tracked_inside = tracked[fleet.inside[b, tracked] == 1]
         fleet.seen[b, tracked_inside] = self._seen(rules, fleet, b, pose, tracked_inside)
         kept_count = int(np.count_nonzero(fleet.seen[b, tracked_inside]))

@@ -22,8 +22,8 @@ from stereo_slam_env.simulator.motion import (
     route_velocity,
     times,
 )
-from stereo_slam_env.simulator.scene_arrays import bodies_of, move_bodies, touches_body
-from stereo_slam_env.simulator.sensing import mark_in_view, observe
+from stereo_slam_env.simulator.scene_arrays import bodies_of, move_bodies, move_landmarks, touches_body
+from stereo_slam_env.simulator.sensing import hide_far_sides, mark_in_view, observe
 from stereo_slam_env.simulator.state import ARENA, Fleet, Rules, Sensed
 
 WAIT, FIRST, STEP = 0, 1, 2
@@ -98,7 +98,7 @@ def _judge(rules: Rules, fleet: Fleet, sensed: Sensed, waiting: IntArray, b: int
         paid *= max(1.0 - (beside / rules.lane) ** 2, 0.0)
     last = nearest == end if rules.steered else fleet.step[b] >= end
     sensed.collision[b], sensed.failed[b], sensed.success[b] = collision, failed, last and not failed
-    terms[0, b], terms[1, b] = paid, paid * (sensed.number[b] / rules.most)
+    terms[0, b], terms[1, b] = paid, paid * ((sensed.number[b] - sensed.moving[b]) / rules.most)
     terms[2, b], terms[3, b], terms[4, b] = -1.0 * failed, 1.0 * sensed.success[b], -rules.dt
     if rules.steered:
         terms[5, b] = -rules.dt * fleet.car[b, 5] / _JERK**2
@@ -137,7 +137,7 @@ def run_frame(
             sensed.collision[b], sensed.failed[b], sensed.success[b], sensed.beside[b] = False, False, False, 0.0
             if doing[b] == FIRST:
                 _begin(rules, fleet, b)
-                sensed.number[b] = 0
+                sensed.number[b], sensed.moving[b] = 0, 0
             q0, q1, q2, q3 = pose[3], pose[4], pose[5], pose[6]
             if doing[b] == STEP:
                 move(rules, fleet, b, actions[b])
@@ -147,7 +147,11 @@ def run_frame(
             if rules.smooth and doing[b] == STEP:  # odometry is of the step, the truth of its end
                 fleet.velocity[b, :] = now[7:]
             move_bodies(fleet, b)
-            mark_in_view(rules, fleet.landmarks[b], fleet.sizes[b, 0], pose, fleet.inside[b])
+            if fleet.sizes[b, 4] > 0:
+                move_landmarks(fleet, b, rules.camera_height)
+            mark_in_view(rules, fleet.landmarks[b], fleet.sizes[b, 0] + fleet.sizes[b, 4], pose, fleet.inside[b])
+            if fleet.sizes[b, 4] > 0:
+                hide_far_sides(rules, fleet, b)
         if parts & SENSE:
             observe(rules, fleet, sensed, waiting, b, fresh, keys)
         if parts & JUDGE and doing[b] == STEP:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from filters.geometry.arrays import FloatArray, IntArray
 from filters.geometry.rotations import Nine, Three
 from filters.kernels.compilation import entry, kernel
+from stereo_slam_env.recording.recording import BODY_KINDS
 from stereo_slam_env.sensing.rigs import CAMERA_HEIGHT
 from stereo_slam_env.simulator.contacts import touches
 from stereo_slam_env.simulator.motion import LOOK_AHEAD, route_ahead, route_of
@@ -20,6 +21,7 @@ from stereo_slam_env.simulator.state import ARENA, Fleet, Rules, Sensed
 from stereo_slam_env.world.frames import WorldFrame
 from stereo_slam_env.world.routes import FRAME_PERIOD, Route
 from stereo_slam_env.world.scene import BOX, CYLINDER, MovingBody, Scene
+from stereo_slam_env.world.traffic import surface_points
 
 
 class Traffic(NamedTuple):
@@ -29,12 +31,19 @@ class Traffic(NamedTuple):
     shares: IntArray
     balls: FloatArray
     parts: FloatArray
+    surface: FloatArray
 
 
-def traffic_arrays(bodies: Sequence[MovingBody]) -> Traffic:
-    """Bodies frame by frame, until all of them are at rest."""
+_WAITING = -100.0
+"""Bodies that are lower than this, m, wait before they come or after they have gone, see `traffic`."""
+_SPARE = 8
+"""Landmarks on a moving body for each that is tracked at a time."""
+
+
+def traffic_arrays(bodies: Sequence[MovingBody], landmarks: int = 0, rng: np.random.Generator | None = None) -> Traffic:
+    """Bodies frame by frame, until all of them are at rest; `landmarks` are tracked on each, half as many on people."""
     frames = [int(np.ceil(body.times[-1] / FRAME_PERIOD)) + 1 for body in bodies]
-    tracks, shares = np.zeros((len(bodies), max(frames, default=0), 5)), np.zeros((len(bodies), 3), dtype=np.int64)
+    tracks, shares = np.zeros((len(bodies), max(frames, default=0), 5)), np.zeros((len(bodies), 7), dtype=np.int64)
     balls = np.zeros((len(bodies), 7))
     parts: list[FloatArray] = []
     for m, body in enumerate(bodies):
@@ -46,9 +55,24 @@ def traffic_arrays(bodies: Sequence[MovingBody]) -> Traffic:
         rows = solid_rows(part for part in body.parts if part.solid)
         first = sum(len(part) for part in parts)
         parts.append(rows)
-        shares[m] = first, first + len(rows), frames[m]
+        shares[m, :3] = first, first + len(rows), frames[m]
+        shares[m, 6] = BODY_KINDS.index(body.kind) + 1 if body.kind in BODY_KINDS else 0
         balls[m, :4] = _ball_around(rows)
-    return Traffic(tracks, shares, balls, np.concatenate(parts) if parts else np.zeros((0, COLUMNS)))
+    surface = [np.zeros((0, 7))]
+    generators = rng.spawn(len(bodies)) if rng is not None and landmarks else []
+    for m, (body, own_rng) in enumerate(zip(bodies, generators, strict=bool(generators))):
+        most = landmarks_on(body.kind, landmarks)
+        points = surface_points(body, _SPARE * most, own_rng)
+        first = sum(len(part) for part in surface)
+        shares[m, 3:6] = first, first + len(points), most
+        surface.append(np.column_stack([points, np.full(len(points), m)]))
+    solids = np.concatenate(parts) if parts else np.zeros((0, COLUMNS))
+    return Traffic(tracks, shares, balls, solids, np.concatenate(surface))
+
+
+def landmarks_on(kind: str, landmarks: int) -> int:
+    """Landmarks that are tracked at a time on a body of a kind: half as many on people."""
+    return -(-landmarks // 2) if kind == "pedestrian" else landmarks
 
 
 def _ball_around(rows: FloatArray) -> FloatArray:
@@ -74,7 +98,7 @@ def _ball_around(rows: FloatArray) -> FloatArray:
 def move_bodies(fleet: Fleet, b: int) -> None:
     """Put the moving bodies of a row where they are in this frame."""
     for m in range(fleet.sizes[b, 2]):
-        first, last, frames = fleet.shares[b, m]
+        first, last, frames = fleet.shares[b, m, 0], fleet.shares[b, m, 1], fleet.shares[b, m, 2]
         at = fleet.tracks[b, m, min(fleet.step[b], frames - 1)]
         cos, sin, ball = at[3], at[4], fleet.balls[b, m]
         ball[4] = at[0] + cos * ball[0] - sin * ball[1]
@@ -92,6 +116,70 @@ def move_bodies(fleet: Fleet, b: int) -> None:
             elif part[KIND] == TRIANGLE:
                 _turn(part, now, 3, cos, sin)
                 _turn(part, now, 6, cos, sin)
+
+
+@kernel
+def is_present(fleet: Fleet, b: int, m: int) -> bool:
+    """Whether a moving body neither waits nor comes or goes in this step."""
+    last, step = fleet.shares[b, m, 2] - 1, max(fleet.step[b] - 1, 0)
+    track = fleet.tracks[b, m]
+    return bool(track[min(step, last), 2] > _WAITING and track[min(step + 1, last), 2] > _WAITING)
+
+
+@kernel
+def move_landmarks(fleet: Fleet, b: int, camera_height: float) -> None:
+    """Put the landmarks on moving bodies of a row where they are in this frame, in W."""
+    first, landmarks = fleet.sizes[b, 0], fleet.landmarks[b]
+    for q in range(fleet.sizes[b, 4]):
+        point = fleet.surface[b, q]
+        m = int(point[6])
+        at = fleet.tracks[b, m, min(fleet.step[b], fleet.shares[b, m, 2] - 1)]
+        landmarks[0, first + q] = -(at[1] + at[4] * point[0] + at[3] * point[1])
+        landmarks[1, first + q] = camera_height - (at[2] + point[2])
+        landmarks[2, first + q] = at[0] + at[3] * point[0] - at[4] * point[1]
+
+
+def bodies_now(fleet: Fleet, most: int, rows: slice = slice(None)) -> FloatArray:
+    """Kind, pose and velocity of the first `most` moving bodies of some rows, (B, most, 14).
+
+    These are the code of the kind, position (3) and orientation (4, xyzw) in W, and linear and angular velocity in W
+    over the last step, as in `BodyTruth`; 0 where there is none, or where it has come or gone in this step.
+    """
+    numbers = np.arange(len(fleet.step))[rows]
+    bodies = np.zeros((len(numbers), most, 14))
+    _put_bodies(fleet, numbers, bodies)
+    return bodies
+
+
+@entry
+def _put_bodies(fleet: Fleet, rows: IntArray, bodies: FloatArray) -> None:
+    for k in range(len(rows)):
+        b = rows[k]
+        before, step = max(fleet.step[b] - 1, 0), fleet.step[b]
+        for m in range(min(fleet.sizes[b, 2], bodies.shape[1])):
+            body, last = bodies[k, m], fleet.shares[b, m, 2] - 1
+            if not is_present(fleet, b, m) or fleet.shares[b, m, 6] == 0:
+                continue
+            now, track = fleet.tracks[b, m, min(step, last)], fleet.tracks[b, m]
+            start, end = track[min(before, last)], track[min(before + 1, last)]
+            turned = math.atan2(start[3] * end[4] - start[4] * end[3], start[3] * end[3] + start[4] * end[4])
+            half = 0.5 * math.atan2(now[4], now[3])
+            cos, sin = 0.5 * math.cos(half), 0.5 * math.sin(half)
+            body[0] = fleet.shares[b, m, 6]
+            body[1], body[2], body[3] = -now[1], CAMERA_HEIGHT - now[2], now[0]
+            body[4], body[5], body[6], body[7] = cos - sin, -cos - sin, cos + sin, cos - sin
+            for axis, sign, of_scene in ((8, -1.0, 1), (9, -1.0, 2), (10, 1.0, 0)):
+                body[axis] = sign * (end[of_scene] - start[of_scene]) / FRAME_PERIOD
+            body[12] = -turned / FRAME_PERIOD
+
+
+def bodies_of_measurements(fleet: Fleet, sensed: Sensed, rows: slice = slice(None)) -> IntArray:
+    """Number of the moving body that each measurement is of, -1 of those that stand and of padding; (B, N)."""
+    place = sensed.ids[rows] - fleet.sizes[rows, :1]
+    labels = np.full(place.shape, -1)
+    b, k = np.nonzero(place >= 0)
+    labels[b, k] = fleet.surface[rows][b, place[b, k], 6]
+    return labels
 
 
 @kernel
@@ -132,7 +220,7 @@ def is_behind_body(bodies: Bodies, left: Three, right: Three, to: Three) -> bool
     for camera in (left, right):
         way = way_to(camera, to)
         for m in range(bodies.number):
-            if _passes(bodies.balls[m], camera, way):
+            if bodies.balls[m, 6] > _WAITING and _passes(bodies.balls[m], camera, way):
                 for p in range(bodies.shares[m, 0], bodies.shares[m, 1]):
                     if hits(bodies.parts[p], camera, way):
                         return True
@@ -166,10 +254,13 @@ class SceneArrays(NamedTuple):
         return self  # nobody changes it
 
 
-def scene_arrays(scene: Scene, route: Route) -> SceneArrays:
-    """A scene along a route as arrays."""
+def scene_arrays(
+    scene: Scene, route: Route, moving_landmarks: int = 0, rng: np.random.Generator | None = None
+) -> SceneArrays:
+    """A scene along a route as arrays; of landmarks on moving bodies, so many of each are tracked at a time."""
     landmarks = WorldFrame(CAMERA_HEIGHT).to_world(scene.landmark_points)
-    return SceneArrays(landmarks, obstacles(scene.solids), traffic_arrays(scene.moving), scene, route)
+    traffic = traffic_arrays(scene.moving, moving_landmarks, rng)
+    return SceneArrays(landmarks, obstacles(scene.solids), traffic, scene, route)
 
 
 def put_scene(fleet: Fleet, b: int, scene: SceneArrays) -> None:
@@ -182,8 +273,9 @@ def put_scene(fleet: Fleet, b: int, scene: SceneArrays) -> None:
     fleet.tracks[b, :bodies, : traffic.tracks.shape[1]] = traffic.tracks
     fleet.shares[b, :bodies], fleet.balls[b, :bodies] = traffic.shares, traffic.balls
     fleet.parts[b, :parts] = traffic.parts
+    fleet.surface[b, : len(traffic.surface)] = traffic.surface
     frames = put_route(fleet, b, scene.route)
-    fleet.sizes[b] = landmarks, nodes, bodies, frames
+    fleet.sizes[b] = landmarks, nodes, bodies, frames, len(traffic.surface)
 
 
 def put_route(fleet: Fleet, b: int, route: Route) -> int:
@@ -198,16 +290,18 @@ def put_route(fleet: Fleet, b: int, route: Route) -> int:
 
 def with_room(fleet: Fleet, scene: SceneArrays) -> Fleet:
     """The same state with room for a scene; itself where there is room."""
-    landmarks, solids, traffic = len(scene.landmarks), len(scene.solids.solids), scene.traffic
+    solids, traffic = len(scene.solids.solids), scene.traffic
+    points = len(traffic.surface)
+    landmarks = len(scene.landmarks) + points
     bodies, frames, parts = len(traffic.shares), traffic.tracks.shape[1], len(traffic.parts)
     has_room = (
         *(fleet.landmarks.shape[2], fleet.solids.shape[1], *fleet.tracks.shape[1:3]),
-        *(fleet.parts.shape[1], fleet.arc_length.shape[1]),
+        *(fleet.parts.shape[1], fleet.arc_length.shape[1], fleet.surface.shape[1]),
     )
-    needed = landmarks, solids, bodies, frames, parts, scene.route.frames
+    needed = landmarks, solids, bodies, frames, parts, scene.route.frames, points
     if all(need <= room for need, room in zip(needed, has_room, strict=True)):
         return fleet
-    landmarks, solids, bodies, frames, parts, steps = (
+    landmarks, solids, bodies, frames, parts, steps, points = (
         room if need <= room else need + need // 4 for need, room in zip(needed, has_room, strict=True)
     )
     shapes = {
@@ -216,6 +310,7 @@ def with_room(fleet: Fleet, scene: SceneArrays) -> Fleet:
         **dict.fromkeys(("solids", "bounds", "links"), (solids,)),
         "tracks": (bodies, frames),
         **dict.fromkeys(("shares", "balls"), (bodies,)),
+        "surface": (points,),
         **dict.fromkeys(("parts", "parts_now"), (parts,)),
         **dict.fromkeys(("positions", "arc_length", "speeds", "yaw_rates", "travel", "attitudes"), (steps,)),
         "exponentials": (max(4096, 4 * landmarks),),
@@ -258,7 +353,7 @@ class Shown(NamedTuple):
 
 def show(rules: Rules, fleet: Fleet, sensed: Sensed) -> Shown:
     """Pack the frame of all rows for the observation."""
-    count, most, single = len(fleet.step), rules.most, np.float32
+    count, most, single = len(fleet.step), rules.room, np.float32
     frame = Shown(
         uvd=np.empty((count, most, 3), dtype=single),
         mask=np.empty((count, most), dtype=np.int8),
@@ -281,7 +376,7 @@ def show(rules: Rules, fleet: Fleet, sensed: Sensed) -> Shown:
 
 @entry
 def _show(rules: Rules, fleet: Fleet, sensed: Sensed, shown: Shown) -> None:
-    most = rules.most
+    most = rules.room
     for b in range(len(fleet.step)):
         count, pose, velocity = sensed.number[b], fleet.pose[b], fleet.velocity[b]
         for k in range(most):

@@ -13,7 +13,7 @@ from filters.geometry.rotations import Three
 from filters.kernels.compilation import kernel
 from stereo_slam_env.simulator.motion import CHOICE, NOISE, back, rotation_of
 from stereo_slam_env.simulator.rays import is_seen
-from stereo_slam_env.simulator.scene_arrays import Bodies, bodies_of, is_behind_body
+from stereo_slam_env.simulator.scene_arrays import Bodies, bodies_of, is_behind_body, is_present
 from stereo_slam_env.simulator.state import Fleet, Kept, Rules, Sensed
 
 
@@ -129,6 +129,52 @@ def is_visible(around: RowView, waiting: IntArray, landmark: int) -> bool:
     return around.bodies.number == 0 or not is_behind_body(around.bodies, left, right, to)
 
 
+_TRACKED = 2
+"""Mark in `Fleet.inside` of a landmark on a moving body that is tracked in this frame."""
+
+
+@kernel
+def hide_far_sides(rules: Rules, fleet: Fleet, b: int) -> None:
+    """Take landmarks on moving bodies whose surface is turned away from a camera out of `fleet.inside`.
+
+    So are those on bodies that come or go in this step.
+    """
+    around, first = view_of(rules, fleet, b), fleet.sizes[b, 0]
+    points, inside = around.points, fleet.inside[b]
+    for q in range(fleet.sizes[b, 4]):
+        i, point = first + q, fleet.surface[b, q]
+        if inside[i] == 1:
+            m = int(point[6])
+            if not is_present(fleet, b, m):
+                inside[i] = 0
+            at = fleet.tracks[b, m, min(fleet.step[b], fleet.shares[b, m, 2] - 1)]
+            x, y, z = at[3] * point[3] - at[4] * point[4], at[4] * point[3] + at[3] * point[4], point[5]
+            to = (points[2, i], -points[0, i], around.height - points[1, i])
+            for eye in (around.left, around.right):
+                if (eye[0] - to[0]) * x + (eye[1] - to[1]) * y + (eye[2] - to[2]) * z <= 0.0:
+                    inside[i] = 0
+
+
+@kernel
+def track_bodies(
+    rules: Rules, fleet: Fleet, around: RowView, waiting: IntArray, b: int, ids: IntArray, number: int
+) -> int:
+    """Fill up what is tracked of each moving body, append all of it to the first `number` ids, and count these."""
+    inside, first = fleet.inside[b], fleet.sizes[b, 0]
+    for m in range(fleet.sizes[b, 2]):
+        start, end, missing_count = first + fleet.shares[b, m, 3], first + fleet.shares[b, m, 4], fleet.shares[b, m, 5]
+        for i in range(start, end):
+            missing_count -= inside[i] == _TRACKED
+        for i in range(start, end):
+            if missing_count > 0 and inside[i] == 1 and not fleet.lost[b, i] and is_visible(around, waiting, i):
+                inside[i] = _TRACKED
+                missing_count -= 1
+            if inside[i] == _TRACKED and number < rules.room:
+                ids[number] = i
+                number += 1
+    return number
+
+
 @kernel
 def observe(
     rules: Rules, fleet: Fleet, sensed: Sensed, waiting: IntArray, b: int, fresh: IntArray, keys: FloatArray
@@ -143,12 +189,15 @@ def observe(
     inside, kept_count, around = fleet.inside[b], 0, view_of(rules, fleet, b)
     for k in range(sensed.number[b]):
         landmark = ids[k]
-        if inside[landmark] == 1 and is_visible(around, waiting, landmark):
+        is_kept = inside[landmark] == 1 and is_visible(around, waiting, landmark)
+        inside[landmark] = 0  # those that were tracked are not drawn
+        if is_kept and landmark >= count:
+            inside[landmark] = _TRACKED
+        elif is_kept:
             ids[kept_count] = landmark
             kept_count += 1
         elif not rules.revisit:
             fleet.lost[b, landmark] = True
-        inside[landmark] = 0  # those that were tracked are not drawn
     if kept_count < rules.refill_below:
         R, used, number = rotation_of(pose), fleet.used[b, CHOICE], 0
         for i in range(count):
@@ -167,8 +216,11 @@ def observe(
                 ids[place] = ids[place - 1]
                 place -= 1
             ids[place] = drawn_id
+    standing_count = kept_count
+    if fleet.sizes[b, 4] > 0:
+        kept_count = track_bodies(rules, fleet, around, waiting, b, ids, kept_count)
     ids[kept_count:] = -1
-    sensed.number[b] = kept_count
+    sensed.number[b], sensed.moving[b] = kept_count, kept_count - standing_count
     project(rules, fleet, sensed, b, kept_count)
     if rules.lasting[0] > 0.0:
         add_lasting_errors(rules, fleet, sensed, b, kept_count)

@@ -12,12 +12,21 @@ from filters.contract.inputs import BodyVelocity, InertialSamples, Start, Stereo
 from filters.contract.validation import unchecked
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.geometry.poses import Pose
-from stereo_slam_env.recording.recording import Frame, Velocity
+from stereo_slam_env.recording.recording import BODY_KINDS, BodyTruth, Frame, Velocity
 from stereo_slam_env.sensing.corruptions import PixelNoise
 from stereo_slam_env.sensing.imu import Imu, UnitErrors
 from stereo_slam_env.simulator.frame_kernel import FIRST, JUDGE, MOVE, SENSE, STEP, WAIT, run_frame
 from stereo_slam_env.simulator.rays import traversal
-from stereo_slam_env.simulator.scene_arrays import SceneArrays, Shown, put_route, put_scene, show, with_room
+from stereo_slam_env.simulator.scene_arrays import (
+    SceneArrays,
+    Shown,
+    bodies_now,
+    bodies_of_measurements,
+    put_route,
+    put_scene,
+    show,
+    with_room,
+)
 from stereo_slam_env.simulator.sensing import Streams
 from stereo_slam_env.simulator.state import NO_NOISE, NOISE_KINDS, RIDE_STEPS, Kept, Rules, empty_fleet, empty_sensed
 from stereo_slam_env.world.routes import Route
@@ -70,9 +79,9 @@ class Simulator(Kept):
         senses: bool = True,
     ) -> None:
         self.rules, self.count, self.threads = rules, count, min(threads, count)
-        normals = (8 if rules.lasting[0] else 4) * rules.most  # of the noise of a frame
+        normals = (8 if rules.lasting[0] else 4) * rules.room  # of the noise of a frame
         self.fleet = empty_fleet(count, max(_FRAMES_AHEAD * normals, 512), lasting=rules.lasting[0] > 0)
-        self.sensed = empty_sensed(count, rules.most, RIDE_STEPS if rules.smooth else 0)
+        self.sensed = empty_sensed(count, rules.room, RIDE_STEPS if rules.smooth else 0)
         self._imu = imu
         self._unit_errors: list[UnitErrors | None] = [None] * count
         self.scenes: list[SceneArrays | None] = [None] * count
@@ -190,7 +199,18 @@ class Simulator(Kept):
             truth_velocity=Velocity(velocity[:3], velocity[3:]),
             head=fleet.angles[b].copy() if self.rules.has_head else None,
             inertial=self._samples(b) if step else None,
+            bodies=self._bodies(b, count) if self.rules.room > self.rules.most else None,
         )
+
+    def _bodies(self, b: int, count: int) -> BodyTruth:
+        """Moving bodies of a row, and those that its measurements are of."""
+        row = slice(b, b + 1)
+        numbers = bodies_now(self.fleet, int(self.fleet.sizes[b, 2]), row)[0]
+        ids = np.flatnonzero(numbers[:, 0])
+        kinds = tuple(BODY_KINDS[int(code) - 1] for code in numbers[ids, 0])
+        position, orientation, linear, angular = np.split(numbers[ids, 1:], [3, 7, 10], axis=1)
+        labels = bodies_of_measurements(self.fleet, self.sensed, row)[0, :count]
+        return BodyTruth(ids, kinds, position, orientation, linear, angular, labels)
 
     def _samples(self, b: int) -> InertialSamples | None:
         """Samples of the last step of a row; None: there is no unit."""

@@ -46,6 +46,8 @@ class Rules(NamedTuple):
     limits: tuple[float, ...]
     """Nearest and farthest depth, m, and distance to the edge of the images, px."""
     most: int
+    room: int
+    """Most measurements in a frame: `most` landmarks that stand, and those on moving bodies."""
     refill_below: int
     revisit: bool
     noise: int
@@ -134,8 +136,9 @@ class Fleet(NamedTuple):
     """Rotation matrices of the poses of the route."""
     landmarks: Annotated[FloatArray, "B 3 L"]
     """Landmarks in W, m."""
-    sizes: Annotated[IntArray, "B 4"]
-    """Landmarks of a scene, nodes of the tree of its solids, moving bodies, frames of the route."""
+    sizes: Annotated[IntArray, "B 5"]
+    """Landmarks of a scene that stand, nodes of the tree of its solids, moving bodies, frames of the route, landmarks
+    on moving bodies, which come after those that stand."""
     solids: Annotated[FloatArray, "B S C"]
     """Solids of the scene, see `rays.Obstacles`, as the next two."""
     bounds: Annotated[NDArray[np.float32], "B T 6 8"]
@@ -144,8 +147,11 @@ class Fleet(NamedTuple):
     """Children of the nodes."""
     tracks: Annotated[FloatArray, "B M K 5"]
     """Moving bodies at each frame: place (x, y, z) in S, m, cosine and sine of the yaw."""
-    shares: Annotated[IntArray, "B M 3"]
-    """First part of each moving body, one past its last one, and its frames K."""
+    shares: Annotated[IntArray, "B M 7"]
+    """First part of each moving body, one past its last one, and its frames K; its first landmark, one past its last
+    one, how many of them are tracked at a time; code of its kind, see `BODY_KINDS`."""
+    surface: Annotated[FloatArray, "B Q 7"]
+    """Landmarks on moving bodies, in the frame of the body: point, m, outward normal, number of the body."""
     balls: Annotated[FloatArray, "B M 7"]
     """Around each moving body: the ball in the frame of the body, then its centre now in S."""
     parts: Annotated[FloatArray, "B P C"]
@@ -175,6 +181,8 @@ class Sensed(NamedTuple):
     """Their rows in the right image, px."""
     number: Annotated[IntArray, "B"]
     """Number of landmarks."""
+    moving: Annotated[IntArray, "B"]
+    """Number of those on moving bodies, which are the last."""
     odometry: Annotated[FloatArray, "B 6"]
     """Linear and angular velocity by the odometry, m/s and rad/s."""
     inertial: Annotated[FloatArray, "B n 6"]
@@ -197,6 +205,7 @@ def make_rules(
     camera: StereoCamera,
     tracking: TrackingPolicy = TrackingPolicy(),  # noqa: B008 (frozen)
     *,
+    moving: int = 0,
     noise: str = "pixels",
     sigma: float = 1.0,
     lasting: float = 0.0,
@@ -221,6 +230,8 @@ def make_rules(
         The rig.
     tracking : TrackingPolicy
         Of landmarks.
+    moving : int
+        Most landmarks on moving bodies in a frame.
     noise, sigma
         Of landmarks, see `sensing.pixel_noise`.
     lasting : float
@@ -257,6 +268,7 @@ def make_rules(
         camera_height=CAMERA_HEIGHT,
         limits=_numbers(tracking, "nearest", "farthest", "margin"),
         most=tracking.max_landmarks,
+        room=tracking.max_landmarks + moving,
         refill_below=tracking.refill_below,
         revisit=tracking.revisit,
         noise=NOISE_KINDS.get(noise, NO_NOISE),

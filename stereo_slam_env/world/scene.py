@@ -210,7 +210,7 @@ class Ground:
 
 @dataclass(frozen=True, eq=False)
 class MovingBody:
-    """A rigid thing ("car", "pedestrian") that moves on the ground.
+    """A rigid thing ("car", "pedestrian", "bus") that moves on the ground.
 
     Its parts are in its own frame (x forward, y left, z up, origin on the ground), which at `times` (K,), s,
     increasing, is at `positions` (K, 3) of S, m, and turned by `yaws` (K,) about z, rad, without jumps.
@@ -258,7 +258,7 @@ class Scene:
     landmark_points: FloatArray
     """(N, 3), on visible surfaces, m; the id of a landmark is its row."""
     moving: tuple[MovingBody, ...] = ()
-    """What moves; it carries no landmarks."""
+    """Bodies that move, which `landmark_points` are not on."""
     look: Look = Look()
     """Light and air."""
 

@@ -14,7 +14,7 @@ from stereo_slam_env.world import corridor, open_country, street
 from stereo_slam_env.world.routes import Route, load_registrations, require_new
 from stereo_slam_env.world.scene import Look, Material, Scene, Vector
 from stereo_slam_env.world.street_textures import VARIANTS
-from stereo_slam_env.world.traffic import traffic
+from stereo_slam_env.world.traffic import Bus, traffic
 
 Builder = Callable[[Route, np.random.Generator], Scene]
 
@@ -97,6 +97,7 @@ def build_scene(
     *,
     moving_cars: int = 0,
     pedestrians: int = 0,
+    bus: Bus | None = None,
     randomise: bool = False,
 ) -> Scene:
     """Build the scene of that name along a route, the path of the camera in the right-hand lane of a road.
@@ -111,6 +112,8 @@ def build_scene(
     rng : numpy.random.Generator
     moving_cars, pedestrians : int
         How many are to move near the nominal drive; fewer where there is no room for more.
+    bus : {"pulls-away", "leads"}, optional
+        A bus in the lane ahead.
     randomise : bool
         Draw textures, colours, sun, sky and haze at random too.
 
@@ -125,10 +128,9 @@ def build_scene(
             raise ValueError(f"{name} must not be negative, got {count}")
     traffic_rng, look_rng = rng.spawn(2)
     scene = surroundings_chosen.build(route, rng)
-    if moving_cars or pedestrians:
-        moving = traffic(
-            route, scene.solids, surroundings_chosen.walkway, traffic_rng, cars=moving_cars, pedestrians=pedestrians
-        )
+    if moving_cars or pedestrians or bus is not None:
+        counts = {"cars": moving_cars, "pedestrians": pedestrians}
+        moving = traffic(route, scene.solids, surroundings_chosen.walkway, traffic_rng, **counts, bus=bus)
         scene = replace(scene, moving=moving)
     return with_other_look(scene, look_rng) if randomise else scene
 

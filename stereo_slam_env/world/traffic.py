@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
+from typing import Literal
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from stereo_slam_env.world import props
 from stereo_slam_env.world.meshes import body_meshes
 from stereo_slam_env.world.road import LANE_OFFSET, road_along, stations_of
 from stereo_slam_env.world.routes import FRAME_PERIOD, Route, pulse
-from stereo_slam_env.world.scene import Box, Cylinder, MovingBody, Primitive, TriangleMesh
+from stereo_slam_env.world.scene import Box, Cylinder, Material, MovingBody, Primitive, TriangleMesh
 
 _TALL = 1.8
 """Height of a person, m: what is above is not in the way."""
@@ -79,6 +80,11 @@ _IN_VIEW, _LEAST_SEEN = (80.0, float(np.cos(np.radians(40.0)))), 2.0
 _OUT_OF_SIGHT = -200.0
 """Height at which a body waits before it comes and after it has gone, m."""
 _TIGHT = 0.8
+Bus = Literal["pulls-away", "leads"]
+_BUS = Box((0.0, 0.0, 1.7), (10.0, 2.5, 3.0), 0.0, Material((0.85, 0.1, 0.1)))
+_BUS_GAP, _BUS_STANDS, _BUS_STARTS, _BUS_PULL = 13.0, 25.0, 0.8, 1.5
+"""How far ahead of the camera a bus drives and one that pulls away stands at first, m; when it starts, s; its largest
+acceleration, m/s^2."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,16 +104,20 @@ def traffic(
     *,
     cars: int,
     pedestrians: int,
+    bus: Bus | None = None,
 ) -> tuple[MovingBody, ...]:
     """Bodies that move around the nominal drive, come into its view, and never touch it or each other.
 
     Cars drive ahead in the same lane with a changing gap, or come along the other lane; some of these stop for a
     while. Pedestrians walk along the road, `walkway` m from its centreline and clear of the `solids`, or cross it
-    ahead of the ego car. Bodies without room are left out, which is logged. The first bodies stay the same when more
+    ahead of the ego car. A bus in the lane ahead, the first of the bodies, leads all the time, or stands there and
+    pulls away. Bodies without room are left out, which is logged. The first bodies stay the same when more
     are asked for.
     """
     car_rng, walker_rng = rng.spawn(2)
     cast = _Cast(route)
+    if bus is not None:
+        cast.add("bus", (_BUS,), 0.5 * _BUS.size[0], 0.5 * _BUS.size[1] + 0.1, partial(cast.bus, bus))
     for own_rng in car_rng.spawn(cars):
         parts = props.vehicle(own_rng)
         long = props.length_of(parts)
@@ -175,6 +185,21 @@ class _Cast:
         in_sight = here & (distance < farthest) & (ahead > aside * distance) & (self._times < self._duration)
         return float(in_sight.sum()) * FRAME_PERIOD
 
+    def bus(self, way: Bus) -> _Way:
+        """Ahead in the lane of the ego car, following its speed with a limited acceleration."""
+        speeds = np.diff(self._ego, append=2.0 * self._ego[-1] - self._ego[-2]) / FRAME_PERIOD
+        leads = way == "leads"
+        station, speed = self._ego[0] + (_BUS_GAP if leads else _BUS_STANDS), speeds[0] if leads else 0.0
+        stations = [station]
+        for time, ego, ego_speed in zip(self._times[1:], self._ego[:-1], speeds[:-1], strict=True):
+            if leads or time > _BUS_STARTS:
+                target = ego_speed + 0.3 * (_BUS_GAP - (station - ego))
+                limit = _BUS_PULL * FRAME_PERIOD
+                speed = max(speed + float(np.clip(target - speed, -limit, limit)), 0.0)
+            station += speed * FRAME_PERIOD
+            stations.append(station)
+        return _Way(np.array(stations), np.full(len(stations), -LANE_OFFSET), np.zeros(len(stations)))
+
     def leading(self, length: float, rng: np.random.Generator) -> _Way:
         """Ahead in the lane of the ego car: sometimes nearer, sometimes further."""
         nearest = 6.0 + 0.5 * length
@@ -235,6 +260,22 @@ def _touch(one: FloatArray, other: FloatArray, limit: float) -> bool:
     """Whether circles (K, C, 2) and (K, D, 2) ever come within `limit` m of each other; NaN is nowhere."""
     apart = one[:, :, None] - other[:, None]
     return bool((np.einsum("kcdi,kcdi->kcd", apart, apart) < limit**2).any())
+
+
+def surface_points(body: MovingBody, count: int, rng: np.random.Generator) -> FloatArray:
+    """Points drawn uniformly on the solid surface of a body but its underside, with outward normals; (N, 6)."""
+    solid = replace(body, parts=tuple(part for part in body.parts if part.solid))
+    meshes = body_meshes(solid).values()
+    corners = np.concatenate([mesh.vertices[mesh.triangles] for mesh in meshes])
+    outward = np.concatenate([mesh.normals[mesh.triangles].mean(axis=1) for mesh in meshes])
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    areas = np.linalg.norm(normals, axis=1)
+    normals *= (np.sign((normals * outward).sum(axis=1)) / np.maximum(areas, 1e-12))[:, None]
+    areas[normals[:, 2] < -0.5] = 0.0
+    drawn = rng.choice(len(areas), count, p=areas / areas.sum())
+    shares = rng.dirichlet(np.ones(3), count)
+    points = (shares[:, :, None] * corners[drawn]).sum(axis=1)
+    return np.column_stack([points, normals[drawn]])
 
 
 _SKIN = 0.15

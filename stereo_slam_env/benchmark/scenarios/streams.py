@@ -66,8 +66,7 @@ def make_sequence(scenario: Scenario, seed: int | None) -> OpenedImages:
 def without_measurements(recording: Recording) -> Recording:
     """Recording for filters that measure in the images themselves: no observations, and no true landmarks by id."""
     none = StereoObservation(np.zeros(0, dtype=np.int64), np.zeros((0, 3)))
-    frames = tuple(dataclasses.replace(frame, observation=none) for frame in recording.frames)
-    return dataclasses.replace(recording, frames=frames, landmarks=None)
+    return dataclasses.replace(recording.with_observations([none] * len(recording)), landmarks=None)
 
 
 def check_source(scenario: Scenario) -> None:

@@ -26,6 +26,10 @@ OTHERS = {
     "scripted": ("Drive", {"policy": "route", "max_landmarks": 60, "perturbation": 0.0}),
     "inertial": ("Drive", {"vehicle": "smooth", "imu": "bmi088"}),
     "traffic": ("Drive", {"policy": "route", "moving_cars": 5, "pedestrians": 5}),
+    "on bodies": (
+        "Drive",
+        {"policy": "route", "moving_cars": 5, "pedestrians": 5, "moving_landmarks": 5, "bus": "leads"},
+    ),
     "bullet": ("Drive", {"policy": "route", "moving_cars": 2, "physics": "bullet"}),
     "heavy-tailed bullet": ("Gaze", {"noise": "heavy-tailed", "physics": "bullet", "surroundings": "street"}),
 }

@@ -72,6 +72,7 @@ def test_every_id_goes_on_from_a_snapshot(name):
     [
         {"physics": "bullet", "moving_cars": 3, "policy": "route"},
         {"noise": "heavy-tailed", "moving_cars": 3, "pedestrians": 2, "policy": "route"},
+        {"moving_cars": 3, "moving_landmarks": 6, "bus": "pulls-away", "lasting": 0.5, "policy": "route"},
         {"sensor": "images", "randomise": True, "policy": "route"},
         {"render_images": True, "blank_from": 0.3, "policy": "route"},
     ],

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import re
 import time
 
 import numpy as np
@@ -12,7 +13,7 @@ from stereo_slam_env.benchmark.recordings.reference_problem import long_drive
 from stereo_slam_env.benchmark.scenarios.streams import stream_digest
 from stereo_slam_env.datasets import load
 from stereo_slam_env.recording.archive import load_recording, save_recording
-from stereo_slam_env.recording.recording import GIVEN_TRUTH, SIMULATION, Recording, Reference
+from stereo_slam_env.recording.recording import GIVEN_TRUTH, SIMULATION, BodyTruth, Recording, Reference
 
 from ..benchmark.small_recordings import small_recording
 
@@ -32,6 +33,14 @@ def with_everything() -> Recording:
     frames[2] = dataclasses.replace(frames[2], observation=nothing, truth=None, truth_velocity=None)
     for k in (0, 3):
         frames[k] = dataclasses.replace(frames[k], head=rng.standard_normal(2))
+    for k in (0, 2, 3):  # two moving bodies, of one measurement each, and none
+        kinds, count = ("car", "bus")[:k], len(frames[k].observation)
+        orientations = np.tile([0.6, 0.0, -0.8, 0.0], (len(kinds), 1))
+        poses = rng.standard_normal((len(kinds), 3)), orientations, *rng.standard_normal((2, len(kinds), 3))
+        labels = np.full(count, -1)
+        labels[: len(kinds)] = [4, 7][: min(len(kinds), count)]
+        truth = BodyTruth(np.array([4, 7])[: len(kinds)], kinds, *poses, labels)
+        frames[k] = dataclasses.replace(frames[k], bodies=truth)
     for k in (1, 2, 5):
         orientation = rng.standard_normal(4)
         unit = InertialUnit(rng.standard_normal(3), orientation / np.linalg.norm(orientation), *rng.uniform(0, 1, 4))
@@ -182,13 +191,13 @@ def test_recordings_made_before_there_were_samples_heads_and_references_have_non
     path, made = tmp_path / "drive.npz", with_everything()
     save_recording(path, made)
     with np.load(path) as stored:
-        arrays = {name: stored[name] for name in stored.files if "inertial" not in name and "head" not in name}
+        arrays = {name: stored[name] for name in stored.files if not re.search("inertial|head|bodies", name)}
     about = json.loads(str(arrays["about"]))
     del about["truth_from"]
     np.savez(path, **arrays | {"about": np.array(json.dumps(about))})
     old = load_recording(path)
     assert old.reference == GIVEN_TRUTH
-    bare = tuple(dataclasses.replace(frame, inertial=None, head=None) for frame in made.frames)
+    bare = tuple(dataclasses.replace(frame, inertial=None, head=None, bodies=None) for frame in made.frames)
     assert dict(leaves(old.frames)) == dict(leaves(bare))
 
 
