@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.sparse.csgraph import connected_components
 
 from filters.bodies.rigid_bodies import BODY_SIZE, BodiesBelief, BodyStep, RigidBodies
 from filters.bodies.tracks import FREE, KEPT, STATIC, Tracks, Velocities, beside, carried_distances, inverse, squared
@@ -37,12 +38,17 @@ _CELL, _MOST = 3.0, 2
 """Side of a cell of space, m, and how many landmarks of the scene are used in one."""
 _FEW = 20
 """Landmarks of the scene below which new ones are taken without a proof, far from bodies."""
+_VAGUE, _FAR = 3.0, 10.0
+"""Standard deviation of the first velocity, m/s, above which, and disparity in standard deviations of its noise below
+which no body is born: neither depth nor velocity is nearly Gaussian yet."""
+_GAP = 3.0
+"""Gap, m, that parts two bodies."""
 _NARROW_REACH = 1.0
 """Distance from the landmarks of a body whose turn is not estimated, m, within which others may join it."""
 _YOUNG, _PROVEN, _OLD = 3, 6, 9
 """Measurements before a track is judged, before it can begin a body, and before a far one stands."""
-_NEAR_DISPARITY = 16.0
-"""Disparity, px, above which a track stands after `_PROVEN` - 2 measurements."""
+_NEAR = 23.0
+"""Disparity, in standard deviations of its noise, above which a track stands after `_PROVEN` - 2 measurements."""
 
 
 _FATES = ("updated", "initialised", "gated", "rejected", "behind_camera", "failed")
@@ -167,11 +173,12 @@ class MovingBodies:
         tracks, position, R_wc = self.tracks, self._positions[0], self._axes[0]
         velocities = self._velocities(index)
         covariance = inverse(velocities.weights.sum(axis=0))
+        if np.trace(covariance) > _VAGUE**2 or np.median(tracks.uvd[index, 0, 2]) < _FAR * tracks.sigma_d:
+            return
         velocity = covariance @ np.einsum("nij,nj->i", velocities.weights, velocities.own)
         uvd = tracks.uvd[index, 0]
         middle = np.array([*uvd[:, :2].mean(axis=0), max(float(np.median(uvd[:, 2])), 0.5)])
-        width = np.ptp(uvd[:, 0]) * self.camera.disparity_constant / middle[2] / self.camera.fx
-        body = Body(self._next, bool(width >= self.settings.smallest_turning), self._frame, label, *_no_poses())
+        body = Body(self._next, self._width(index) >= self.settings.smallest_turning, self._frame, label, *_no_poses())
         self._next += 1
         prior, name = self.settings.prior(body.turning), body.names
         prior[:3, :3] += 2.0 * covariance
@@ -253,6 +260,7 @@ class MovingBodies:
             self._bury(row, body)
         if observation.bodies is not None:
             self._bear_labelled(row, observation.ids, observation.bodies)
+        self._widen(row)
         gated = np.isin(tracks.ids, report.gated)
         unknown = np.ones(len(tracks.ids), dtype=bool)
         if observation.bodies is not None:
@@ -274,6 +282,21 @@ class MovingBodies:
             joined=tracks.ids[(tracks.status >= 0) & (tracks.status != before)],
             left=tracks.ids[(before >= 0) & (tracks.status != before)],
         )
+
+    def _width(self, index: IntArray) -> float:
+        """Width of what tracks are on, m: by their bearings, at their median disparity."""
+        u, d = self.tracks.uvd[index, 0, 0], max(float(np.median(self.tracks.uvd[index, 0, 2])), 0.5)
+        return float(np.ptp(u)) * self.camera.disparity_constant / d / self.camera.fx
+
+    def _widen(self, row: Row) -> None:
+        """Estimate the turn of bodies that show enough width by now."""
+        tracks, settings = self.tracks, self.settings
+        for body in self.bodies:
+            mine = np.flatnonzero((tracks.status == body.number) & (tracks.missed == 0))
+            if not body.turning and len(mine) and self._width(mine) >= settings.smallest_turning:
+                body.turning = True
+                prior = np.diag(settings.sigma_angular_velocity) ** 2
+                row.engine.add_noise(row.number, row.rows_of([body.names[2]])[0], prior)
 
     # --- which body: told ---
 
@@ -308,7 +331,7 @@ class MovingBodies:
             by_body, by_scene = both.reshape(2, -1)
             misfit[mine] |= (by_body > _FITS) | ((by_body >= 0.0) & (by_body > by_scene + _BETTER_ON_BODY))
         tracks.strikes[on_body] = np.where(misfit[on_body], tracks.strikes[on_body] + 1, 0)
-        leaving = on_body & (tracks.strikes >= 2)
+        leaving = on_body & ((tracks.strikes >= 2) | self._apart(on_body))
         if leaving.any():
             self._release(row, tracks.ids[leaving])
         ages = tracks.ages
@@ -319,6 +342,18 @@ class MovingBodies:
         free = np.flatnonzero(here & (tracks.status < 0) & (ages >= _YOUNG) & ~leaving)
         if len(free):
             self._judge(row, free, ages[free], gated[free], static_count < _FEW)
+
+    def _apart(self, on_body: BoolArray) -> BoolArray:
+        """Mask of tracks with a gap to most others of their body: two that move alike are one until it shows."""
+        tracks, apart = self.tracks, np.zeros(len(self.tracks.ids), dtype=bool)
+        for body in self.bodies:
+            mine = np.flatnonzero(on_body & (tracks.status == body.number))
+            if len(mine) > self.settings.least_points:
+                uvd = tracks.uvd[mine, 0]
+                linked = beside(self.camera, uvd, uvd, _GAP, tracks.sigma_d)
+                _, part = connected_components(linked)
+                apart[mine] = part != np.bincount(part).argmax()
+        return apart
 
     def _velocities(self, index: IntArray) -> Velocities:
         known = min(self._frame + 1, KEPT)
@@ -397,7 +432,7 @@ class MovingBodies:
         open_ = ~static | out
         joining = open_ & joins
         tracks.status[index[joining]] = which[joining]
-        enough = np.where(few | (tracks.uvd[index, 0, 2] > _NEAR_DISPARITY), _PROVEN - 2, _OLD)
+        enough = np.where(few | (tracks.uvd[index, 0, 2] > _NEAR * tracks.sigma_d), _PROVEN - 2, _OLD)
         beside_static = velocities.linked[:, static & ~out].sum(axis=1) >= _COMPANY
         beats = np.where(near, by_body > by_scene + _BETTER_ON_SCENE, (ages >= enough) | beside_static)
         stands = open_ & ~joins & ~moves & (by_scene < _STANDS) & beats

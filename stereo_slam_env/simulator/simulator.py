@@ -188,7 +188,7 @@ class Simulator(Kept):
         if seen is None:
             right = sensed.v_right[b, :count].copy() if self.measures_right else None
             ids, uvd = sensed.ids[b, :count].copy(), sensed.uvd[b, :count].copy()
-            seen = unchecked(StereoObservation, ids=ids, uvd=uvd, v_right=right, R=None)
+            seen = unchecked(StereoObservation, ids=ids, uvd=uvd, v_right=right, R=None, bodies=None)
         linear, angular = sensed.odometry[b, :3].copy(), sensed.odometry[b, 3:].copy()
         odometry = unchecked(BodyVelocity, linear=linear, angular=angular, covariance=self.odometry_covariance)
         return Frame(

@@ -1,4 +1,4 @@
-"""Moving bodies in the state: their steps, their beliefs against the truth, and which landmarks are found to be on them."""
+"""Moving bodies in the state: their steps, their beliefs against the truth, and which landmarks are on them."""
 
 from __future__ import annotations
 
