@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.sparse.csgraph import connected_components
 
 from filters.bodies.rigid_bodies import BODY_SIZE, BodiesBelief, BodyStep, RigidBodies
 from filters.bodies.tracks import FREE, KEPT, STATIC, Tracks, Velocities, beside, carried_distances, inverse, squared
@@ -351,8 +350,10 @@ class MovingBodies:
             if len(mine) > self.settings.least_points:
                 uvd = tracks.uvd[mine, 0]
                 linked = beside(self.camera, uvd, uvd, _GAP, tracks.sigma_d)
-                _, part = connected_components(linked)
-                apart[mine] = part != np.bincount(part).argmax()
+                part, count = linked[linked.sum(axis=1).argmax()], 0
+                while part.sum() > count:
+                    count, part = part.sum(), linked[part].any(axis=0)
+                apart[mine] = ~part
         return apart
 
     def _velocities(self, index: IntArray) -> Velocities:

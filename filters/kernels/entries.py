@@ -104,8 +104,9 @@ def carry_along(
             if places[i, k] < 0:
                 break
             factor, source = factors[i, k], before[places[i, k]]
-            for j in range(n):
-                target[j] += factor * source[j]
+            if factor != 0.0:
+                for j in range(n):
+                    target[j] += factor * source[j]
     for i in range(len(rows)):
         for j in range(i, len(rows)):
             total = 0.0
