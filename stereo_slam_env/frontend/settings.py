@@ -55,6 +55,9 @@ class TrackerSettings:
     """Probability with which a standing landmark passes the test against the motion of the scene."""
     max_misses: int = 2
     """Most pairs in a row without a match: a landmark that is missed in one more is dropped."""
+    movers: bool = False
+    """Whether landmarks that move unlike the scene are given to the filter, besides `max_landmarks` others: for filters
+    with moving bodies."""
     margin: int = 8
     """Distance to the edge of both images, px."""
     min_distance: float = 10.0
@@ -81,6 +84,8 @@ class TrackerSettings:
         lowest = {"max_landmarks": 1, "refill_below": 0, "max_misses": 0, "margin": 8}
         for name, low in lowest.items():
             whole_number(name, getattr(self, name), low)
+        if not isinstance(self.movers, bool):
+            raise ValueError(f"movers must be True or False, got {self.movers!r}")
         if self.refill_below > self.max_landmarks:
             most = f"max_landmarks = {self.max_landmarks}"
             raise ValueError(f"refill_below must be at most {most}, got {self.refill_below}")

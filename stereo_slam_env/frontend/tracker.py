@@ -264,7 +264,9 @@ class StereoTracker:
         searched = Search(tracks.ids, expected.uvd, expected.S, matches.uvd, outcome)
         tracks = self._carried(tracks, matches)
         remaining = self._kept(tracks, outcome)
-        leaving = tracks.released & (~remaining | tracks.moving) & ~self._tracks.moving
+        leaving = tracks.released & ~remaining
+        if not self.settings.movers:  # one that moves has left when it was found to
+            leaving = (leaving | (tracks.released & tracks.moving)) & ~self._tracks.moving
         return tracks.select(remaining), searched, tracks.ids[leaving]
 
     def _expected(self, finder: PairFinder, tracks: Tracks, dt: float, forecast: Forecast | None) -> Expectation:
@@ -280,7 +282,7 @@ class StereoTracker:
         expected = self._by_motion(tracks, step, self._unsure_by(dt))
         if forecast is None:
             return expected
-        return by_forecast(self.camera, tracks, expected, forecast, rows, self.settings.margin)
+        return by_forecast(self.camera, tracks, expected, forecast, rows, self.settings)
 
     def _unsure_by(self, dt: float) -> FloatArray:
         return constant_velocity_covariance(self.settings, _modelled(dt))
@@ -361,24 +363,33 @@ class StereoTracker:
         return np.asarray(~leaving)
 
     def _new_corners(self, finder: PairFinder, tracks: Tracks) -> Tracks:
-        standing = int((~tracks.moving).sum())
-        if standing >= _SPARE * self.settings.refill_below:
+        """Corners where too few landmarks stand, off the bodies that move; where movers are wanted, on these, too."""
+        moving, standing = tracks.uvd[tracks.moving], int((~tracks.moving).sum())
+        uvd, R = np.zeros((0, 3)), np.zeros((0, 3, 3))
+        if standing < _SPARE * self.settings.refill_below:
+            uvd, R = finder.corners(round(_SPARE * self.settings.max_landmarks) - standing, tracks.uvd[:, :2])
+            clear = ~beside_moving(self.camera, uvd, moving) | self.settings.movers
+            uvd, R = uvd[clear], R[clear]
+        if self.settings.movers and len(moving):
+            more, R_more = finder.corners(self.settings.max_landmarks, np.concatenate([tracks.uvd, uvd])[:, :2])
+            on_body = beside_moving(self.camera, more, moving)
+            uvd, R = np.concatenate([uvd, more[on_body]]), np.concatenate([R, R_more[on_body]])
+        if len(uvd) == 0:
             return tracks.select(slice(0))
-        uvd, R = finder.corners(round(_SPARE * self.settings.max_landmarks) - standing, tracks.uvd[:, :2])
-        clear = ~beside_moving(self.camera, uvd, tracks.uvd[tracks.moving])
-        uvd, R = uvd[clear], R[clear]
         ids = self._next_id + np.arange(len(uvd), dtype=np.int64)
         self._next_id += len(uvd)
         patches = cut_patches(finder.left, uvd[:, :2])
         return new_tracks(ids, patches, uvd, R, self._R_vc, self._position_v)
 
     def _release(self, tracks: Tracks) -> tuple[Measured, Tracks, IntArray]:
-        """Ids, (u, v, d), R for the filter, of landmarks found in this pair that move like the scene."""
-        has_match = np.isfinite(tracks.measured[:, 0, 0]) & ~tracks.moving & (tracks.strikes == 0)
-        candidates = np.flatnonzero(has_match)
+        """Ids, (u, v, d), R for the filter, of landmarks found in this pair: those that move like the scene, or all."""
+        has_match = np.isfinite(tracks.measured[:, 0, 0])
+        candidates = np.flatnonzero(has_match & ~tracks.moving & (tracks.strikes == 0))
         if len(candidates) > self.settings.max_landmarks:
             order = np.argsort(~tracks.released[candidates], kind="stable")  # those the filter has, then by id
             candidates = np.sort(candidates[order[: self.settings.max_landmarks]])
+        if self.settings.movers:
+            candidates = np.union1d(candidates, np.flatnonzero(has_match & tracks.moving))
         initialised = tracks.ids[candidates[~tracks.released[candidates]]]
         released = tracks.released.copy()
         released[candidates] = True

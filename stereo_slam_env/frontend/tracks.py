@@ -221,15 +221,20 @@ def by_motion(
 
 
 def by_forecast(
-    camera: StereoCamera, tracks: Tracks, expected: Expectation, forecast: Forecast, rows: Rows, margin: float
+    camera: StereoCamera,
+    tracks: Tracks,
+    expected: Expectation,
+    forecast: Forecast,
+    rows: Rows,
+    settings: TrackerSettings,
 ) -> Expectation:
     """The filter's forecast for the landmarks of `rows`, see `sure_rows`, in place of what else is `expected`."""
     i, j = rows
-    standing = ~tracks.moving[i]
-    i, j = i[standing], j[standing]
+    foreseen = ~tracks.moving[i] | settings.movers
+    i, j = i[foreseen], j[foreseen]
     uvd, S, in_view = expected.uvd.copy(), expected.S.copy(), expected.in_view.copy()
     uvd[i], S[i] = forecast.uvd[j], forecast.S[j]
-    in_view[i] = forecast.in_view[j] & camera.in_view(uvd[i], margin)
+    in_view[i] = forecast.in_view[j] & camera.in_view(uvd[i], settings.margin)
     return Expectation(uvd, S, in_view, expected.step)
 
 

@@ -73,7 +73,7 @@ def test_the_filters_word_goes_first_where_it_is_sure(tracks, pairs):
     own = by_motion(CAMERA, tracks, STEP, np.zeros((6, 6)), None, 8)
     told = forecast_of(tracks, own.uvd[:20] + 0.7)
     told.S[:5] *= 1e6
-    expected = by_forecast(CAMERA, tracks, own, told, sure_rows(tracks, told, SETTINGS), SETTINGS.margin)
+    expected = by_forecast(CAMERA, tracks, own, told, sure_rows(tracks, told, SETTINGS), SETTINGS)
     assert np.array_equal(expected.uvd[:5], own.uvd[:5])
     assert np.array_equal(expected.uvd[5:20], told.uvd[5:])
     assert np.array_equal(expected.S[5:20], told.S[5:])
@@ -84,7 +84,7 @@ def test_a_forecast_of_landmarks_nobody_follows_is_left_aside(tracks):
     own = by_motion(CAMERA, tracks, STEP, np.zeros((6, 6)), None, 8)
     strangers = Forecast(np.array([1, 2]), np.zeros((2, 3)), np.tile(np.eye(3), (2, 1, 1)), np.ones(2, dtype=bool))
     rows = sure_rows(tracks, strangers, SETTINGS)
-    assert np.array_equal(by_forecast(CAMERA, tracks, own, strangers, rows, SETTINGS.margin).uvd, own.uvd)
+    assert np.array_equal(by_forecast(CAMERA, tracks, own, strangers, rows, SETTINGS).uvd, own.uvd)
     assert step_of_forecast(CAMERA, tracks, strangers, rows) is None
 
 
