@@ -7,11 +7,11 @@ Prints the points of each exercise as JSON.
 """
 
 import json
-import pkgutil
 import sys
 from pathlib import Path
 
 from filters import check_filter
+from stereo_slam_env.benchmark import resolve_callable
 
 NUMBERS = {
     "1a": (4.0, 3.0, 5.0, 2),
@@ -56,7 +56,7 @@ def main(arguments):
     """Print the marks of a file of answers and, perhaps, of a class at MODULE:CLASS."""
     sys.path.insert(0, "")
     answers = json.loads(Path(arguments[0]).read_text(encoding="utf-8"))
-    student_filter = pkgutil.resolve_name(arguments[1]) if len(arguments) > 1 else None
+    student_filter = resolve_callable("the filter must be MODULE:CLASS", arguments[1]) if len(arguments) > 1 else None
     print(json.dumps(marks(answers, student_filter), indent=2))
 
 

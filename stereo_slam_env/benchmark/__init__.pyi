@@ -10,6 +10,7 @@ from .recordings.sources import FactorySource as FactorySource
 from .recordings.sources import GazeSource as GazeSource
 from .recordings.sources import ReferenceSource as ReferenceSource
 from .recordings.sources import StreetSource as StreetSource
+from .recordings.sources import resolve_callable as resolve_callable
 from .running.backends import Backend as Backend
 from .scenarios.scenario import FilterChoice as FilterChoice
 from .scenarios.scenario import PolicyChoice as PolicyChoice

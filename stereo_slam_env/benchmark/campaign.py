@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import signal
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
@@ -19,19 +19,11 @@ from filters.geometry.camera import StereoCamera
 from stereo_slam_env.benchmark.running.backends import Backend, BackendName, RunAll
 from stereo_slam_env.benchmark.running.isolation import Tell
 from stereo_slam_env.benchmark.running.tasks import TIMED, Done, Task, batches, make_all, run_all_trials
-from stereo_slam_env.benchmark.scenarios.scenario import (
-    FilterChoice,
-    PolicyChoice,
-    Scenario,
-)
+from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, PolicyChoice, Scenario
 from stereo_slam_env.benchmark.scenarios.streams import check_source
 from stereo_slam_env.benchmark.scenarios.study import Study, load_study, preset_study
 from stereo_slam_env.benchmark.storage.result_tables import CellResult, write_results
-from stereo_slam_env.benchmark.storage.store import (
-    RunDirectory,
-    StudyDirectory,
-    prepared_study,
-)
+from stereo_slam_env.benchmark.storage.store import RunDirectory, StudyDirectory, prepared_study
 from stereo_slam_env.evaluation.body_frames import read_body
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
 from stereo_slam_env.evaluation.run_figures import Figures
@@ -208,25 +200,38 @@ def as_study(what: Study | Scenario | str | Path, *, data: str | Path | None = N
 def check_study(study: Study) -> None:
     """Raise a `ValueError` for a study that cannot be run, before any work is done."""
     scenarios = [cell.scenario for cell in study.cells]
-    for name in {choice.name for scenario in scenarios for choice in scenario.filters if not choice.is_outside}:
-        if plugin_of(name) is None:
-            filter_factory(name)
+    loadable_filters = _loadable_filters(scenarios)
     for scenario in scenarios:
         check_source(scenario)
     checked: list[tuple[object, ...]] = []
     for scenario in scenarios:
         what_filters_get = scenario.filters, scenario.common_options, scenario.recording_seeds
         if what_filters_get not in checked:  # making every filter may compile it, and most cells share theirs
-            check_filters(scenario)
+            _check_options(scenario, loadable_filters)
             checked.append(what_filters_get)
 
 
-def check_filters(scenario: Scenario) -> None:
-    """Raise a `ValueError` for a filter or option that does not exist, before any work is done.
+def _loadable_filters(scenarios: Sequence[Scenario]) -> list[str]:
+    """Look up the filters of scenarios: names of those that can be loaded.
 
     A third-party filter that is installed but cannot be loaded is no reason to stop: its runs will say so.
     Those that nobody asked for are not loaded.
     """
+    names = (choice.name for scenario in scenarios for choice in scenario.filters if not choice.is_outside)
+    loadable = []
+    for name in dict.fromkeys(names):
+        try:
+            filter_factory(name)
+            loadable.append(name)
+        except ValueError as error:
+            if plugin_of(name) is None:
+                raise
+            _log.warning("%s", error)
+    return loadable
+
+
+def _check_options(scenario: Scenario, loadable_filters: Collection[str]) -> None:
+    """Raise a `ValueError` for an option that a filter does not have, or a file of one that cannot be read."""
     camera, noise = StereoCamera(700.0, 700.0, 600.0, 180.0, 0.5, 1200, 360), StereoNoise.independent_pixels(1.0)
     for choice in scenario.filters:
         if choice.is_outside:
@@ -234,20 +239,13 @@ def check_filters(scenario: Scenario) -> None:
                 load_trajectory(choice.outside_file(seed))
             if "body" in choice.options:
                 read_body(Path(choice.options["body"]))
-            continue
-        try:
-            filter_factory(choice.name)
-        except ValueError as error:
-            if plugin_of(choice.name) is None:
+        elif choice.name in loadable_filters:
+            try:
+                make_with_common_options(choice.name, camera, noise, choice.options, scenario.common_options)
+            except (ValueError, KeyboardInterrupt):
                 raise
-            _log.warning("%s", error)
-            continue
-        try:
-            make_with_common_options(choice.name, camera, noise, choice.options, scenario.common_options)
-        except (ValueError, KeyboardInterrupt):
-            raise
-        except BaseException as error:  # a third-party constructor may raise anything; the run will record it
-            _log.info("filter %s cannot be made: %s", choice.label, first_line(error))
+            except BaseException as error:  # a third-party constructor may raise anything; the run will record it
+                _log.info("filter %s cannot be made: %s", choice.label, first_line(error))
 
 
 SEEDS_AT_A_TIME = 100

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import _thread
-import pkgutil
 import shlex
 import signal
 import sys
@@ -176,15 +175,6 @@ def _filter_names(incomplete: str) -> list[str]:
     return [name for name in available_filters() if name.startswith(incomplete)]
 
 
-def _own_class(place: str) -> Any:
-    """Class at MODULE:CLASS, of a module in the working directory or an installed one."""
-    sys.path.insert(0, "")
-    try:
-        return pkgutil.resolve_name(place)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise ValueError(f"name must be a filter or MODULE:CLASS, got {place!r}: {error}") from None
-
-
 @filters_app.command("check")
 def check(
     name: Annotated[
@@ -195,7 +185,13 @@ def check(
     """Check that a filter is right; exit code 1 if it is not."""
     from filters import check_filter
 
-    result = check_filter(_own_class(name) if ":" in name else name, raise_on_failure=False)
+    checked: Any = name
+    if ":" in name:
+        from stereo_slam_env.benchmark.recordings.sources import resolve_callable
+
+        sys.path.insert(0, "")  # modules of the working directory
+        checked = resolve_callable("name must be a filter or MODULE:CLASS", name)
+    result = check_filter(checked, raise_on_failure=False)
     if as_json:
         show_json({"filter": name, "passed": list(result.passed), "failed": list(result.failed)})
     else:

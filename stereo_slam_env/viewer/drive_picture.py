@@ -128,7 +128,7 @@ def save_still(drive: Drive, path: str | Path, frame: int | None = None, progres
 def save_film(
     drive: Drive, path: str | Path, progress: Progress | None = None, *, most_pictures: int = MOST_PICTURES
 ) -> None:
-    """Write the drive as an mp4 film, at its own speed where no picture is left out.
+    """Write the drive as an mp4 film, at ten frames of the drive a second, also where pictures are left out.
 
     Parameters
     ----------
@@ -144,12 +144,12 @@ def save_film(
     Raises
     ------
     ValueError
-        See `viewer.video.Recorder`.
+        See `viewer.watched_drive.Recorder`.
     """
     drawn = range(0, drive.frames, -(-drive.frames // most_pictures))
     steps = drive.frames + len(drawn)
     tell = progress or (lambda done, of: None)
-    with Recorder(path, 10.0) as recorder, style_context():
+    with Recorder(path, 10.0 / drawn.step) as recorder, style_context():
         history = []
         for moment in drive.moments():
             history.append(moment)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import importlib
 import inspect
 import json
+import pkgutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -244,15 +244,35 @@ class FactorySource(Source, frozen=True, tag="factory"):
 
     def record(self, seed: int | None, frames: int | None = None, progress: Progress | None = None) -> Recording:
         """Call the user's function for a seed."""
-        module_name, _, function_name = self.call.partition(":")
-        try:
-            function = getattr(importlib.import_module(module_name), function_name)
-        except (ImportError, AttributeError, ValueError) as error:
-            raise ValueError(f'option call must be "package.module:function", got {self.call!r}: {error}') from error
+        function = resolve_callable('option call must be "package.module:function"', self.call)
         recording = function(seed=seed, **self.arguments)
         if not isinstance(recording, Recording):
             raise ValueError(f"{self.call} returned a {type(recording).__name__}, not a Recording")
         return recording
+
+
+def resolve_callable(requirement: str, place: str) -> Callable[..., Any]:
+    """Resolve "module:name", a class or a function.
+
+    Parameters
+    ----------
+    requirement : str
+        Beginning of the message for another place: "name must be MODULE:CLASS".
+    place : str
+        The module is imported, so only of somebody whose code may run.
+
+    Raises
+    ------
+    ValueError
+        There is no such module or name in it, or it cannot be called.
+    """
+    try:
+        function: Callable[..., Any] = pkgutil.resolve_name(place)
+        if callable(function):
+            return function
+        raise ValueError("it cannot be called")
+    except (ImportError, AttributeError, ValueError) as error:
+        raise ValueError(f"{requirement}, got {place!r}: {error}") from error
 
 
 def source_of(kind: str, options: Mapping[str, Any]) -> Source:

@@ -882,6 +882,6 @@ def test_a_filter_of_the_working_directory_is_checked(command, tmp_path, monkeyp
     monkeypatch.setattr(sys, "path", [*sys.path])
     code, out, _ = command("filters", "check", "handed_in:Mine")
     assert (code, "0 failed" in out) == (0, True)
-    for wrong in ("handed_in:Yours", "nosuch:Mine"):
+    for wrong in ("handed_in:Yours", "nosuch:Mine", "handed_in:"):
         code, _, err = command("filters", "check", wrong)
         assert (code, "must be a filter or MODULE:CLASS" in err) == (2, True)

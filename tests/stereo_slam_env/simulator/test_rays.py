@@ -6,9 +6,11 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import numba
 import numpy as np
+import pytest
 
-from stereo_slam_env.simulator.rays import obstacles, visible
+from stereo_slam_env.simulator.rays import _sort, obstacles, visible
 from stereo_slam_env.world.physics import PhysicsWorld
 from stereo_slam_env.world.routes import named_route
 from stereo_slam_env.world.scene import Box, Cylinder, Ground, Material, Scene, Sphere
@@ -86,6 +88,26 @@ def test_many_solids_in_one_place():
     walls = [Box((5.0, 0.0, 1.0), (0.2, 2.0, 2.0), 0.0, GREY)] * 100
     points = np.array([[10.0, 0.0, 1.0], [10.0, 5.0, 1.0], [4.9, 0.5, 1.0], [-10.0, 0.0, 1.0]])
     assert visible(obstacles(walls), np.array([[0.0, 0.0, 1.0]]), points).tolist() == [False, True, True, True]
+
+
+@numba.njit
+def sort_boxes(boxes, order, axis):
+    """A kernel can be called by compiled code only."""
+    _sort(boxes, order, axis)
+
+
+@pytest.mark.parametrize("middles", [3, 1 << 30], ids=["ties", "distinct"])
+def test_boxes_are_sorted_by_their_middles(middles):
+    """A permutation of the same numbers, ascending; a wrong order would only make the tree slower."""
+    rng = np.random.default_rng(0)
+    for length in (0, 1, 2, 3, 4, *rng.integers(0, 301, 60)):
+        boxes = rng.integers(0, middles, (400, 6)).astype(np.float64)
+        numbers = rng.permutation(400)[:length]
+        for axis in range(3):
+            order = numbers.copy()
+            sort_boxes(boxes, order, axis)
+            assert sorted(order) == sorted(numbers)
+            assert (np.diff(boxes[order, axis] + boxes[order, 3 + axis]) >= 0.0).all()
 
 
 PLAINLY = """

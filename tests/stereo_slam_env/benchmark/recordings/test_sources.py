@@ -57,6 +57,7 @@ def test_every_part_of_the_input_is_in_the_digest():
         ("dataset", {"path": 3}, r"options\.path must be text, got 3"),
         ("factory", {"call": "nowhere"}, 'call must be "package.module:function"'),
         ("factory", {"call": "math:no_such"}, "got 'math:no_such'"),
+        ("factory", {"call": "math"}, "got 'math': it cannot be called"),
         ("factory", {"call": "builtins:dict"}, "returned a dict, not a Recording"),
         ("street", {"rout": "town"}, "did you mean 'route'"),
         ("street", {"x": object()}, "options must consist of JSON values"),

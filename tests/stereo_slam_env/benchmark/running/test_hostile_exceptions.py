@@ -8,9 +8,10 @@ import pytest
 
 from filters.contract.validation import error_line, first_line, type_name
 from stereo_slam_env.benchmark import preset, run_benchmark
-from stereo_slam_env.benchmark.campaign import check_filters
+from stereo_slam_env.benchmark.campaign import check_study
 from stereo_slam_env.benchmark.recordings.sources import ReferenceSource
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, PolicyChoice, Scenario
+from stereo_slam_env.benchmark.scenarios.study import Study
 
 from ...third_party import MODULE, install
 
@@ -153,7 +154,7 @@ def test_whatever_a_policy_raises_is_a_failed_trial(hostile, tmp_path):
 def test_a_constructor_that_raises_anything_is_no_reason_to_stop(hostile):
     names = [f"{name}-start" for name in (*NAMES, *OF_PYTHON) if name != "KeyboardInterrupt"]
     filters = tuple(FilterChoice(name, name) for name in names)
-    check_filters(Scenario("one", ReferenceSource("short_turn"), filters))
+    check_study(Study.of(Scenario("one", ReferenceSource("short_turn"), filters)))
 
 
 @pytest.mark.parametrize("name", NAMES)
