@@ -59,7 +59,7 @@ class Body:
 
     number: int
     turning: bool
-    seen: int
+    last_measured: int
     """Last frame in which one of its landmarks was measured."""
     label: int | None
     """The body's number in observations that name it."""
@@ -174,7 +174,7 @@ class MovingBodies:
         covariance = inverse(velocities.weights.sum(axis=0))
         if np.trace(covariance) > _VAGUE**2 or np.median(tracks.uvd[index, 0, 2]) < _FAR * tracks.sigma_d:
             return
-        velocity = covariance @ np.einsum("nij,nj->i", velocities.weights, velocities.own)
+        velocity = covariance @ np.einsum("nij,nj->i", velocities.weights, velocities.alone)
         uvd = tracks.uvd[index, 0]
         middle = np.array([*uvd[:, :2].mean(axis=0), max(float(np.median(uvd[:, 2])), 0.5)])
         body = Body(self._next, self._width(index) >= self.settings.smallest_turning, self._frame, label, *_no_poses())
@@ -221,9 +221,9 @@ class MovingBodies:
         if observation.bodies is None:
             static = np.flatnonzero(tracks.status[index] == STATIC)
             usable[static] = self._thinned(row, observation.uvd[static], np.isin(observation.ids[static], row.ids))
-        gone = np.intersect1d(row.ids, observation.ids[~usable])
-        if len(gone):
-            row.forget(gone)
+        unusable = np.intersect1d(row.ids, observation.ids[~usable])
+        if len(unusable):
+            row.forget(unusable)
         return observation if usable.all() else observation.select(usable)
 
     def _thinned(self, row: Row, uvd: FloatArray, in_map: BoolArray) -> BoolArray:
@@ -239,9 +239,9 @@ class MovingBodies:
         cells = cells.ravel()
         by_cell = np.argsort(cells, kind="stable")
         first = np.searchsorted(cells[by_cell], cells[by_cell])
-        kept = np.zeros(len(uvd), dtype=bool)
-        kept[order[by_cell]] = np.arange(len(uvd)) - first < _MOST
-        return kept
+        usable = np.zeros(len(uvd), dtype=bool)
+        usable[order[by_cell]] = np.arange(len(uvd)) - first < _MOST
+        return usable
 
     def after(self, row: Row, observation: StereoObservation, report: UpdateReport) -> UpdateReport:
         """Births, deaths, and landmarks that join or leave, after the update with what was admitted."""
@@ -254,8 +254,8 @@ class MovingBodies:
             _put_first(body.points, value[:3])
             _put_first(body.axes, rotations.matrix(value[3:7]))
             if body.number in measured:
-                body.seen = self._frame
-        for body in [body for body in self.bodies if self._frame - body.seen > self.settings.patience]:
+                body.last_measured = self._frame
+        for body in [body for body in self.bodies if self._frame - body.last_measured > self.settings.patience]:
             self._bury(row, body)
         if observation.bodies is not None:
             self._bear_labelled(row, observation.ids, observation.bodies)
@@ -357,8 +357,8 @@ class MovingBodies:
         return apart
 
     def _velocities(self, index: IntArray) -> Velocities:
-        known = min(self._frame + 1, KEPT)
-        return Velocities.of(self.camera, self.tracks, index, (self._positions[:known], self._axes[:known]), self._dt)
+        frames = min(self._frame + 1, KEPT)
+        return Velocities.of(self.camera, self.tracks, index, (self._positions[:frames], self._axes[:frames]), self._dt)
 
     def _far_from_bodies(self, index: IntArray) -> BoolArray:
         """Mask of tracks that are on no body for certain, wherever their depth may be."""
@@ -396,10 +396,10 @@ class MovingBodies:
         """
         tracks, (turns, shifts) = self.tracks, self._carriages()
         before, turn, shift = tracks.uvd[index][:, _LAGS], turns[carrier], shifts[carrier]
-        there = np.isfinite(before[:, :, 0]) & np.isfinite(shift[:, :, 0])
-        n, lag = np.nonzero(there)
+        measured = np.isfinite(before[:, :, 0]) & np.isfinite(shift[:, :, 0])
+        n, lag = np.nonzero(measured)
         now, R = tracks.uvd[index[n], 0], tracks.R[index[n]]
-        every = np.full(there.shape, -1.0)
+        every = np.full(measured.shape, -1.0)
         every[n, lag] = carried_distances(self.camera, before[n, lag], now, R, turn[n, lag], shift[n, lag])
         largest: FloatArray = every.max(axis=1)
         return largest
@@ -438,23 +438,25 @@ class MovingBodies:
         beats = np.where(near, by_body > by_scene + _BETTER_ON_SCENE, (ages >= enough) | beside_static)
         stands = open_ & ~joins & ~moves & (by_scene < _STANDS) & beats
         tracks.status[index[stands]] = STATIC
-        own, W = velocities.own, velocities.weights
-        gain = squared(own, W) - squared(own - velocities.together, W)
+        v, W = velocities.alone, velocities.weights
+        gain = squared(v, W) - squared(v - velocities.together, W)
         moving = open_ & ~joins & moves & (ages >= _PROVEN) & (gain > _GAIN)
         if moving.sum() >= settings.least_points:
             self._cluster(row, index, np.flatnonzero(moving), velocities, table[:, 1:])
 
-    def _cluster(self, row: Row, index: IntArray, left: IntArray, velocities: Velocities, by_body: FloatArray) -> None:
+    def _cluster(
+        self, row: Row, index: IntArray, moving: IntArray, velocities: Velocities, by_body: FloatArray
+    ) -> None:
         """Groups of tracks that move together are of the body that they fit (n, K), or are one from now on."""
         tracks, numbers = self.tracks, [body.number for body in self.bodies]
         settings = self.settings
-        while len(left) >= settings.least_points:
-            linked = velocities.linked[np.ix_(left, left)]
+        while len(moving) >= settings.least_points:
+            linked = velocities.linked[np.ix_(moving, moving)]
             seed = int(np.argmax(linked.sum(axis=1)))
-            group = left[linked[seed]]
+            group = moving[linked[seed]]
             if len(group) < settings.least_points:
                 return
-            speed, left = float(np.linalg.norm(velocities.together[left[seed]])), np.setdiff1d(left, group)
+            speed, moving = float(np.linalg.norm(velocities.together[moving[seed]])), np.setdiff1d(moving, group)
             fits = np.median(by_body[group], axis=0) < _FITS
             if fits.any():
                 tracks.status[index[group]] = numbers[int(np.argmax(fits))]

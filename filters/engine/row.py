@@ -187,9 +187,9 @@ class Row:
         rows, T = variable_rows.ravel(), steps.F.reshape(-1, variable_rows.shape[1])
         columns = np.repeat(variable_rows, variable_rows.shape[1], axis=0)
         if len(moved.ids):
-            own_rows, others, by_all = self._carried(moved)
-            wide = np.hstack([variable_rows[steps.carriers], others])
-            more = ((0, 0), (0, others.shape[1]))
+            own_rows, anchored_rows, by_all = self._carried(moved)
+            wide = np.hstack([variable_rows[steps.carriers], anchored_rows])
+            more = ((0, 0), (0, anchored_rows.shape[1]))
             rows = np.concatenate([rows, own_rows.ravel()])
             columns = np.concatenate([np.pad(columns, more, constant_values=-1), np.repeat(wide, 3, axis=0)])
             T = np.concatenate([np.pad(T, more), by_all.reshape(-1, by_all.shape[2])])
@@ -230,17 +230,17 @@ class Row:
         S, b, layout, size = self.engine.storage, self.number, self.options.layout, self.options.landmark.size
         first_estimates = self.options.error.first_estimates
         index = np.searchsorted(self.ids, landmarks.ids)
-        own, anchor, M = S.own[b, index], S.anchor[b, index], landmarks.by_landmark
-        positions, B, seen = self._points(own, anchor, S.blocks)
+        blocks, anchor, M = S.own[b, index], S.anchor[b, index], landmarks.by_landmark
+        positions, B, homogeneous = self._points(blocks, anchor, S.blocks)
         if first_estimates:  # the step is affine in the position
-            first, B, seen_first = self._points(own, anchor, S.first)
+            first, B, first_homogeneous = self._points(blocks, anchor, S.first)
             first_moved = landmarks.positions + rotations.turned(M, first - positions)
-            self._place(own, anchor, S.first, seen_first, first_moved)
-        self._place(own, anchor, S.blocks, seen, landmarks.positions)
+            self._place(blocks, anchor, S.first, first_homogeneous, first_moved)
+        self._place(blocks, anchor, S.blocks, homogeneous, landmarks.positions)
         if not first_estimates:
-            S.first[b, own] = S.blocks[b, own]
-        inverse = np.linalg.inv(self._points(own, anchor, S.first)[1])
-        rows = layout.size + size * own[:, None] + np.arange(3)
+            S.first[b, blocks] = S.blocks[b, blocks]
+        inverse = np.linalg.inv(self._points(blocks, anchor, S.first)[1])
+        rows = layout.size + size * blocks[:, None] + np.arange(3)
         by_both = np.concatenate([inverse @ landmarks.by_variable, inverse @ M @ B], axis=2)
         if not self.options.landmark.anchored:
             return rows, rows, by_both
@@ -252,28 +252,32 @@ class Row:
         index, S, b = np.searchsorted(self.ids, ids), self.engine.storage, self.number
         return self._points(S.own[b, index], S.anchor[b, index], S.blocks)[0]
 
-    def _points(self, own: IntArray, anchor: IntArray, values: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def _points(
+        self, blocks: IntArray, anchor: IntArray, values: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Positions of landmarks in W, Jacobians (N, 3, 3) by the first three own errors, and what they are seen by."""
         recipe, b = self.engine.recipe, self.number
-        seen, by_own = np.zeros((len(own), recipe.seen_size)), np.zeros((len(own), recipe.seen_size, recipe.plan.size))
-        self.engine.points(np.ascontiguousarray(values[b, own, : recipe.value_size]), seen, by_own)
+        shape = len(blocks), recipe.seen_size
+        homogeneous, by_own = np.zeros(shape), np.zeros((*shape, recipe.plan.size))
+        self.engine.points(np.ascontiguousarray(values[b, blocks, : recipe.value_size]), homogeneous, by_own)
         with np.errstate(divide="ignore", invalid="ignore"):
-            positions = seen[:, :3] / seen[:, 3:4]
-            J = (by_own[:, :3, :3] - positions[:, :, None] * by_own[:, 3:4, :3]) / seen[:, 3, None, None]
+            positions = homogeneous[:, :3] / homogeneous[:, 3:4]
+            J = (by_own[:, :3, :3] - positions[:, :, None] * by_own[:, 3:4, :3]) / homogeneous[:, 3, None, None]
         positions += np.where(anchor[:, None] < 0, 0.0, values[b, anchor, :3])
-        points = self.engine.storage.kind[b, own] == POINT
-        positions[points], J[points] = values[b, own[points], :3], np.eye(3)
-        return positions, J, seen
+        points = self.engine.storage.kind[b, blocks] == POINT
+        positions[points], J[points] = values[b, blocks[points], :3], np.eye(3)
+        return positions, J, homogeneous
 
     def _place(
-        self, own: IntArray, anchor: IntArray, values: FloatArray, seen: FloatArray, positions: FloatArray
+        self, blocks: IntArray, anchor: IntArray, values: FloatArray, homogeneous: FloatArray, positions: FloatArray
     ) -> None:
-        """Put landmarks at positions in W (N, 3); what else they are `seen` by stays."""
-        b, points = self.number, self.engine.storage.kind[self.number, own] == POINT
-        seen[:, :3], seen[:, 3] = positions - np.where(anchor[:, None] < 0, 0.0, values[b, anchor, :3]), 1.0
-        started = columns_of(self.options.landmark.start_from, seen)
+        """Put landmarks at positions in W (N, 3); numbers of `homogeneous` behind the fourth stay as they are."""
+        b, points = self.number, self.engine.storage.kind[self.number, blocks] == POINT
+        homogeneous[:, :3] = positions - np.where(anchor[:, None] < 0, 0.0, values[b, anchor, :3])
+        homogeneous[:, 3] = 1.0
+        started = columns_of(self.options.landmark.start_from, homogeneous)
         started[points, :3] = positions[points]
-        values[b, own, : started.shape[1]] = started
+        values[b, blocks, : started.shape[1]] = started
 
     def remove(self, name: str) -> None:
         """Marginalise a clone or an added variable out."""
