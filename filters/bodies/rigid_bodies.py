@@ -3,7 +3,7 @@
 The landmarks of a body stay points of W, which each step moves along, so that a measurement knows nothing of bodies.
 Kept in the axes of the body instead, they would have a gauge of their own, and the filter would claim too much.
 
-Derivation: docs/derivations/moving_bodies.md.
+Derivation: docs/derivations/rigid_bodies.md.
 """
 
 from __future__ import annotations
