@@ -10,16 +10,15 @@ import numpy as np
 
 from filters.contract.inputs import StereoObservation
 from filters.contract.noise import StereoNoise
-from filters.contract.outputs import MovedLandmarks, UpdateReport, Variable, VariableSteps
+from filters.contract.outputs import UpdateReport, Variable, VariableSteps
 from filters.contract.validation import require_known
+from filters.engine.carried_landmarks import carried, landmark_positions
 from filters.engine.engine import Engine
 from filters.engine.frame_arrays import FrameOutcome, Observations, Odometry, ValuePlaces
 from filters.engine.options import Options
 from filters.engine.recipes import recipe_of
-from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray, IntArray
 from filters.geometry.camera import StereoCamera
-from filters.geometry.derivatives import columns_of
 from filters.joint_state import AddedVariable, Clone, JointState
 from filters.kernels import records as fates
 from filters.kernels.records import AXES, CLONE_POSITION, CLONE_ROTATION, OWN, PLAIN, POINT, VECTOR, FilterState
@@ -187,7 +186,7 @@ class Row:
         rows, T = variable_rows.ravel(), steps.F.reshape(-1, variable_rows.shape[1])
         columns = np.repeat(variable_rows, variable_rows.shape[1], axis=0)
         if len(moved.ids):
-            own_rows, anchored_rows, by_all = self._carried(moved)
+            own_rows, anchored_rows, by_all = carried(self.engine, self.number, self.options, moved)
             wide = np.hstack([variable_rows[steps.carriers], anchored_rows])
             more = ((0, 0), (0, anchored_rows.shape[1]))
             rows = np.concatenate([rows, own_rows.ravel()])
@@ -220,64 +219,9 @@ class Row:
             for block, numbers in zip(held, parts, strict=True):
                 S.blocks[b, block, : len(numbers)] = S.first[b, block, : len(numbers)] = numbers
 
-    def _carried(self, landmarks: MovedLandmarks) -> tuple[IntArray, IntArray, FloatArray]:
-        """Move landmarks: their rows (N, 3), rows beside those of the variable that they depend on, and T (N, 3, w).
-
-        T is by the variable, then by the other rows. With B the Jacobian of a position by a landmark's own numbers, B'
-        that after the step, M and V those of the step, the errors become B'^-1 (V x + M B y + (M - 1) a): x of the
-        variable, y its own, a of the anchor, which stays.
-        """
-        S, b, layout, size = self.engine.storage, self.number, self.options.layout, self.options.landmark.size
-        first_estimates = self.options.error.first_estimates
-        index = np.searchsorted(self.ids, landmarks.ids)
-        blocks, anchor, M = S.own[b, index], S.anchor[b, index], landmarks.by_landmark
-        positions, B, homogeneous = self._points(blocks, anchor, S.blocks)
-        if first_estimates:  # the step is affine in the position
-            first, B, first_homogeneous = self._points(blocks, anchor, S.first)
-            first_moved = landmarks.positions + rotations.turned(M, first - positions)
-            self._place(blocks, anchor, S.first, first_homogeneous, first_moved)
-        self._place(blocks, anchor, S.blocks, homogeneous, landmarks.positions)
-        if not first_estimates:
-            S.first[b, blocks] = S.blocks[b, blocks]
-        inverse = np.linalg.inv(self._points(blocks, anchor, S.first)[1])
-        rows = layout.size + size * blocks[:, None] + np.arange(3)
-        by_both = np.concatenate([inverse @ landmarks.by_variable, inverse @ M @ B], axis=2)
-        if not self.options.landmark.anchored:
-            return rows, rows, by_both
-        anchor_rows = np.where(anchor[:, None] < 0, -1, layout.size + size * anchor[:, None] + np.arange(3))
-        return rows, np.hstack([rows, anchor_rows]), np.concatenate([by_both, inverse @ (M - np.eye(3))], axis=2)
-
     def landmark_positions(self, ids: IntArray) -> FloatArray:
         """Positions of landmarks in W, (N, 3) m; of a landmark at infinity they are not finite."""
-        index, S, b = np.searchsorted(self.ids, ids), self.engine.storage, self.number
-        return self._points(S.own[b, index], S.anchor[b, index], S.blocks)[0]
-
-    def _points(
-        self, blocks: IntArray, anchor: IntArray, values: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Positions of landmarks in W, Jacobians (N, 3, 3) by the first three own errors, and what they are seen by."""
-        recipe, b = self.engine.recipe, self.number
-        shape = len(blocks), recipe.seen_size
-        homogeneous, by_own = np.zeros(shape), np.zeros((*shape, recipe.plan.size))
-        self.engine.points(np.ascontiguousarray(values[b, blocks, : recipe.value_size]), homogeneous, by_own)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            positions = homogeneous[:, :3] / homogeneous[:, 3:4]
-            J = (by_own[:, :3, :3] - positions[:, :, None] * by_own[:, 3:4, :3]) / homogeneous[:, 3, None, None]
-        positions += np.where(anchor[:, None] < 0, 0.0, values[b, anchor, :3])
-        points = self.engine.storage.kind[b, blocks] == POINT
-        positions[points], J[points] = values[b, blocks[points], :3], np.eye(3)
-        return positions, J, homogeneous
-
-    def _place(
-        self, blocks: IntArray, anchor: IntArray, values: FloatArray, homogeneous: FloatArray, positions: FloatArray
-    ) -> None:
-        """Put landmarks at positions in W (N, 3); numbers of `homogeneous` behind the fourth stay as they are."""
-        b, points = self.number, self.engine.storage.kind[self.number, blocks] == POINT
-        homogeneous[:, :3] = positions - np.where(anchor[:, None] < 0, 0.0, values[b, anchor, :3])
-        homogeneous[:, 3] = 1.0
-        started = columns_of(self.options.landmark.start_from, homogeneous)
-        started[points, :3] = positions[points]
-        values[b, blocks, : started.shape[1]] = started
+        return landmark_positions(self.engine, self.number, ids)
 
     def remove(self, name: str) -> None:
         """Marginalise a clone or an added variable out."""

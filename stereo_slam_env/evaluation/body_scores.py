@@ -22,7 +22,8 @@ from filters.geometry.poses import relative_jacobian
 from filters.motions.motion_model import POSE_SIZE
 from stereo_slam_env.evaluation.results import BodyScores, ContractBroken
 from stereo_slam_env.loop import Moment
-from stereo_slam_env.recording.recording import BodyTruth, Recording
+from stereo_slam_env.recording.body_truth import BodyTruth
+from stereo_slam_env.recording.recording import Recording
 
 SETTLED = 1.0
 """Time after birth, or after a body can first be found, from which it is scored, s; movers, after the first frame."""

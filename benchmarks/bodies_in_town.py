@@ -1,7 +1,7 @@
 """Moving bodies in the state against rejection, perfect removal, and movers taken for static, on drives through a town.
 
-    python benchmarks/moving_bodies.py                         # 20 drives at 0.5 px, at 1 px, behind buses: 15 minutes
-    python benchmarks/moving_bodies.py --only town --seeds 4   # fewer
+    python benchmarks/bodies_in_town.py                         # 20 drives at 0.5 px, at 1 px, behind buses: 15 minutes
+    python benchmarks/bodies_in_town.py --only town --seeds 4   # fewer
 
 Seeds begin at 100: association was chosen on others. `told` is the filter with the true body of each measurement.
 """
@@ -12,6 +12,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+
 import stereo_slam_env as sse
 from harness import arguments, by_seed, show
 from stereo_slam_env.recording.recording import Frame
@@ -77,6 +78,7 @@ def drive(seed: int, world: str) -> tuple[float, dict[str, dict[str, float]]]:
 
 
 def main() -> None:
+    """Run the drives of each world, and print a table and two sentences of it."""
     options = arguments(__doc__, seeds=20, only="", jobs=1)
     for world in WORLDS:
         if options.only not in world:
