@@ -163,7 +163,7 @@ class BodyScorer:
 
 
 def _since(before: Mapping[int, float], ids: IntArray, so: BoolArray, time: float) -> dict[int, float]:
-    """Time from which on each body that is there has been `so`, at least once."""
+    """Time at which each present body was first `so`; of bodies that are gone it is forgotten."""
     return {i: before.get(i, time) for i, now in zip(ids.tolist(), so.tolist(), strict=True) if now or i in before}
 
 
@@ -179,16 +179,16 @@ def _votes(belief: BodiesBelief, ids: IntArray, labels: IntArray, truth: BodyTru
 
 
 def _moved(births: list[_Birth], at_birth: IntArray, truth: BodyTruth) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """True positions (N, 3), axes (N, 3, 3) and twists (N, 6) of bodies now; NaN where the true one is not there."""
-    there = np.isin(at_birth, truth.ids)
-    i = np.searchsorted(truth.ids, at_birth[there])
+    """True positions (N, 3), axes (N, 3, 3) and twists (N, 6) of bodies now; NaN where the true one is absent."""
+    present = np.isin(at_birth, truth.ids)
+    i = np.searchsorted(truth.ids, at_birth[present])
     p, R, twists = (np.full((len(births), *shape), np.nan) for shape in ((3,), (3, 3), (6,)))
-    if there.any():
+    if present.any():
         B = rotations.matrix(truth.orientations[i])
-        lever = rotations.turned(B, np.array([birth.in_body.position for birth in births])[there])
-        p[there] = truth.positions[i] + lever
-        R[there] = B @ np.array([birth.in_body.R_wc for birth in births])[there]
-        twists[there] = np.hstack([truth.linear[i] + np.cross(truth.angular[i], lever), truth.angular[i]])
+        lever = rotations.turned(B, np.array([birth.in_body.position for birth in births])[present])
+        p[present] = truth.positions[i] + lever
+        R[present] = B @ np.array([birth.in_body.R_wc for birth in births])[present]
+        twists[present] = np.hstack([truth.linear[i] + np.cross(truth.angular[i], lever), truth.angular[i]])
     return p, R, twists
 
 
@@ -198,13 +198,13 @@ def _pose_errors(
     """Errors (N, 6) of the poses of bodies relative to the camera, and the covariances (N, 6, 6) claimed for them."""
     estimate = Pose(moment.pose.position, moment.pose.orientation)
     bodies = [Pose(belief.positions[j], belief.orientations[j]) for j in rows]
-    seen = [estimate.inverse() @ body for body in bodies]
+    relative = [estimate.inverse() @ body for body in bodies]
     names = [f"body-{number}" for number in belief.ids[rows]]
     joint = moment.slam.belief("pose", *names).covariance  # type: ignore[attr-defined]
     pose, size = np.arange(POSE_SIZE), belief.covariances.shape[1]
     index = np.array([np.append(pose, POSE_SIZE + size * n + pose) for n in range(len(rows))])
     J = np.array([relative_jacobian(estimate, body) for body in bodies])
     S = J @ joint[index[:, :, None], index[:, None, :]] @ J.transpose(0, 2, 1) + 1e-12 * np.eye(POSE_SIZE)
-    turns = np.array([pose.R_wc.T for pose in seen]) @ (camera.R_wc.T @ R)
-    shifts = camera.to_camera(p) - np.array([pose.position for pose in seen])
+    turns = np.array([pose.R_wc.T for pose in relative]) @ (camera.R_wc.T @ R)
+    shifts = camera.to_camera(p) - np.array([pose.position for pose in relative])
     return np.hstack([shifts, rotations.log(turns)]), S

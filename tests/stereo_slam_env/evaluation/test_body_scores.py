@@ -125,6 +125,42 @@ def difference_of(true, estimate):
     return np.concatenate([(true - estimate)[:3, 3], rotations.log(estimate[:3, :3].T @ true[:3, :3])])
 
 
+def test_points_and_bodies_counted_one_by_one_are_as_many(town, run):
+    first_time, sighted, findable, delays = town.frames[0].timestamp, {}, {}, {}
+    as_static = on_movers = found = to_find = 0
+    born, matched = {}, {}
+    for moment in sse.run("moving-bodies", town):
+        belief, truth, report = moment.slam.bodies, moment.frame.bodies, moment.report
+        body_of = dict(zip(moment.observation.ids.tolist(), truth.of_measurements.tolist(), strict=True))
+        on_bodies = {*np.concatenate([report.left, *belief.landmarks]).tolist()}
+        if moment.time - first_time > 0.95:
+            movers = [i for i, body in body_of.items() if body >= 0]
+            on_movers += len(movers)
+            as_static += sum(i in report.updated and i not in on_bodies for i in movers)
+        there = set()
+        for number, landmarks in zip(belief.ids.tolist(), belief.landmarks, strict=True):
+            born.setdefault(number, moment.time)
+            labels = [body_of[i] for i in landmarks.tolist() if i in body_of]
+            if labels:
+                there.add(max(set(labels), key=labels.count))
+                matched.setdefault(number, max(set(labels), key=labels.count))
+        for body, place, velocity in zip(truth.ids.tolist(), truth.positions, truth.linear, strict=True):
+            if list(body_of.values()).count(body) >= 4:
+                sighted.setdefault(body, moment.time)
+                if np.linalg.norm(velocity) > 0.7 and np.linalg.norm(place - moment.truth.position) < 40.0:
+                    since = findable.setdefault(body, moment.time)
+                    to_find += moment.time - since > 0.95
+                    found += moment.time - since > 0.95 and body in there
+    for number, body in matched.items():
+        delays.setdefault(body, born[number] - sighted[body])
+    expected = {
+        "mover_points_used_as_static_percent": 100.0 * as_static / on_movers,
+        "bodies_found_percent": 100.0 * found / to_find,
+        "body_delay_s": np.median(list(delays.values())),
+    }
+    assert {name: figures(run)[name] for name in expected} == pytest.approx(expected)
+
+
 def test_a_quarter_of_the_covariance_has_four_times_the_nees(town, run):
     claims = run_filter(town, Bold, seed=0)
     for name in ("body_pose_nees", "body_pose_nees_median", "body_twist_nees", "body_twist_nees_median"):
