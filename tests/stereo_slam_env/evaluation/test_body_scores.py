@@ -14,6 +14,7 @@ from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.evaluation.run_figures import score_of
 
 from ..benchmark.small_recordings import small_recording
+from .test_batch_run import alone, in_a_batch
 
 BODY_FIGURES = {name for name, figure in FIGURES.items() if figure.is_optional}
 TOWN = {"route": "town", "moving_cars": 30, "pedestrians": 10, "moving_landmarks": 12}
@@ -194,6 +195,37 @@ def test_bodies_that_change_places_are_swapped_and_points_that_stand_are_no_body
     assert none["static_points_on_bodies_percent"] > 1.0
     assert "body_pose_nees" not in none
     assert "bodies_found_percent" not in none
+
+
+def test_a_body_that_is_taken_away_and_comes_back_is_not_scored_from_there_on(town, run):
+    scores = run.bodies
+    scored = np.isfinite(scores.pose_nees)
+    (body, *_), late = scores.at_birth[scored & (scores.frames == 50)], scored & (scores.frames >= 40)
+    gone = [removed(frame, body) if k == 40 else frame for k, frame in enumerate(town.frames)]
+    after = run_filter(replace(town, frames=tuple(gone)), "moving-bodies").bodies
+    assert not np.isfinite(after.pose_nees[(after.at_birth == body) & (after.frames >= 40)]).any()
+    others = late & (scores.at_birth != body)
+    kept = np.isfinite(after.pose_nees) & (after.frames >= 40)
+    np.testing.assert_array_equal(after.pose_nees[kept], scores.pose_nees[others])
+
+
+def removed(frame, body):
+    truth, rest = frame.bodies, frame.bodies.ids != body
+    names = ("ids", "positions", "orientations", "linear", "angular")
+    labels = np.where(truth.of_measurements == body, -1, truth.of_measurements)
+    kinds = tuple(kind for kind, stays in zip(truth.kinds, rest, strict=True) if stays)
+    values = {name: getattr(truth, name)[rest] for name in names}
+    return replace(frame, bodies=replace(truth, **values, kinds=kinds, of_measurements=labels))
+
+
+def test_filters_in_a_batch_have_the_same_share_of_mover_points(town):
+    batch = in_a_batch([town, town], "inverse-depth")
+    single = alone([town], "inverse-depth")
+    assert figures(single[0])["mover_points_used_as_static_percent"] > 10.0
+    for run in batch:
+        assert BODY_FIGURES & figures(run).keys() == {"mover_points_used_as_static_percent"}
+        for name in ("movers_as_static", "movers_measured"):
+            np.testing.assert_array_equal(run.counts[name], single[0].counts[name])
 
 
 def test_a_recording_without_bodies_has_none_of_the_figures():
