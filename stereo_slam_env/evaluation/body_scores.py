@@ -33,7 +33,6 @@ _POINTS = ("movers_measured", "movers_as_static")
 _BODIES = ("static_measured", "static_on_bodies", "bodies_to_find", "bodies_found")
 _ROUNDING = 1e-9
 _NONE, _NO_VECTORS = np.zeros(0, np.int64), np.zeros((0, 3))
-_NO_BODIES = BodyTruth(_NONE, (), _NO_VECTORS, np.zeros((0, 4)), _NO_VECTORS, _NO_VECTORS, _NONE)
 _NO_ROWS = (*[_NONE] * 4, *[np.zeros(0)] * 4, *[_NO_VECTORS] * 2, np.zeros((0, 3, 3)), _NO_VECTORS)
 
 
@@ -50,6 +49,8 @@ class _Birth:
     """The true one that more than half of its landmarks were on, -1: none; None while none was measured."""
     in_body: Pose = field(default_factory=Pose)
     """`pose` in the axes of the true body."""
+    is_lost: bool = False
+    """Whether the true body has been taken away since: where it comes back it has not moved to."""
 
     def decide(self, true_body: int) -> int:
         """Note the true body, or -1; returns it."""
@@ -92,10 +93,11 @@ class BodyScorer:
     def add(self, k: int, report: UpdateReport, moment: Moment | None = None) -> None:
         """Score frame k by the filter after its update; without a moment, count the points alone."""
         frame, counts = self._frames[k], self._counts
-        truth, ids = frame.bodies or _NO_BODIES, frame.observation.ids
-        labels = truth.of_measurements if frame.bodies else np.full(len(ids), -1)
         belief = None if moment is None else moment.bodies
         self._with_bodies |= belief is not None
+        if (truth := frame.bodies) is None:
+            return
+        ids, labels = frame.observation.ids, truth.of_measurements
         if frame.timestamp - self._frames[0].timestamp > SETTLED - _ROUNDING:
             on_bodies = np.concatenate([report.left, *(() if belief is None else belief.landmarks)])
             used, on_body, moves = np.isin(ids, report.updated), np.isin(ids, on_bodies), labels >= 0
@@ -115,7 +117,7 @@ class BodyScorer:
             if birth.true_body is None and (i := birth.decide(int(true_bodies[j]) if clear[j] else -1)) >= 0:
                 self._delays.setdefault(i, birth.time - self._sighted.get(i, np.nan))
         if measured.any():
-            self._score(k, moment, moment.truth, belief, np.flatnonzero(measured), true_bodies[measured])
+            self._score(moment, moment.truth, truth, belief, np.flatnonzero(measured), true_bodies[measured])
 
     def _note_true(self, k: int, camera: Pose, truth: BodyTruth, labels: IntArray, matched: IntArray) -> None:
         """Note which true bodies can be found, and which of them the filter has."""
@@ -126,10 +128,8 @@ class BodyScorer:
         self._findable = _since(self._findable, truth.ids, findable, time)
         old = np.array([time - self._findable.get(i, time) > SETTLED - _ROUNDING for i in truth.ids.tolist()], bool)
         to_find = truth.ids[findable & old]
-        self._counts["bodies_to_find"][k], self._counts["bodies_found"][k] = (
-            len(to_find),
-            np.isin(to_find, matched).sum(),
-        )
+        self._counts["bodies_to_find"][k] = len(to_find)
+        self._counts["bodies_found"][k] = np.isin(to_find, matched).sum()
 
     def _note_births(self, moment: Moment, camera: Pose, belief: BodiesBelief, truth: BodyTruth) -> None:
         estimate = Pose(moment.pose.position, moment.pose.orientation)
@@ -137,12 +137,20 @@ class BodyScorer:
             if number not in self._births:
                 pose = camera @ estimate.inverse() @ Pose(belief.positions[j], belief.orientations[j])
                 self._births[number] = _Birth(moment.time, truth, pose)
+            elif self._births[number].true_body not in (None, *truth.ids.tolist()):
+                self._births[number].is_lost = True
 
     def _score(
-        self, k: int, moment: Moment, camera: Pose, belief: BodiesBelief, rows: IntArray, true_bodies: IntArray
+        self,
+        moment: Moment,
+        camera: Pose,
+        truth: BodyTruth,
+        belief: BodiesBelief,
+        rows: IntArray,
+        true_bodies: IntArray,
     ) -> None:
         """Score the bodies at `rows` of a belief."""
-        truth, births = moment.frame.bodies or _NO_BODIES, [self._births[i] for i in belief.ids[rows].tolist()]
+        births = [self._births[i] for i in belief.ids[rows].tolist()]
         at_birth = np.array([birth.true_body for birth in births], np.int64)
         ages = np.array([moment.time - birth.time for birth in births])
         p, R, twists = _moved(births, at_birth, truth)
@@ -155,16 +163,18 @@ class BodyScorer:
             e = twists[scored] - estimated_twists[scored]
             values[:2, scored] = nees(errors, S), nees(e, belief.covariances[these, 6:, 6:])
             if not np.isfinite(values[:2, scored]).all():
-                raise ContractBroken(k, "its belief of moving bodies is not finite, or has no definite covariance")
+                raise ContractBroken(
+                    moment.number, "its belief of moving bodies is not finite, or has no definite covariance"
+                )
             lengths = [np.linalg.norm(v[scored, :3], axis=1) for v in (estimated_twists, twists)]
             values[2, scored] = lengths[0] - lengths[1]
-        about = np.full(len(rows), k), belief.ids[rows], at_birth, true_bodies, ages
+        about = np.full(len(rows), moment.number), belief.ids[rows], at_birth, true_bodies, ages
         P = belief.covariances[rows, :3, :3]
         self._rows.append((*about, *values, belief.positions[rows], p, P, belief.linear[rows]))
 
 
 def _since(before: Mapping[int, float], ids: IntArray, so: BoolArray, time: float) -> dict[int, float]:
-    """Time from which on each body that is there has been `so`, at least once."""
+    """Time at which each present body was first `so`; of bodies that are gone it is forgotten."""
     return {i: before.get(i, time) for i, now in zip(ids.tolist(), so.tolist(), strict=True) if now or i in before}
 
 
@@ -180,16 +190,16 @@ def _votes(belief: BodiesBelief, ids: IntArray, labels: IntArray, truth: BodyTru
 
 
 def _moved(births: list[_Birth], at_birth: IntArray, truth: BodyTruth) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """True positions (N, 3), axes (N, 3, 3) and twists (N, 6) of bodies now; NaN where the true one is not there."""
-    there = np.isin(at_birth, truth.ids)
-    i = np.searchsorted(truth.ids, at_birth[there])
+    """True positions (N, 3), axes (N, 3, 3) and twists (N, 6) of bodies now; NaN where the true one is absent."""
+    present = np.isin(at_birth, truth.ids) & ~np.array([birth.is_lost for birth in births])
+    i = np.searchsorted(truth.ids, at_birth[present])
     p, R, twists = (np.full((len(births), *shape), np.nan) for shape in ((3,), (3, 3), (6,)))
-    if there.any():
+    if present.any():
         B = rotations.matrix(truth.orientations[i])
-        lever = rotations.turned(B, np.array([birth.in_body.position for birth in births])[there])
-        p[there] = truth.positions[i] + lever
-        R[there] = B @ np.array([birth.in_body.R_wc for birth in births])[there]
-        twists[there] = np.hstack([truth.linear[i] + np.cross(truth.angular[i], lever), truth.angular[i]])
+        lever = rotations.turned(B, np.array([birth.in_body.position for birth in births])[present])
+        p[present] = truth.positions[i] + lever
+        R[present] = B @ np.array([birth.in_body.R_wc for birth in births])[present]
+        twists[present] = np.hstack([truth.linear[i] + np.cross(truth.angular[i], lever), truth.angular[i]])
     return p, R, twists
 
 
@@ -199,13 +209,13 @@ def _pose_errors(
     """Errors (N, 6) of the poses of bodies relative to the camera, and the covariances (N, 6, 6) claimed for them."""
     estimate = Pose(moment.pose.position, moment.pose.orientation)
     bodies = [Pose(belief.positions[j], belief.orientations[j]) for j in rows]
-    seen = [estimate.inverse() @ body for body in bodies]
+    relative = [estimate.inverse() @ body for body in bodies]
     names = [f"body-{number}" for number in belief.ids[rows]]
     joint = moment.slam.belief("pose", *names).covariance  # type: ignore[attr-defined]
     pose, size = np.arange(POSE_SIZE), belief.covariances.shape[1]
     index = np.array([np.append(pose, POSE_SIZE + size * n + pose) for n in range(len(rows))])
     J = np.array([relative_jacobian(estimate, body) for body in bodies])
     S = J @ joint[index[:, :, None], index[:, None, :]] @ J.transpose(0, 2, 1) + 1e-12 * np.eye(POSE_SIZE)
-    turns = np.array([pose.R_wc.T for pose in seen]) @ (camera.R_wc.T @ R)
-    shifts = camera.to_camera(p) - np.array([pose.position for pose in seen])
+    turns = np.array([pose.R_wc.T for pose in relative]) @ (camera.R_wc.T @ R)
+    shifts = camera.to_camera(p) - np.array([pose.position for pose in relative])
     return np.hstack([shifts, rotations.log(turns)]), S

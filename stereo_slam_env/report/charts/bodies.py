@@ -36,12 +36,12 @@ def plot_body_map(run: FilterRun, bodies: BodyScores) -> Chart:
     values, vectors = np.linalg.eigh(bodies.covariances[rows][:, axes][:, :, axes])
     reach = vectors * (SIGMAS * np.sqrt(np.maximum(values, 0.0)))[:, None, :]
     for row, spread in zip(rows, reach, strict=True):
-        said = f"{name}, body {bodies.numbers[row]}, {times[bodies.frames[row]]:.1f} s"
+        label = f"{name}, body {bodies.numbers[row]}, {times[bodies.frames[row]]:.1f} s"
         place, step = bodies.positions[row][list(axes)], bodies.velocities[row][list(axes)]
         ellipse = place + np.column_stack([np.cos(_ROUND), np.sin(_ROUND)]) @ spread.T
         panel.outlines([Curve(name, ellipse[:, 0], ellipse[:, 1], colour, opacity=0.35)])
         for line in (ellipse, _arrow(place, step)):
-            panel.lines([Curve(name, line[:, 0], line[:, 1], colour, width=1.2, said=said)])
+            panel.lines([Curve(name, line[:, 0], line[:, 1], colour, width=1.2, said=label)])
     panel.dots([Curve("", path[:1, across], path[:1, up], INK, said="start of the camera")])
     return figure([panel], {name: colour})
 

@@ -14,6 +14,7 @@ from stereo_slam_env.evaluation.filter_run import run_filter
 from stereo_slam_env.evaluation.run_figures import score_of
 
 from ..benchmark.small_recordings import small_recording
+from .test_batch_run import alone, in_a_batch
 
 BODY_FIGURES = {name for name, figure in FIGURES.items() if figure.is_optional}
 TOWN = {"route": "town", "moving_cars": 30, "pedestrians": 10, "moving_landmarks": 12}
@@ -125,6 +126,42 @@ def difference_of(true, estimate):
     return np.concatenate([(true - estimate)[:3, 3], rotations.log(estimate[:3, :3].T @ true[:3, :3])])
 
 
+def test_points_and_bodies_counted_one_by_one_are_as_many(town, run):
+    first_time, sighted, findable, delays = town.frames[0].timestamp, {}, {}, {}
+    as_static = on_movers = found = to_find = 0
+    born, matched = {}, {}
+    for moment in sse.run("moving-bodies", town):
+        belief, truth, report = moment.slam.bodies, moment.frame.bodies, moment.report
+        body_of = dict(zip(moment.observation.ids.tolist(), truth.of_measurements.tolist(), strict=True))
+        on_bodies = {*np.concatenate([report.left, *belief.landmarks]).tolist()}
+        if moment.time - first_time > 0.95:
+            movers = [i for i, body in body_of.items() if body >= 0]
+            on_movers += len(movers)
+            as_static += sum(i in report.updated and i not in on_bodies for i in movers)
+        there = set()
+        for number, landmarks in zip(belief.ids.tolist(), belief.landmarks, strict=True):
+            born.setdefault(number, moment.time)
+            labels = [body_of[i] for i in landmarks.tolist() if i in body_of]
+            if labels:
+                there.add(max(set(labels), key=labels.count))
+                matched.setdefault(number, max(set(labels), key=labels.count))
+        for body, place, velocity in zip(truth.ids.tolist(), truth.positions, truth.linear, strict=True):
+            if list(body_of.values()).count(body) >= 4:
+                sighted.setdefault(body, moment.time)
+                if np.linalg.norm(velocity) > 0.7 and np.linalg.norm(place - moment.truth.position) < 40.0:
+                    since = findable.setdefault(body, moment.time)
+                    to_find += moment.time - since > 0.95
+                    found += moment.time - since > 0.95 and body in there
+    for number, body in matched.items():
+        delays.setdefault(body, born[number] - sighted[body])
+    expected = {
+        "mover_points_used_as_static_percent": 100.0 * as_static / on_movers,
+        "bodies_found_percent": 100.0 * found / to_find,
+        "body_delay_s": np.median(list(delays.values())),
+    }
+    assert {name: figures(run)[name] for name in expected} == pytest.approx(expected)
+
+
 def test_a_quarter_of_the_covariance_has_four_times_the_nees(town, run):
     claims = run_filter(town, Bold, seed=0)
     for name in ("body_pose_nees", "body_pose_nees_median", "body_twist_nees", "body_twist_nees_median"):
@@ -158,6 +195,37 @@ def test_bodies_that_change_places_are_swapped_and_points_that_stand_are_no_body
     assert none["static_points_on_bodies_percent"] > 1.0
     assert "body_pose_nees" not in none
     assert "bodies_found_percent" not in none
+
+
+def test_a_body_that_is_taken_away_and_comes_back_is_not_scored_from_there_on(town, run):
+    scores = run.bodies
+    scored = np.isfinite(scores.pose_nees)
+    (body, *_), late = scores.at_birth[scored & (scores.frames == 50)], scored & (scores.frames >= 40)
+    gone = [removed(frame, body) if k == 40 else frame for k, frame in enumerate(town.frames)]
+    after = run_filter(replace(town, frames=tuple(gone)), "moving-bodies").bodies
+    assert not np.isfinite(after.pose_nees[(after.at_birth == body) & (after.frames >= 40)]).any()
+    others = late & (scores.at_birth != body)
+    kept = np.isfinite(after.pose_nees) & (after.frames >= 40)
+    np.testing.assert_array_equal(after.pose_nees[kept], scores.pose_nees[others])
+
+
+def removed(frame, body):
+    truth, rest = frame.bodies, frame.bodies.ids != body
+    names = ("ids", "positions", "orientations", "linear", "angular")
+    labels = np.where(truth.of_measurements == body, -1, truth.of_measurements)
+    kinds = tuple(kind for kind, stays in zip(truth.kinds, rest, strict=True) if stays)
+    values = {name: getattr(truth, name)[rest] for name in names}
+    return replace(frame, bodies=replace(truth, **values, kinds=kinds, of_measurements=labels))
+
+
+def test_filters_in_a_batch_have_the_same_share_of_mover_points(town):
+    batch = in_a_batch([town, town], "inverse-depth")
+    single = alone([town], "inverse-depth")
+    assert figures(single[0])["mover_points_used_as_static_percent"] > 10.0
+    for run in batch:
+        assert BODY_FIGURES & figures(run).keys() == {"mover_points_used_as_static_percent"}
+        for name in ("movers_as_static", "movers_measured"):
+            np.testing.assert_array_equal(run.counts[name], single[0].counts[name])
 
 
 def test_a_recording_without_bodies_has_none_of_the_figures():
