@@ -22,6 +22,7 @@ from .landmark_map import LandmarkMap as LandmarkMap
 from .make_vec import Snapshot as Snapshot
 from .make_vec import restore as restore
 from .make_vec import snapshot as snapshot
+from .observe_bodies import ObserveBodies as ObserveBodies
 from .revisit import LoopClosure as LoopClosure
 from .revisit import close_if_it_pays as close_if_it_pays
 from .rewards import InformationGain as InformationGain
