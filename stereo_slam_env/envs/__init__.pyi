@@ -15,6 +15,8 @@ from .drive_gaze import StereoDriveGazeEnv as StereoDriveGazeEnv
 from .explore import Coverage as Coverage
 from .explore import explore_by_looking as explore_by_looking
 from .filter_rows import Belief as Belief
+from .follow import FollowLeader as FollowLeader
+from .follow import follow_bus as follow_bus
 from .gaze import StereoGazeEnv as StereoGazeEnv
 from .information import InformationCriterion as InformationCriterion
 from .information import log_det as log_det
