@@ -29,11 +29,14 @@ from stereo_slam_env.envs import (
     close_if_it_pays,
     explore_and_close,
     explore_by_looking,
+    follow_bus,
     follow_route,
     to_new_roads,
 )
+from stereo_slam_env.envs.observe_bodies import MASK, POSITION, VELOCITY
 from stereo_slam_env.policies.policy_rows import REFERENCE_RETURNS, Oracle, normalised_score, paired_score
 from stereo_slam_env.world.street_grid import RIGHT, STRAIGHT
+from stereo_slam_env.world.traffic import BUS_LENGTH
 
 SEED = 20_000
 """The first one; rules were tuned on seeds below 100."""
@@ -74,6 +77,19 @@ def sweep(seconds: int) -> Choice:
 def blind(turns: str) -> Choice:
     """The same turns whatever is seen: left, straight on or right."""
     return lambda _, step, __, ___: "LSR".index(turns[step % len(turns)])
+
+
+def at_speed(speed: float) -> Choice:
+    """The same speed whatever is seen; the car steers itself."""
+    return lambda seen, *_: np.clip((speed - seen["car"][:1]) / 0.3, -1.0, 1.0).astype(np.float32)
+
+
+def follow_by_truth(seen: Mapping[str, Any], *_: Any) -> Any:
+    """`follow_bus` with the true place and velocity of the bus, the first of the bodies: a bound."""
+    bus, bodies = seen["truth_bodies"][0], np.zeros((1, 11))
+    away = np.hypot(*(bus[1:4] - seen["truth_position"])[[0, 2]]) - 0.5 * BUS_LENGTH
+    bodies[0, POSITION], bodies[0, VELOCITY], bodies[0, MASK] = (0.0, 0.0, away), bus[8:11], bus[0] > 0.0
+    return follow_bus({"bodies": bodies, "car": seen["car"]})
 
 
 def oracle(*_: Any) -> Any:
@@ -134,6 +150,15 @@ ROWS: dict[str, dict[str, Choice]] = {
     },
     "Branches-easy-v0": {"explore and close": lambda seen, *_: explore_and_close(seen)},
     "Branches-hard-v0": {"explore and close": lambda seen, *_: explore_and_close(seen)},
+    "Follow-v0": {
+        "idle: brake": one(0, -1.0),
+        "random": at_random,
+        **{f"{speed} m/s": at_speed(speed) for speed in (2, 3, 4)},
+        "follow the bus": lambda seen, *_: follow_bus(seen),
+        "the same, by the truth": follow_by_truth,
+    },
+    "Follow-easy-v0": {"follow the bus": lambda seen, *_: follow_bus(seen)},
+    "Follow-hard-v0": {"follow the bus": lambda seen, *_: follow_bus(seen)},
 }
 """Agents by id, and what it is given, see `GIVEN`."""
 GIVEN: dict[str, dict[str, Any]] = {
@@ -149,7 +174,7 @@ def episodes(name: str, choose: Choice, count: int, first: int = SEED, **options
     vector = gym.make_vec(name, num_envs=count, **options)
     space, rngs = vector.single_action_space, [np.random.default_rng(first + b) for b in range(count)]
     entries = 1 if isinstance(space, gym.spaces.Discrete) else space.shape[0]
-    observation, _ = vector.reset(seed=first)
+    observation, info = vector.reset(seed=first)
     returns, best, success, steps = (np.zeros(count) for _ in range(4))
     going, step = np.ones(count, dtype=np.bool_), 0
     actions = np.zeros(vector.action_space.shape, dtype=vector.action_space.dtype)
@@ -157,7 +182,8 @@ def episodes(name: str, choose: Choice, count: int, first: int = SEED, **options
         if choose is oracle:
             actions = Oracle(vector.unwrapped.rows, depth=2).act(going)
         for b in () if choose is oracle else np.flatnonzero(going).tolist():
-            actions[b] = choose({key: values[b] for key, values in observation.items()}, step, rngs[b], entries)
+            seen = {key: values[b] for key, values in {**info, **observation}.items()}  # bounds look at the truth
+            actions[b] = choose(seen, step, rngs[b], entries)
         observation, rewards, terminated, truncated, info = vector.advance(actions, going)
         returns += np.where(going, rewards, 0.0)
         best, steps, step = np.maximum(best, returns), steps + going, step + 1

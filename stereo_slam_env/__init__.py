@@ -60,6 +60,7 @@ for _task, _module, _most, _best in (
     ("Revisit", "revisit", 100, 8.29),
     ("ClosedLoop", "closed_loop", 1200, 20.9),
     ("Branches", "branches", 1000, 31.4),
+    ("Follow", "follow", 200, 18.75),
 ):
     _register(f"StereoSlam/{_task}-v0", _module, _task, _most, _best)
     for _level in ("easy", "hard"):

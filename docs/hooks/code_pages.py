@@ -20,7 +20,7 @@ from mkdocs.structure.pages import Page
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = "code"
 """Where the pages of code are in the site."""
-ENVIRONMENTS = ("drive", "gaze", "drive_gaze", "active_gaze", "closed_loop", "branches")
+ENVIRONMENTS = ("drive", "gaze", "drive_gaze", "active_gaze", "closed_loop", "branches", "follow")
 PAGES = {f"stereo_slam_env/envs/{name}.py": f"environments/{name}.md" for name in ENVIRONMENTS}
 """Code that is shown as something else than its text."""
 LANGUAGES = {".py": "python", ".toml": "toml", ".md": "markdown", ".yml": "yaml"}

@@ -9,9 +9,9 @@ from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 
 CODE = Path(__file__).resolve().parents[2] / "stereo_slam_env" / "envs"
-MODULES = ("drive", "gaze", "drive_gaze", "active_gaze", "closed_loop", "branches")
+MODULES = ("drive", "gaze", "drive_gaze", "active_gaze", "closed_loop", "branches", "follow")
 ENVIRONMENTS = {module: f"StereoSlam/{module.title().replace('_', '')}-v0" for module in MODULES}
-"""Module -> id, of the worlds and the benchmarks."""
+"""Module -> id, of the worlds, the benchmarks and Follow-v0."""
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:

@@ -15,6 +15,8 @@ from .drive_gaze import StereoDriveGazeEnv as StereoDriveGazeEnv
 from .explore import Coverage as Coverage
 from .explore import explore_by_looking as explore_by_looking
 from .filter_rows import Belief as Belief
+from .follow import FollowLeader as FollowLeader
+from .follow import follow_bus as follow_bus
 from .gaze import StereoGazeEnv as StereoGazeEnv
 from .information import InformationCriterion as InformationCriterion
 from .information import log_det as log_det
@@ -22,6 +24,7 @@ from .landmark_map import LandmarkMap as LandmarkMap
 from .make_vec import Snapshot as Snapshot
 from .make_vec import restore as restore
 from .make_vec import snapshot as snapshot
+from .observe_bodies import ObserveBodies as ObserveBodies
 from .revisit import LoopClosure as LoopClosure
 from .revisit import close_if_it_pays as close_if_it_pays
 from .rewards import InformationGain as InformationGain

@@ -94,6 +94,8 @@ class StereoOptions:
             front_end_factory(self.front_end_name)
         if self.bus is not None:
             one_of("bus", self.bus, get_args(Bus))
+        if self.bus == "stops-and-goes" and getattr(self, "policy", "route") == "route":
+            raise ValueError("bus must not be 'stops-and-goes' where a script drives, which would run into it")
         if self.moving_landmarks and self.sensor == "images":
             raise ValueError(
                 "moving_landmarks must be 0 with sensor='images', whose front end drops what moves: use "

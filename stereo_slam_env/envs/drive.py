@@ -118,7 +118,7 @@ class StereoDriveEnv(StereoEnv, gym.Env[Observation, NDArray[np.float32]]):
     | `surroundings` | `"street"` | `"street"`; `"groves"`, `"field"`, `"corridor"`: see `stereo-slam scenes list` |
     | `moving_cars` | `0` | most cars that drive |
     | `pedestrians` | `0` | most people that walk |
-    | `bus` | `None` | in the lane ahead: `"leads"`, 13 m ahead; `"pulls-away"`, stands 25 m ahead for 0.8 s |
+    | `bus` | `None` | in the lane ahead: `"leads"`, 13 m ahead; `"pulls-away"` or `"stops-and-goes"`, see below |
     | `moving_landmarks` | `0` | landmarks on each car and bus that are tracked at a time, half as many on people |
     | `randomise` | `False` | textures, colours, light, air and cameras (exposure, noise, blur) by the seed too |
     | `visibility` | `150.0` | fog: landmarks farther than this are not measured, m (8 to 150) |
@@ -158,6 +158,9 @@ class StereoDriveEnv(StereoEnv, gym.Env[Observation, NDArray[np.float32]]):
     `route`: `"random-town"` is drawn anew for each episode (one to four turns, 60 to 370 m); where a script drives, the
     default is `"town"` (350 m, two turns). Others are `"random-loop"`, `"random-grid"`, `"loop"`,
     `"right-turn"` and `"straight"`.
+
+    `bus`: one that `"pulls-away"` stands 25 m ahead for 0.8 s, and then follows the speed of the route, as one that
+    `"leads"`. One that `"stops-and-goes"` has speeds of its own, 20 m ahead at first; the agent must drive.
 
     `rig` is a name, a `StereoCamera` or some of its numbers (`fx`, `fy`, `cx`, `cy`, `baseline`, `width`, `height`):
     `{"baseline": 0.2}` differs from the default in one, `{"name": "qvga", "baseline": 0.2}` from the rig of that name.

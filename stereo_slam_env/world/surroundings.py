@@ -112,7 +112,7 @@ def build_scene(
     rng : numpy.random.Generator
     moving_cars, pedestrians : int
         How many are to move near the nominal drive; fewer where there is no room for more.
-    bus : {"pulls-away", "leads"}, optional
+    bus : {"pulls-away", "leads", "stops-and-goes"}, optional
         A bus in the lane ahead.
     randomise : bool
         Draw textures, colours, sun, sky and haze at random too.

@@ -80,11 +80,17 @@ _IN_VIEW, _LEAST_SEEN = (80.0, float(np.cos(np.radians(40.0)))), 2.0
 _OUT_OF_SIGHT = -200.0
 """Height at which a body waits before it comes and after it has gone, m."""
 _TIGHT = 0.8
-Bus = Literal["pulls-away", "leads"]
-_BUS = Box((0.0, 0.0, 1.7), (10.0, 2.5, 3.0), 0.0, Material((0.85, 0.1, 0.1)))
+Bus = Literal["pulls-away", "leads", "stops-and-goes"]
+BUS_LENGTH = 10.0
+"""m."""
+_BUS = Box((0.0, 0.0, 1.7), (BUS_LENGTH, 2.5, 3.0), 0.0, Material((0.85, 0.1, 0.1)))
 _BUS_GAP, _BUS_STANDS, _BUS_STARTS, _BUS_PULL = 13.0, 25.0, 0.8, 1.5
 """How far ahead of the camera a bus drives and one that pulls away stands at first, m; when it starts, s; its largest
 acceleration, m/s^2."""
+_BUS_BRAKES, _BUS_SPEEDS, _BUS_HOLDS, _BUS_WAITS = 2.5, (3.0, 8.0), (2.0, 5.0), (1.0, 3.0)
+"""How hard a bus that stops and goes brakes, m/s^2; its speeds, m/s, and how long it holds one or stands, s."""
+_BUS_FREE_GAP, _ACROSS = 20.0, 2.0
+"""How far ahead of the camera it is at first, m, and its largest acceleration across the direction of travel, m/s^2."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,14 +116,16 @@ def traffic(
 
     Cars drive ahead in the same lane with a changing gap, or come along the other lane; some of these stop for a
     while. Pedestrians walk along the road, `walkway` m from its centreline and clear of the `solids`, or cross it
-    ahead of the ego car. A bus in the lane ahead, the first of the bodies, leads all the time, or stands there and
-    pulls away. Bodies without room are left out, which is logged. The first bodies stay the same when more
-    are asked for.
+    ahead of the ego car. A bus in the lane ahead, the first of the bodies, leads all the time, stands there and pulls
+    away, or stops and goes: the nominal drive would run into that one. Bodies without room are left out, which is
+    logged. The first bodies stay the same when more are asked for.
     """
     car_rng, walker_rng = rng.spawn(2)
     cast = _Cast(route)
     if bus is not None:
-        cast.add("bus", (_BUS,), 0.5 * _BUS.size[0], 0.5 * _BUS.size[1] + 0.1, partial(cast.bus, bus))
+        free = bus == "stops-and-goes"
+        draw = partial(cast.stopping_bus, rng.spawn(1)[0]) if free else partial(cast.bus, bus)
+        cast.add("bus", (_BUS,), 0.5 * _BUS.size[0], 0.5 * _BUS.size[1] + 0.1, draw, by_ego=not free)
     for own_rng in car_rng.spawn(cars):
         parts = props.vehicle(own_rng)
         long = props.length_of(parts)
@@ -152,8 +160,13 @@ class _Cast:
         radius: float,
         draw: Callable[[], _Way],
         obstacles: GroundOutlines | None = None,
+        *,
+        by_ego: bool = True,
     ) -> None:
-        """Take the first of the drawn ways that is free for circles of `radius` along the body."""
+        """Take the first of the drawn ways that is free for circles of `radius` along the body.
+
+        Unless `by_ego`, the ego car does not drive nominally, so it need not be kept clear of, or near.
+        """
         count = max(1, int(np.ceil(half_length)))
         centers = np.linspace(-1.0, 1.0, count) * max(half_length - 0.8, 0.0) if count > 1 else np.zeros(1)
         for _ in range(_ATTEMPTS):
@@ -164,11 +177,14 @@ class _Cast:
                 continue
             ahead = way.stations - self._ego
             here = (way.stations > 3.0) & (way.stations < self._road.length - 3.0)
-            here &= (ahead > -_BEHIND) & (ahead < _AHEAD)
+            here &= ((ahead > -_BEHIND) & (ahead < _AHEAD)) | (not by_ego)
             if self._seen(points, here) < _LEAST_SEEN:
                 continue
             circles = _circles(np.where(here[:, None], points, np.nan), yaws, centers)
-            if any(_touch(circles[here], bodies[here], radius + reach + _ROOM) for bodies, reach in self._taken):
+            if any(
+                _touch(circles[here], bodies[here], radius + reach + _ROOM)
+                for bodies, reach in self._taken[not by_ego :]
+            ):
                 continue
             self._taken.append((circles, radius))
             positions = np.column_stack([points, np.where(here, 0.0, _OUT_OF_SIGHT)])
@@ -198,6 +214,22 @@ class _Cast:
                 speed = max(speed + float(np.clip(target - speed, -limit, limit)), 0.0)
             station += speed * FRAME_PERIOD
             stations.append(station)
+        return _Way(np.array(stations), np.full(len(stations), -LANE_OFFSET), np.zeros(len(stations)))
+
+    def stopping_bus(self, rng: np.random.Generator) -> _Way:
+        """Ahead in the lane of the ego car, at speeds that are drawn: it holds one for a while, then often stands."""
+        targets: list[float] = []
+        while len(targets) < len(self._times):
+            stands = bool(targets) and targets[-1] > 0.0 and rng.random() < 0.5
+            speed, held = (0.0, _BUS_WAITS) if stands else (float(rng.uniform(*_BUS_SPEEDS)), _BUS_HOLDS)
+            targets += [speed] * int(rng.uniform(*held) / FRAME_PERIOD)
+        station, speed, stations = self._ego[0] + _BUS_FREE_GAP, targets[0], []
+        for target in targets[: len(self._times)]:
+            stations.append(station)
+            bend = np.abs(np.interp(station + np.arange(0.0, 12.0, 3.0), self._road.stations, self._road.bends)).max()
+            change = min(target, float(np.sqrt(_ACROSS / max(bend, 1e-6)))) - speed
+            speed += float(np.clip(change, -_BUS_BRAKES * FRAME_PERIOD, _BUS_PULL * FRAME_PERIOD))
+            station += speed * FRAME_PERIOD
         return _Way(np.array(stations), np.full(len(stations), -LANE_OFFSET), np.zeros(len(stations)))
 
     def leading(self, length: float, rng: np.random.Generator) -> _Way:

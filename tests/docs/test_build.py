@@ -15,7 +15,7 @@ pytestmark = pytest.mark.slow
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-ENVIRONMENTS = ("drive", "gaze", "drive_gaze", "active_gaze", "closed_loop", "branches")
+ENVIRONMENTS = ("drive", "gaze", "drive_gaze", "active_gaze", "closed_loop", "branches", "follow")
 
 pytest.importorskip("mkdocs", reason="needs the extra docs")
 pytest.importorskip("material", reason="needs the extra docs")

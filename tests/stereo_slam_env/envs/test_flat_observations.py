@@ -7,7 +7,7 @@ import pytest
 import stereo_slam_env  # noqa: F401 (registers the ids)
 from stereo_slam_env.envs import SelectedKeys
 
-TASKS = [f"StereoSlam/{name}-v0" for name in ("ActiveGaze", "Explore", "Revisit", "ClosedLoop", "Branches")]
+TASKS = [f"StereoSlam/{name}-v0" for name in ("ActiveGaze", "Explore", "Revisit", "ClosedLoop", "Branches", "Follow")]
 
 
 @pytest.mark.parametrize("name", TASKS)

@@ -109,7 +109,9 @@ def test_episodes_go_on_to_their_ends():
 @pytest.mark.parametrize("name", IDS)
 def test_many_episodes_give_the_same_bits(name):
     """To their ends and beyond, or, of long tasks, half a minute of the drive."""
-    steps = {"Revisit": 12, "Branches": 4, "Explore": 45, "ClosedLoop": 60, "ActiveGaze": 17}.get(kind_of(name), 85)
+    steps = {"Revisit": 12, "Branches": 4, "Explore": 45, "ClosedLoop": 60, "Follow": 30, "ActiveGaze": 17}.get(
+        kind_of(name), 85
+    )
     compare(name, range(100, 116), steps, **SMALL.get(kind_of(name), {}))
 
 

@@ -14,7 +14,7 @@ import stereo_slam_env  # noqa: F401 (registers the ids)
 IDS = ["StereoSlam/Drive-v0", "StereoSlam/DriveGaze-v0", "StereoSlam/Gaze-v0"]
 TASKS = [
     f"StereoSlam/{task}{level}-v0"
-    for task in ("ActiveGaze", "Explore", "Revisit", "ClosedLoop", "Branches")
+    for task in ("ActiveGaze", "Explore", "Revisit", "ClosedLoop", "Branches", "Follow")
     for level in ("", "-easy", "-hard")
 ]
 """Made of these environments and of wrappers, by a function whose docstring is the page."""

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import stereo_slam_env  # noqa: F401 (registers the ids)
-from stereo_slam_env.envs import branches, closed_loop, explore, revisit
+from stereo_slam_env.envs import branches, closed_loop, explore, follow, revisit
 from stereo_slam_env.world import named_route
 
 from .replayed import assert_the_second_rests
@@ -18,6 +18,7 @@ DEFAULTS = {
     explore.Coverage: {"accuracy": 0.8, "goal": 0.5, "coverage_weight": 20.0, "path_weight": 0.01},
     revisit.LoopClosure: {"begin": (0.5, 0.95), "dearest": 0.4, "hold": 10},
     closed_loop.RouteByEstimate: {"latency": 0},
+    follow.FollowLeader: {"headway": 1.5, "standstill": 4.0, "gap_weight": 1.0},
 }
 BOUNDS = {
     "StereoSlam/Branches-v0": {
@@ -30,6 +31,7 @@ BOUNDS = {
     "StereoSlam/Revisit-v0": {"ahead": (-1000.0, [1000.0]), "panorama": (-1.0, np.full((12, 6), 2.0))},
     "StereoSlam/ActiveGaze-v0": {"panorama": (-1.0, np.full((12, 6), 2.0)), "belief_sigmas": (0.0, [1000.0] * 6)},
     "StereoSlam/ClosedLoop-v0": {"progress": (0.0, [1.0]), "belief_sigmas": (0.0, [1000.0] * 6)},
+    "StereoSlam/Follow-v0": {"car": (np.float32([-12.0, -0.55]), [12.0, 0.55])},
 }
 ACTIONS = {
     "StereoSlam/Branches-v0": gym.spaces.Discrete(3),
@@ -37,6 +39,7 @@ ACTIONS = {
     "StereoSlam/ActiveGaze-v0": gym.spaces.Discrete(9),
     "StereoSlam/Explore-v0": gym.spaces.Box(-1.0, 1.0, (5,), np.float32),
     "StereoSlam/ClosedLoop-v0": gym.spaces.Box(-1.0, 1.0, (2,), np.float32),
+    "StereoSlam/Follow-v0": gym.spaces.Box(-1.0, 1.0, (1,), np.float32),
 }
 
 

@@ -16,6 +16,7 @@ QUICK = {
     "StereoSlam/Revisit-v0": {"begin": (0.05, 0.1)},
     "StereoSlam/Branches-v0": {"roads": 2},
     "StereoSlam/ClosedLoop-v0": {"arguments": {"route": "right-turn", "rig": "qvga"}},
+    "StereoSlam/Follow-v0": {"arguments": {"rig": "qvga", "max_landmarks": 30, "moving_landmarks": 20}},
 }
 LEVELS = [name.replace("-v0", f"-{level}-v0") for name in QUICK for level in ("easy", "hard")]
 

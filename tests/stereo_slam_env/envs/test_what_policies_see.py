@@ -9,7 +9,7 @@ import pytest
 from gymnasium.wrappers.common import PassiveEnvChecker
 
 import stereo_slam_env  # noqa: F401 (registers the ids)
-from stereo_slam_env.envs import follow_route
+from stereo_slam_env.envs import follow_bus, follow_route
 from stereo_slam_env.envs.core_rows import CoreRows
 from stereo_slam_env.policies import normalised_score
 from stereo_slam_env.policies.policy_rows import REFERENCE_RETURNS
@@ -28,6 +28,8 @@ def driven(name, steps=4, **arguments):
     for step in range(steps):
         if isinstance(env.action_space, gym.spaces.Discrete):
             action = 1 if name == "StereoSlam/Revisit-v0" else step % 2
+        elif name == "StereoSlam/Follow-v0":
+            action = follow_bus(observation)
         else:
             action = follow_route(observation, env.action_space.shape[0], speed=5.0)
         observation, _, terminated, _, info = env.step(action)

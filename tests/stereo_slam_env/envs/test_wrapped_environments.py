@@ -13,7 +13,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers import FlattenObservation
 
 import stereo_slam_env  # noqa: F401  (registers the environments)
-from stereo_slam_env.envs import BeliefObservation, BeliefPanorama, InformationGain, TrueError
+from stereo_slam_env.envs import BeliefObservation, BeliefPanorama, InformationGain, ObserveBodies, TrueError
 
 from .replayed import ReplayEnv
 
@@ -25,6 +25,7 @@ PARTS = {
     "panorama": [BELIEF, BeliefPanorama],
     "gain": [BELIEF, partial(InformationGain, nees_gate=0.95, report_both=True)],
     "error": [BELIEF, partial(TrueError, keep_reward=True)],
+    "bodies": [partial(BELIEF, filter="moving-bodies"), ObserveBodies],
     "reference": [partial(InformationGain, belief="reference", criterion="a-optimality", keep_reward=True)],
     "flat": [FlattenObservation],
     "everything": [BELIEF, BeliefPanorama, InformationGain, FlattenObservation],
@@ -125,7 +126,7 @@ def test_any_autoreset_mode_starts_the_belief_afresh(mode):
         vector.close()
 
 
-@pytest.mark.parametrize("name", ["flat", "everything", "belief", "panorama"])
+@pytest.mark.parametrize("name", ["flat", "everything", "belief", "panorama", "bodies"])
 def test_stable_baselines3_accepts_it(name):
     """It takes a Box of three dimensions for an image that is none, says so, and goes on."""
     checker = pytest.importorskip("stable_baselines3.common.env_checker")
@@ -135,5 +136,5 @@ def test_stable_baselines3_accepts_it(name):
         checker.check_env(env)
     told = [str(warning.message) for warning in caught if "stable_baselines3" in warning.filename]
     assert all("unconventional shape" in text or "image" in text for text in told), told
-    assert not told or name in ("belief", "panorama")
+    assert not told or name in ("belief", "panorama", "bodies")
     env.close()

@@ -13,6 +13,7 @@ from stereo_slam_env.envs import (
     DirectionOfGaze,
     InformationCriterion,
     InformationGain,
+    ObserveBodies,
     TrueError,
 )
 
@@ -31,6 +32,7 @@ DEFAULTS = {
         **{"nees_gate": None, "weight": 1.0, "keep_reward": False, "max_age": 0, "use_odometry": True},
         "report_both": False,
     },
+    ObserveBodies: {"most": 8},
     TrueError: {"weight": 1.0, "keep_reward": False},
 }
 LARGEST_ID = np.iinfo(np.int32).max
@@ -45,6 +47,9 @@ def test_defaults_are_those_of_the_manual(wrapper):
 def test_bounds_are_those_of_the_manual():
     believed = BeliefObservation(ReplayEnv(), max_landmarks=5)
     around = BeliefPanorama(believed, sectors=7)
+    rows = ObserveBodies(BeliefObservation(ReplayEnv(), filter="moving-bodies"), most=2).observation_space["bodies"]
+    high = np.array([*[1e3] * 3, *[100.0] * 3, 10.0, 1e3, 100.0, 10.0, 1.0], np.float32)
+    assert rows == gym.spaces.Box(np.tile(np.append(-high[:7], np.zeros(4, np.float32)), (2, 1)), np.tile(high, (2, 1)))
     bounds = {
         "belief_position": (-1e4, 1e4, (3,)),
         "belief_orientation": (-1.0, 1.0, (4,)),

@@ -177,7 +177,7 @@ def test_a_bus_is_on_the_lane_ahead_and_hides_what_is_behind_it(bus):
     assert far[0].sum() == 0 < far[1].sum()
 
 
-@pytest.mark.parametrize("task", ["ActiveGaze", "Branches", "ClosedLoop", "Explore", "Revisit"])
+@pytest.mark.parametrize("task", ["ActiveGaze", "Branches", "ClosedLoop", "Explore", "Follow", "Revisit"])
 def test_tasks_take_them(task):
     arguments = {"moving_cars": 3, "moving_landmarks": 6, "bus": "leads"}
     with gym.make(f"StereoSlam/{task}-v0", arguments=arguments, disable_env_checker=True) as env:
