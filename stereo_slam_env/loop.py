@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from filters import (
+    BodiesBelief,
     LandmarkBelief,
     Pose,
     PoseBelief,
@@ -79,6 +80,12 @@ class Moment:
         return self.slam.landmarks
 
     @cached_property
+    def bodies(self) -> BodiesBelief | None:
+        """Belief of the moving bodies in the state; None where the filter has none by its options."""
+        options = getattr(self.slam, "options", None)
+        return getattr(self.slam, "bodies", None) if getattr(options, "bodies", True) is not None else None
+
+    @cached_property
     def pose_error(self) -> tuple[FloatArray, FloatArray] | None:
         """Error (6,) in the filter's own definition and its claimed covariance (6, 6); None without truth.
 
@@ -115,7 +122,7 @@ class Moment:
 
     def hold(self) -> Moment:
         """Read all beliefs now, so that they stay when the filter goes on; returns itself."""
-        _ = self.pose, self.landmarks, self.pose_error
+        _ = self.pose, self.landmarks, self.bodies, self.pose_error
         return self
 
     @property

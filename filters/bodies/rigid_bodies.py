@@ -3,7 +3,7 @@
 The landmarks of a body stay points of W, which each step moves along, so that a measurement knows nothing of bodies.
 Kept in the axes of the body instead, they would have a gauge of their own, and the filter would claim too much.
 
-Derivation: docs/derivations/moving_bodies.md.
+Derivation: docs/derivations/rigid_bodies.md.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ class RigidBodies:
                 raise ValueError(f"{name} must be an integer >= {least}, got {value!r}")
 
     @classmethod
-    def of(cls, given: RigidBodies | Mapping[str, Any] | bool | None) -> RigidBodies | None:
+    def of(cls, option: RigidBodies | Mapping[str, Any] | bool | None) -> RigidBodies | None:
         """The bodies of an option: None or False for none, True for the defaults, or a table of settings.
 
         Raises
@@ -86,19 +86,19 @@ class RigidBodies:
         ValueError
             It is something else, or names a setting that does not exist.
         """
-        if given is None or given is False:
+        if option is None or option is False:
             return None
-        if given is True:
+        if option is True:
             return cls()
-        if isinstance(given, cls):
-            return given
-        if not isinstance(given, Mapping):
-            raise ValueError(f"bodies must be RigidBodies, a table of its settings or None, got {given!r}")
+        if isinstance(option, cls):
+            return option
+        if not isinstance(option, Mapping):
+            raise ValueError(f"bodies must be RigidBodies, a table of its settings or None, got {option!r}")
         names = [one.name for one in fields(cls)]
-        for name in given:
+        for name in option:
             if name not in names:
                 raise ValueError(f"bodies has no setting {name!r}{did_you_mean(str(name), names)}: {', '.join(names)}")
-        return cls(**given)
+        return cls(**option)
 
     def noise(self, dt: float, turning: bool) -> FloatArray:
         """Covariance (12, 12) of the impulses that begin a step of `dt` seconds."""

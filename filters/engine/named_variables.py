@@ -219,9 +219,9 @@ class VariableFilter(StereoFilter):
         """
         names = (name,) if isinstance(name, str) else tuple(name)
         require_known("there is no added variable", names, self._row.held)
-        known = self._row.held_values()
+        values = self._row.held_values()
         size = sum(len(rows) for rows in self._row.rows_of(names))
-        numbers = finite_array("value", value, (sum(len(known[one]) for one in names),))
+        numbers = finite_array("value", value, (sum(len(values[one]) for one in names),))
         moved = MovedLandmarks.none(size) if landmarks is None else landmarks
         finite_array("landmarks.by_variable", moved.by_variable, (len(moved.ids), 3, size))
         unknown = moved.ids[~np.isin(moved.ids, self.ids)]

@@ -133,8 +133,8 @@ def _is_rectified(measurement: MeasurementModel) -> bool:
     """Whether (u, v, d) means what it does to a rectified pair: bodies are told apart by such numbers."""
     rig, uvd = Rig(500.0, 500.0, 320.0, 240.0, 0.2), (330.0, 250.0, 25.0)
     named = measurement.named({**{x.name: x.value for x in measurement.variables}, VELOCITY: np.zeros(6)})
-    seen = np.array(measurement.unproject(rig, uvd, *named)[:4], dtype=np.float64)
-    return bool(np.allclose(seen / seen[2], [0.02, 0.02, 1.0, 0.25]))
+    point = np.array(measurement.unproject(rig, uvd, *named)[:4], dtype=np.float64)
+    return bool(np.allclose(point / point[2], [0.02, 0.02, 1.0, 0.25]))
 
 
 def _check_landmark(landmark: LandmarkModel) -> None:

@@ -10,16 +10,15 @@ import numpy as np
 
 from filters.contract.inputs import StereoObservation
 from filters.contract.noise import StereoNoise
-from filters.contract.outputs import MovedLandmarks, UpdateReport, Variable, VariableSteps
+from filters.contract.outputs import UpdateReport, Variable, VariableSteps
 from filters.contract.validation import require_known
+from filters.engine.carried_landmarks import carried, landmark_positions
 from filters.engine.engine import Engine
 from filters.engine.frame_arrays import FrameOutcome, Observations, Odometry, ValuePlaces
 from filters.engine.options import Options
 from filters.engine.recipes import recipe_of
-from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray, IntArray
 from filters.geometry.camera import StereoCamera
-from filters.geometry.derivatives import columns_of
 from filters.joint_state import AddedVariable, Clone, JointState
 from filters.kernels import records as fates
 from filters.kernels.records import AXES, CLONE_POSITION, CLONE_ROTATION, OWN, PLAIN, POINT, VECTOR, FilterState
@@ -187,9 +186,9 @@ class Row:
         rows, T = variable_rows.ravel(), steps.F.reshape(-1, variable_rows.shape[1])
         columns = np.repeat(variable_rows, variable_rows.shape[1], axis=0)
         if len(moved.ids):
-            own_rows, others, by_all = self._carried(moved)
-            wide = np.hstack([variable_rows[steps.carriers], others])
-            more = ((0, 0), (0, others.shape[1]))
+            own_rows, anchored_rows, by_all = carried(self.engine, self.number, self.options, moved)
+            wide = np.hstack([variable_rows[steps.carriers], anchored_rows])
+            more = ((0, 0), (0, anchored_rows.shape[1]))
             rows = np.concatenate([rows, own_rows.ravel()])
             columns = np.concatenate([np.pad(columns, more, constant_values=-1), np.repeat(wide, 3, axis=0)])
             T = np.concatenate([np.pad(T, more), by_all.reshape(-1, by_all.shape[2])])
@@ -220,60 +219,9 @@ class Row:
             for block, numbers in zip(held, parts, strict=True):
                 S.blocks[b, block, : len(numbers)] = S.first[b, block, : len(numbers)] = numbers
 
-    def _carried(self, landmarks: MovedLandmarks) -> tuple[IntArray, IntArray, FloatArray]:
-        """Move landmarks: their rows (N, 3), rows beside those of the variable that they depend on, and T (N, 3, w).
-
-        T is by the variable, then by the other rows. With B the Jacobian of a position by a landmark's own numbers, B'
-        that after the step, M and V those of the step, the errors become B'^-1 (V x + M B y + (M - 1) a): x of the
-        variable, y its own, a of the anchor, which stays.
-        """
-        S, b, layout, size = self.engine.storage, self.number, self.options.layout, self.options.landmark.size
-        first_estimates = self.options.error.first_estimates
-        index = np.searchsorted(self.ids, landmarks.ids)
-        own, anchor, M = S.own[b, index], S.anchor[b, index], landmarks.by_landmark
-        positions, B, seen = self._points(own, anchor, S.blocks)
-        if first_estimates:  # the step is affine in the position
-            first, B, seen_first = self._points(own, anchor, S.first)
-            first_moved = landmarks.positions + rotations.turned(M, first - positions)
-            self._place(own, anchor, S.first, seen_first, first_moved)
-        self._place(own, anchor, S.blocks, seen, landmarks.positions)
-        if not first_estimates:
-            S.first[b, own] = S.blocks[b, own]
-        inverse = np.linalg.inv(self._points(own, anchor, S.first)[1])
-        rows = layout.size + size * own[:, None] + np.arange(3)
-        by_both = np.concatenate([inverse @ landmarks.by_variable, inverse @ M @ B], axis=2)
-        if not self.options.landmark.anchored:
-            return rows, rows, by_both
-        anchor_rows = np.where(anchor[:, None] < 0, -1, layout.size + size * anchor[:, None] + np.arange(3))
-        return rows, np.hstack([rows, anchor_rows]), np.concatenate([by_both, inverse @ (M - np.eye(3))], axis=2)
-
     def landmark_positions(self, ids: IntArray) -> FloatArray:
         """Positions of landmarks in W, (N, 3) m; of a landmark at infinity they are not finite."""
-        index, S, b = np.searchsorted(self.ids, ids), self.engine.storage, self.number
-        return self._points(S.own[b, index], S.anchor[b, index], S.blocks)[0]
-
-    def _points(self, own: IntArray, anchor: IntArray, values: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Positions of landmarks in W, Jacobians (N, 3, 3) by the first three own errors, and what they are seen by."""
-        recipe, b = self.engine.recipe, self.number
-        seen, by_own = np.zeros((len(own), recipe.seen_size)), np.zeros((len(own), recipe.seen_size, recipe.plan.size))
-        self.engine.points(np.ascontiguousarray(values[b, own, : recipe.value_size]), seen, by_own)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            positions = seen[:, :3] / seen[:, 3:4]
-            J = (by_own[:, :3, :3] - positions[:, :, None] * by_own[:, 3:4, :3]) / seen[:, 3, None, None]
-        positions += np.where(anchor[:, None] < 0, 0.0, values[b, anchor, :3])
-        points = self.engine.storage.kind[b, own] == POINT
-        positions[points], J[points] = values[b, own[points], :3], np.eye(3)
-        return positions, J, seen
-
-    def _place(
-        self, own: IntArray, anchor: IntArray, values: FloatArray, seen: FloatArray, positions: FloatArray
-    ) -> None:
-        """Put landmarks at positions in W (N, 3); what else they are `seen` by stays."""
-        b, points = self.number, self.engine.storage.kind[self.number, own] == POINT
-        seen[:, :3], seen[:, 3] = positions - np.where(anchor[:, None] < 0, 0.0, values[b, anchor, :3]), 1.0
-        started = columns_of(self.options.landmark.start_from, seen)
-        started[points, :3] = positions[points]
-        values[b, own, : started.shape[1]] = started
+        return landmark_positions(self.engine, self.number, ids)
 
     def remove(self, name: str) -> None:
         """Marginalise a clone or an added variable out."""

@@ -26,13 +26,8 @@ from stereo_slam_env.sensing.corruptions import NOISE_MODELS
 from stereo_slam_env.sensing.imu import Imu
 from stereo_slam_env.sensing.padding import NO_LANDMARK, padded_extras
 from stereo_slam_env.simulator.motion import LOOK_AHEAD
-from stereo_slam_env.simulator.scene_arrays import (
-    MAX_VELOCITY,
-    SceneArrays,
-    bodies_now,
-    bodies_of_measurements,
-    scene_arrays,
-)
+from stereo_slam_env.simulator.moving_truth import bodies_now, bodies_of_measurements
+from stereo_slam_env.simulator.scene_arrays import MAX_VELOCITY, SceneArrays, scene_arrays
 from stereo_slam_env.simulator.simulator import Simulator
 from stereo_slam_env.simulator.state import ARENA, RIDE_STEPS, WEIGHTS, make_rules
 from stereo_slam_env.world.routes import FRAME_PERIOD, RANDOM_ROUTES, Route, named_route

@@ -114,6 +114,7 @@ def _step(batch: FilterBatch, rows: Sequence[_BatchRow], k: int, *, use_odometry
         except ContractBroken:
             row.failure = log.fault()
             continue
+        log.note_bodies(k, reports[b])
         if frame.truth is not None:
             error, claimed = batch[b].pose_error(frame.truth.position, frame.truth.orientation)
             counts = reference.counts_as_truth and bool(reference.has_settled(frame.timestamp))

@@ -23,7 +23,7 @@ from stereo_slam_env.evaluation.trial import Sample, Trial
 from stereo_slam_env.evaluation.windows import WINDOWS, series_of
 
 Value: TypeAlias = float | int | str | None
-Group = Literal["trial", "accuracy", "claim", "consistency", "cost", "events"]
+Group = Literal["trial", "accuracy", "claim", "consistency", "bodies", "cost", "events"]
 Place = Literal["brief", "console", "report"]
 Kind = Literal["real", "integer", "text"]
 
@@ -67,6 +67,11 @@ class Figure:
     compared: bool = False  # whether comparisons of filters are about it
     # Where it is shown: also where there is little room ("brief"), on the console, in the tables of a report.
     places: tuple[Place, ...] = ("console", "report")
+
+    @property
+    def is_optional(self) -> bool:
+        """Whether it is left out where it is not known, as if it did not exist: figures of moving bodies."""
+        return self.group == "bodies"
 
     @property
     def label(self) -> str:
@@ -136,9 +141,11 @@ def readable(value: float | None, form: str = ".3g") -> str:
 def trial_figures(trial: Trial) -> dict[str, Value]:
     """The row of one run in the trial table: its figures, in the order of `FIGURES`.
 
-    What does not apply is None; of a run that failed, that is all but its events and alarms.
+    What does not apply is None, or left out if it is optional; of a run that failed, that is all but its events and
+    alarms.
     """
-    return {figure.name: _value(figure, trial) for figure in trial_columns()}
+    values = {figure: _value(figure, trial) for figure in trial_columns()}
+    return {figure.name: value for figure, value in values.items() if value is not None or not figure.is_optional}
 
 
 def trial_columns() -> list[Figure]:
@@ -279,6 +286,28 @@ def _count(series: str) -> Callable[[Trial], int | None]:
     return lambda trial: int(trial.run.counts[series].sum()) if series in trial.run.counts else None
 
 
+def _of_bodies(series: str, combine: Callable[[FloatArray], float]) -> Callable[[Trial], float | None]:
+    """Combination of a series over the bodies and frames of a run; None without any."""
+
+    def of(trial: Trial) -> float | None:
+        values = np.zeros(0) if trial.run.bodies is None else getattr(trial.run.bodies, series)
+        values = values[np.isfinite(values)]
+        return float(combine(values)) if len(values) else None
+
+    return of
+
+
+def _share(part: str, whole: str) -> Callable[[Trial], float | None]:
+    """Share of one count in another, over all frames, in %; None where there is nothing to count."""
+
+    def of(trial: Trial) -> float | None:
+        counts = trial.run.counts
+        all_counted = int(counts[whole].sum()) if whole in counts else 0
+        return 100.0 * int(counts[part].sum()) / all_counted if all_counted else None
+
+    return of
+
+
 def _of_windows(seconds: float) -> tuple[Figure, Figure]:
     """NEES of windows of a length, and the floor of that."""
     series = series_of(seconds)
@@ -405,6 +434,43 @@ _TABLE = (
            lambda t: nis_per_dof([t.run]), _consistency("nis"), digits=2, ideal=1.0, compared=True),
     Figure("nis_dof", "degrees of freedom", "", "consistency", "degrees of freedom of all innovations together",
            lambda t: int(t.run.nis_dof.sum()), kind="integer", places=()),
+
+    Figure("body_pose_nees", "body pose NEES", "", "bodies",
+           "mean NEES of the motion of moving bodies since birth, as seen from the camera, from 1 s after birth; 6 is "
+           "ideal, and a few bodies that change to another true one rule it",
+           _of_bodies("pose_nees", mean), MEAN, digits=2, ideal=DOF["pose"]),
+    Figure("body_pose_nees_median", "body pose NEES, median", "", "bodies",
+           "median of the same; of a consistent filter 5.35",
+           _of_bodies("pose_nees", median), MEDIAN, digits=2, ideal=DOF["pose"]),
+    Figure("body_twist_nees", "body twist NEES", "", "bodies",
+           "mean NEES of velocity and angular velocity of moving bodies; 6 is ideal",
+           _of_bodies("twist_nees", mean), MEAN, digits=2, ideal=DOF["pose"], places=_REPORT),
+    Figure("body_twist_nees_median", "body twist NEES, median", "", "bodies", "median of the same",
+           _of_bodies("twist_nees", median), MEDIAN, digits=2, ideal=DOF["pose"], places=_REPORT),
+    Figure("body_speed_rmse_m_s", "body speed error", "m/s", "bodies",
+           "root mean square error of the speed of moving bodies",
+           _of_bodies("speed_errors", root_mean_square), ROOT_MEAN_SQUARE, digits=2),
+    Figure("body_speed_error_median_m_s", "body speed error, median", "m/s", "bodies", "median size of the same",
+           _of_bodies("speed_errors", lambda errors: median(np.abs(errors))), MEDIAN, digits=2),
+    Figure("bodies_found_percent", "bodies found", "%", "bodies",
+           "true bodies x frames that a body of the filter is, of those with 4 measured points or more, faster than "
+           "0.7 m/s and nearer than 40 m, from 1 s after they first were so",
+           _share("bodies_found", "bodies_to_find"), MEAN, digits=0, larger_is_better=True),
+    Figure("bodies_false", "false bodies", "", "bodies",
+           "bodies not more than half of whose landmarks were on one true moving body at birth",
+           lambda t: None if t.run.bodies is None else t.run.bodies.false_births, SUM, **_COUNT),
+    Figure("body_swapped_percent", "bodies false or swapped", "%", "bodies",
+           "bodies x frames, from 1 s after birth, that are on another true body than at birth, or were false then",
+           _of_bodies("swapped", lambda swapped: 100.0 * mean(swapped)), MEAN, digits=1),
+    Figure("body_delay_s", "delay of birth", "s", "bodies",
+           "median time from the first frame with 4 measured points on a true body to the birth of one for it",
+           _of_bodies("delays", median), MEDIAN, digits=2, places=_REPORT),
+    Figure("mover_points_used_as_static_percent", "mover points used as static", "%", "bodies",
+           "measured points on movers that corrected the camera as landmarks of the scene, from 1 s on; of any filter",
+           _share("movers_as_static", "movers_measured"), MEAN, digits=1),
+    Figure("static_points_on_bodies_percent", "static points on bodies", "%", "bodies",
+           "measured points of the scene that corrected the state as landmarks on a body, from 1 s on",
+           _share("static_on_bodies", "static_measured"), MEAN, digits=2, places=_REPORT),
 
     Figure("ms_per_frame", "time", "ms", "cost", "median over frames of predict + update, the first frame left out",
            *_median("milliseconds"), digits=2, compared=True, places=_BRIEF),

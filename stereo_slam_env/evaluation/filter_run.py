@@ -16,6 +16,7 @@ from filters.contract.outputs import UpdateReport
 from filters.contract.validation import error_line, first_line
 from filters.geometry.arrays import FloatArray, IntArray
 from filters.motions.motion_model import POSE_SIZE, POSITION, ROTATION
+from stereo_slam_env.evaluation.body_scores import BodyScorer
 from stereo_slam_env.evaluation.landmark_statistics import LandmarkScorer
 from stereo_slam_env.evaluation.map_scoring import FrameMap, TraceRecorder, score_maps, view_maps
 from stereo_slam_env.evaluation.results import (
@@ -196,6 +197,7 @@ class RunLog:
         self._scored = np.full((count, POSE_SIZE, POSE_SIZE), np.nan)  # covariance that they are held against
         self._traces = TraceRecorder(recording)
         self._scorer = LandmarkScorer(recording.camera)
+        self._bodies = BodyScorer(recording) if any(frame.bodies is not None for frame in frames) else None
         self._judged = np.zeros(count, dtype=np.bool_)  # whether there is a pose error
         self._checked = self._noted = 0  # frames
         self._maps: list[FrameMap] = []
@@ -218,6 +220,7 @@ class RunLog:
             milliseconds=1000.0 * (moment.predict_seconds + moment.update_seconds),
             state_size=getattr(moment.slam, "state_size", np.nan) - POSE_SIZE * clones,
         )
+        self.note_bodies(moment.number, moment.report, moment)
         try:
             if moment.pose_error is None:
                 return
@@ -236,6 +239,11 @@ class RunLog:
             self._counts[name][k] = len(getattr(report, name))
         self._counts["failed_factorisations"][k] = report.failed_factorisations
         self._noted = k + 1
+
+    def note_bodies(self, k: int, report: UpdateReport, moment: Moment | None = None) -> None:
+        """Score moving bodies in a frame that is noted; without a moment, count the points on movers alone."""
+        if self._bodies is not None:
+            self._bodies.add(k, report, moment)
 
     def note_errors(
         self, k: int | IntArray, errors: FloatArray, claimed: FloatArray, scored: FloatArray | None = None
@@ -349,13 +357,14 @@ class RunLog:
             not_given=not_given or {},
             seed=seed,
             nis_dof=self._nis_dof,
-            counts=self._counts,
+            counts=self._counts | ({} if self._bodies is None else self._bodies.counts),
             traces=self._traces.traces(),
             failure=failure,
             memory_mb=memory_mb,
             landmark_statistics=self._scorer.statistics,
             truth_from=self._recording.truth_from,
             final_map=final_map,
+            bodies=None if self._bodies is None else self._bodies.scores,
             **self.given,
             **self._series,
         )

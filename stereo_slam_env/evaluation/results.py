@@ -33,6 +33,52 @@ def _not_given() -> FloatArray:
 
 
 @dataclass(frozen=True, eq=False)
+class BodyScores:
+    """Moving bodies of a filter, in the N frames x bodies in which landmarks on them are measured.
+
+    The true body is the one that most of them are on. Poses, twists and speeds are scored from 1 s after birth.
+    """
+
+    frames: IntArray
+    """(N,): number of the frame."""
+    numbers: IntArray
+    """(N,): number of the body in the filter."""
+    at_birth: IntArray
+    """(N,): true body at its birth, -1: none, it is a false one."""
+    true_bodies: IntArray
+    """(N,): true body in the frame, -1: none."""
+    ages: FloatArray
+    """(N,): time since birth, s."""
+    pose_nees: FloatArray
+    """(N,): of the motion since birth, as seen from the camera (6 degrees of freedom); NaN where it is not scored."""
+    twist_nees: FloatArray
+    """(N,): of velocity and angular velocity (6 degrees of freedom)."""
+    speed_errors: FloatArray
+    """(N,): estimated minus true speed, m/s."""
+    positions: FloatArray
+    """(N, 3): estimated, m, in W."""
+    true_positions: FloatArray
+    """(N, 3): where the true body at birth has taken that point."""
+    covariances: FloatArray
+    """(N, 3, 3): of the position, m^2."""
+    velocities: FloatArray
+    """(N, 3): estimated, m/s, in W."""
+    delays: FloatArray
+    """(B,): time from the first frame with four points on a true body to the birth of the first body for it, s."""
+
+    @property
+    def false_births(self) -> int:
+        """Number of bodies that were none at birth."""
+        return len(np.unique(self.numbers[self.at_birth < 0]))
+
+    @property
+    def swapped(self) -> FloatArray:
+        """Whether a body is false, or on another true one than at birth, as 0 or 1, from 1 s after birth on."""
+        wrong = (self.true_bodies != self.at_birth) | (self.at_birth < 0)
+        return np.asarray(wrong[self.ages > 1.0 - 1e-9], dtype=np.float64)
+
+
+@dataclass(frozen=True, eq=False)
 class FilterRun:
     """One filter on one recording. K frames; per-frame arrays hold NaN where a quantity is unknown."""
 
@@ -82,7 +128,8 @@ class FilterRun:
     """(K,): predict + update."""
     counts: Mapping[str, IntArray]
     """Those of `COUNTS`: what became of the measurements (`EVENTS`, as in `UpdateReport`), failed factorisations,
-    landmarks seen in the frame and estimated at d <= 0, landmarks in view without a NEES, and the size of the map."""
+    landmarks seen in the frame and estimated at d <= 0, landmarks in view without a NEES, and the size of the map; and
+    those of `BodyScorer` where the recording tells the true moving bodies."""
     traces: tuple[LandmarkTrace, ...] = ()
     """Depth histories of a near and a far landmark, the same ids for every filter of a recording."""
     not_given: Mapping[str, str] = field(default_factory=dict)
@@ -122,6 +169,8 @@ class FilterRun:
     """What the truth is, where there is one."""
     final_map: LandmarkBelief | None = None
     """Landmarks after the last frame; None in runs that were stored, or made in a batch."""
+    bodies: BodyScores | None = None
+    """Moving bodies; None of filters without, and where the true ones are not known."""
 
     def __post_init__(self) -> None:
         for series in fields(self):

@@ -133,7 +133,11 @@ def summarise(runs: Sequence[FilterRun], figures: RunFigures) -> FilterSummary:
     keys = [key_of(run) for run in runs]
     segments = SegmentErrors.together([figures.segments[key] for key in keys])
     sample = Sample(runs, [figures.of_run[key] for key in keys], segments)
-    over_runs = {f.name: f.over_runs.of(sample, f.name) for f in FIGURES.values() if f.over_runs is not None}
+    over_runs = {
+        f.name: f.over_runs.of(sample, f.name)
+        for f in FIGURES.values()
+        if f.over_runs is not None and (not f.is_optional or any(f.name in row for row in sample.rows))
+    }
     pose, statistics = sample.consistency.get("pose"), [run.landmark_statistics for run in sample.completed]
     bounded = len(sample.known("efficiency_percent")) > 0
     return FilterSummary(

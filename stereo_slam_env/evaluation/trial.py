@@ -207,7 +207,8 @@ class Sample:
 
     def column(self, name: str) -> FloatArray:
         """A figure of each run; NaN where not known."""
-        return np.array([np.nan if row[name] is None else row[name] for row in self.rows], dtype=np.float64)
+        values = [row.get(name) for row in self.rows]
+        return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
 
     def known(self, name: str) -> FloatArray:
         """A figure of the runs in which it is known."""

@@ -28,12 +28,14 @@ from stereo_slam_env.frontend.finding import Found, PairFinder
 from stereo_slam_env.frontend.patches import SUPPORT, cut_patches
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.frontend.tracks import (
+    BODY_SIZE,
     MEMORY,
     Expectation,
     Outcome,
     Search,
     TrackedPair,
     Tracks,
+    beside_moving,
     by_forecast,
     by_motion,
     constant_velocity_covariance,
@@ -50,8 +52,6 @@ STRIKES = 2
 """Pairs in a row in which a landmark must move unlike the scene."""
 NEIGHBOURS = 2
 """Others on the same body that must move alike."""
-_BODY_SIZE = 3.0
-"""Landmarks this near to each other, m, may be on one body."""
 _ALIKE = chi_square_quantile(0.99, 3)
 
 
@@ -69,24 +69,12 @@ def moving_together(
     p_stayed = (camera.backproject(before) - step.t) @ step.R
     displacement = p_now - p_stayed
     covariance = _point_covariances(camera, p_now, R_now) + _point_covariances(camera, p_stayed, R_before)
-    beside = np.linalg.norm(p_now[:, None] - p_now[None], axis=2) < _BODY_SIZE + 3.0 * _depth_sigma(covariance)
+    beside = np.linalg.norm(p_now[:, None] - p_now[None], axis=2) < BODY_SIZE + 3.0 * _depth_sigma(covariance)
     difference = displacement[:, None] - displacement[None]
     both = covariance[:, None] + covariance[None]
     distance = np.einsum("ijk,ijk->ij", difference, np.linalg.solve(both, difference[..., None])[..., 0])
     alike = beside & (distance < _ALIKE)
     return np.asarray(alike.sum(axis=1) - 1 >= NEIGHBOURS)
-
-
-def beside_moving(camera: StereoCamera, uvd: FloatArray, moving_uvd: FloatArray) -> BoolArray:
-    """Mask of measurements (N, 3) that may lie on the bodies of moving landmarks (M, 3)."""
-    if len(moving_uvd) == 0 or len(uvd) == 0:
-        return np.zeros(len(uvd), dtype=bool)
-    reach = _BODY_SIZE * camera.fx / camera.disparity_constant * moving_uvd[:, 2]  # px at the depth of the body
-    apart = np.linalg.norm(uvd[:, None, :2] - moving_uvd[None, :, :2], axis=2)
-    depth = camera.disparity_constant / np.maximum(uvd[:, 2], 1e-3)
-    body = camera.disparity_constant / np.maximum(moving_uvd[:, 2], 1e-3)
-    as_deep = np.abs(depth[:, None] - body[None]) < _BODY_SIZE + 0.1 * body[None]
-    return np.asarray(((apart < reach[None]) & as_deep).any(axis=1))
 
 
 def _point_covariances(camera: StereoCamera, points_c: FloatArray, R: FloatArray) -> FloatArray:

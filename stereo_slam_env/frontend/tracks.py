@@ -83,6 +83,8 @@ class TrackedPair:
         return StereoObservation(self.ids, self.uvd, R=self.R)
 
 
+BODY_SIZE = 3.0
+"""Landmarks this near to each other, m, may be on one body."""
 MEMORY = 6
 """Measurements kept of each landmark: of this pair and of the five before."""
 
@@ -247,6 +249,18 @@ def step_of_forecast(camera: StereoCamera, tracks: Tracks, forecast: Forecast, r
         return None
     step_found = robust_step(camera, Pairs(tracks.uvd[i], forecast.uvd[j], tracks.R[i], forecast.S[j]), None)
     return None if step_found is None else step_found.step
+
+
+def beside_moving(camera: StereoCamera, uvd: FloatArray, moving_uvd: FloatArray) -> BoolArray:
+    """Mask of measurements (N, 3) that may lie on the bodies of moving landmarks (M, 3)."""
+    if len(moving_uvd) == 0 or len(uvd) == 0:
+        return np.zeros(len(uvd), dtype=bool)
+    reach = BODY_SIZE * camera.fx / camera.disparity_constant * moving_uvd[:, 2]  # px at the depth of the body
+    apart = np.linalg.norm(uvd[:, None, :2] - moving_uvd[None, :, :2], axis=2)
+    depth = camera.disparity_constant / np.maximum(uvd[:, 2], 1e-3)
+    body = camera.disparity_constant / np.maximum(moving_uvd[:, 2], 1e-3)
+    as_deep = np.abs(depth[:, None] - body[None]) < BODY_SIZE + 0.1 * body[None]
+    return np.asarray(((apart < reach[None]) & as_deep).any(axis=1))
 
 
 def searchable(S: FloatArray, settings: TrackerSettings) -> BoolArray:

@@ -32,12 +32,11 @@ from filters.geometry.arrays import FloatArray
 from stereo_slam_env.files.folders import write_atomically
 from stereo_slam_env.files.opening import NotOpened
 from stereo_slam_env.files.record_files import DAMAGE, Arrays, NoRecord, OtherFormat, packed, unpacked
+from stereo_slam_env.recording.body_truth import BODY_COLUMNS, BODY_KINDS, BodyTruth
 from stereo_slam_env.recording.filter_setup import FilterSetup
 from stereo_slam_env.recording.recording import (
-    BODY_KINDS,
     GIVEN_TRUTH,
     SIMULATION,
-    BodyTruth,
     Frame,
     LandmarkTruth,
     Recording,
@@ -56,10 +55,6 @@ _UNIT_OF_SAMPLES: Mapping[str, tuple[int, ...]] = {"position": (3,), "orientatio
     ("gyro_density", "accelerometer_density", "gyro_walk", "accelerometer_walk"), ()
 )
 _SAMPLES: Mapping[str, tuple[int, ...]] = {"times": (), "angular_rates": (3,), "specific_forces": (3,)}
-_BODIES: Mapping[str, str] = {"positions": "position", "orientations": "orientation"} | {
-    name: name for name in ("linear", "angular")
-}
-"""Attributes of `BodyTruth` that are numbers of each body, and their names in the file."""
 _START = {"position": (3,), "orientation": (4,), "linear_velocity": (3,), "angular_velocity": (3,)}
 
 _KINDS = {"numbers": "fiu", "integers": "iu", "truth values": "b"}
@@ -174,9 +169,8 @@ def _arrays_of(recording: Recording) -> Arrays:
         for name, shape in shapes.items():
             stacked = (getattr(entry, name)[None] for entry in present if entry is not None)
             arrays[f"{part}.{name}"] = _joined(stacked, shape)
-    heads = [frame.head for frame in frames]
-    arrays["has.head"] = np.array([head is not None for head in heads], dtype=np.bool_)
-    arrays["head"] = _joined((head[None] for head in heads if head is not None), (2,))
+    arrays["has.head"] = np.array([frame.head is not None for frame in frames], dtype=np.bool_)
+    arrays["head"] = _joined((frame.head[None] for frame in frames if frame.head is not None), (2,))
     arrays |= _inertial_arrays([frame.inertial for frame in frames])
     arrays |= _body_arrays([frame.bodies for frame in frames])
     arrays |= {f"start.{name}": np.asarray(getattr(recording.start, name)) for name in _START}
@@ -332,44 +326,42 @@ def _body_arrays(truths: Sequence[BodyTruth | None]) -> Arrays:
     present = [truth for truth in truths if truth is not None]
     if not present:
         return {}
-    codes = [[BODY_KINDS.index(kind) + 1 for kind in truth.kinds] for truth in present]
     return {
         "has.bodies": np.array([truth is not None for truth in truths], dtype=np.bool_),
         "bodies.counts": np.array([len(truth.ids) for truth in present], dtype=np.int64),
         "bodies.ids": _joined((truth.ids for truth in present), (), np.int64),
-        "bodies.kinds": _joined((np.array(entry, dtype=np.int64) for entry in codes), (), np.int64),
+        "bodies.kinds": _joined((truth.codes for truth in present), (), np.int64),
         "bodies.of_measurements": _joined((truth.of_measurements for truth in present), (), np.int64),
         **{
             f"bodies.{column}": _joined((getattr(truth, name) for truth in present), (4 if "orient" in name else 3,))
-            for name, column in _BODIES.items()
+            for name, column in BODY_COLUMNS.items()
         },
     }
 
 
 def _body_entries(arrays: Arrays, measurements: NDArray[Any]) -> list[BodyTruth | None]:
     """Moving bodies of each frame, or None; recordings without any do not have the arrays."""
-    frames = len(measurements)
-    if "has.bodies" not in arrays:
-        return [None] * frames
-    has = _has(arrays, "bodies", frames)
+    entries: list[BodyTruth | None] = [None] * len(measurements)
+    has = _has(arrays, "bodies", len(measurements)) if "has.bodies" in arrays else np.zeros(0, dtype=np.bool_)
+    if not has.any():
+        return entries
     counts = _shaped(arrays, "bodies.counts", (int(has.sum()),), "integers")
     if (counts < 0).any():
         raise ValueError("array bodies.counts must be >= 0")
     total, ends = int(counts.sum()), np.cumsum(counts)[:-1]
     ids, codes = (_shaped(arrays, f"bodies.{name}", (total,), "integers") for name in ("ids", "kinds"))
-    if (codes < 1).any() or (codes > len(BODY_KINDS)).any():
+    if not set(codes.tolist()) <= set(range(1, 1 + len(BODY_KINDS))):
         raise ValueError(f"array bodies.kinds must be from 1 to {len(BODY_KINDS)}")
     labels = _shaped(arrays, "bodies.of_measurements", (int(measurements[has].sum()),), "integers")
     numbers = {
         name: np.split(_shaped(arrays, f"bodies.{column}", (total, 4 if "orient" in name else 3)), ends)
-        for name, column in _BODIES.items()
+        for name, column in BODY_COLUMNS.items()
     }
-    entries: list[BodyTruth | None] = [None] * frames
     split = np.split(ids, ends), np.split(codes, ends), np.split(labels, np.cumsum(measurements[has])[:-1])
     for entry, k in enumerate(np.flatnonzero(has).tolist()):
         kinds = tuple(BODY_KINDS[code - 1] for code in split[1][entry].tolist())
-        rest = {name: parts[entry] for name, parts in numbers.items()}
-        entries[k] = BodyTruth(split[0][entry], kinds, **rest, of_measurements=split[2][entry])
+        columns = {name: parts[entry] for name, parts in numbers.items()} | {"of_measurements": split[2][entry]}
+        entries[k] = BodyTruth(split[0][entry], kinds, **columns)
     return entries
 
 

@@ -20,13 +20,18 @@ from stereo_slam_env.benchmark.statistics.measures import (
     systems,
 )
 from stereo_slam_env.benchmark.statistics.policy_verdict import Looks, judge_policies
-from stereo_slam_env.benchmark.statistics.remarks import innovation_remarks, motion_remarks, reference_remarks
+from stereo_slam_env.benchmark.statistics.remarks import (
+    body_remarks,
+    innovation_remarks,
+    motion_remarks,
+    reference_remarks,
+)
 from stereo_slam_env.benchmark.statistics.verdict import Verdict, judge
 from stereo_slam_env.evaluation.audits import ReferenceAudit
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
 from stereo_slam_env.evaluation.run_figures import Bounds, Figures, RunKey, key_of
 from stereo_slam_env.report import tables
-from stereo_slam_env.report.charts import accuracy, factors, nees, policies, series
+from stereo_slam_env.report.charts import accuracy, bodies, factors, nees, policies, series
 from stereo_slam_env.report.comparison_report import attribution_section, conclusions
 from stereo_slam_env.report.overview import colour_key, overview, policy_overview
 from stereo_slam_env.report.page import (
@@ -220,11 +225,28 @@ def _sections(
         ]
         yield Section("Errors and their 3σ bounds", bounded, guide)
     yield Section("Map and depth", [*_map(runs, summaries, same_landmarks=looks is None)])
+    with_bodies = [run for run in first if run.bodies is not None and len(run.bodies.frames)]
+    table = tables.figures_table(summaries, ["bodies"], who, "bodies")
+    contents = [table] if len(table.columns) > 1 else []
+    yield Section("Moving bodies", [*contents, *_bodies(with_bodies, where)], " ".join(body_remarks(with_bodies)))
     caption = f"Velocity in the world and heading on {where}."
     yield Section("Velocity and heading", [Drawing("velocity", caption, accuracy.plot_velocity(runs))])
     guide = "Compare filters within a report, not across machines."
     table = tables.figures_table(summaries, ["cost", "events"], who, "cost")
     yield Section("Cost and events", [table, *_cost(runs, summaries)], guide)
+
+
+def _bodies(runs: Sequence[FilterRun], where: str) -> Iterator[Content]:
+    for i, run in enumerate(runs[:MOST_SHOWN]):
+        caption = (
+            f"Bodies of {run.filter_name} on {where}, at {bodies.INSTANTS} instants at most: ellipses of"
+            f" {bodies.SIGMAS:g}σ, arrows where they are a second later."
+        )
+        if run.bodies is not None:
+            yield Drawing(f"bodies_{i}", caption, bodies.plot_body_map(run, run.bodies))
+    if any(run.bodies is not None and np.isfinite(run.bodies.pose_nees).any() for run in runs):
+        caption = f"Bodies on {where} from 1 s after birth; grey: the 95 % band; the scale is logarithmic."
+        yield Drawing("body_nees", caption, bodies.plot_body_nees(runs))
 
 
 def _audits(audits: Mapping[str, ReferenceAudit]) -> Iterator[Content]:

@@ -64,7 +64,7 @@ def _counts_nothing(figure: Figure, summary: FilterSummary) -> bool:
     """Whether a count says nothing: no event, or all runs timed."""
     usual = summary.runs if figure.name == "timed" else 0
     counts = figure.per_runs or figure.kind == "integer" or figure.group == "events"
-    return counts and summary.figures[figure.name] == usual
+    return counts and summary.figures.get(figure.name) == usual
 
 
 def figures_table(
@@ -173,7 +173,7 @@ def figure_column(figure: Figure) -> Column:
 
 def figure_cell(figure: Figure, summary: FilterSummary, tone: Tone = "") -> TableCell:
     """Value of a figure."""
-    value = summary.figures[figure.name]
+    value = summary.figures.get(figure.name)
     if figure is EFFICIENCY:
         limit = limit_reached(summary)
         return number(None) if limit is None else TableCell(limit.words, limit.percent)

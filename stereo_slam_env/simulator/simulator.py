@@ -12,16 +12,16 @@ from filters.contract.inputs import BodyVelocity, InertialSamples, Start, Stereo
 from filters.contract.validation import unchecked
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.geometry.poses import Pose
-from stereo_slam_env.recording.recording import BODY_KINDS, BodyTruth, Frame, Velocity
+from stereo_slam_env.recording.body_truth import BODY_KINDS, BodyTruth
+from stereo_slam_env.recording.recording import Frame, Velocity
 from stereo_slam_env.sensing.corruptions import PixelNoise
 from stereo_slam_env.sensing.imu import Imu, UnitErrors
 from stereo_slam_env.simulator.frame_kernel import FIRST, JUDGE, MOVE, SENSE, STEP, WAIT, run_frame
+from stereo_slam_env.simulator.moving_truth import bodies_now, bodies_of_measurements
 from stereo_slam_env.simulator.rays import traversal
 from stereo_slam_env.simulator.scene_arrays import (
     SceneArrays,
     Shown,
-    bodies_now,
-    bodies_of_measurements,
     put_route,
     put_scene,
     show,

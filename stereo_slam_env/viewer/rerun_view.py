@@ -5,6 +5,7 @@ The entities, for a filter called NAME::
     world/landmarks, world/truth/...        the true map and the true path, where known
     world/NAME/camera/{left,right}          the cameras; left/measured: measurements in the left image
     world/NAME/{path,landmarks,ellipsoids,position}   estimates; ellipsoids at 3 sigma
+    world/NAME/{bodies,velocities}          moving bodies: ellipsoids of their positions, arrows of a second's motion
     consistency/{NAME,low,high}             pose NEES / 6, and the 95 % band of a single run
     error/{NAME,NAME claims}                position error, and the 3 sigma that the filter claims, m
     map/NAME                                landmarks in the map
@@ -230,6 +231,10 @@ class RerunView:
         points = self._rr.Points3D(positions, colors=[_rgb(colour)], radii=[0.12])
         self._log(("world", label, "landmarks"), points)
         self._ellipsoids(("world", label, "ellipsoids"), positions, belief.covariances[near], colour)
+        if (bodies := moment.bodies) is not None:
+            self._ellipsoids(("world", label, "bodies"), bodies.positions, bodies.covariances[:, :3, :3], INK)
+            arrows = self._rr.Arrows3D(origins=bodies.positions, vectors=bodies.linear, colors=[_rgb(colour)])
+            self._log(("world", label, "velocities"), arrows)
 
     def _ellipsoids(self, path: tuple[str, ...], centers: FloatArray, covariances: FloatArray, colour: str) -> None:
         shape = ellipsoids(covariances)

@@ -12,7 +12,7 @@ import numpy as np
 from filters.catalogue.registry import USUAL
 from stereo_slam_env.benchmark.statistics.differences import CONFIDENCE, MIN_PAIRS
 from stereo_slam_env.benchmark.statistics.sentences import sentence
-from stereo_slam_env.evaluation.bands import rms_ratio_interval
+from stereo_slam_env.evaluation.bands import DOF, mean_band, rms_ratio_interval, share_inside
 from stereo_slam_env.evaluation.results import FilterRun, FilterSummary
 from stereo_slam_env.recording.recording import Reference
 
@@ -90,6 +90,20 @@ def _accelerations(runs: Sequence[FilterRun]) -> tuple[float, float] | None:
         return None
     linear, angular = (float(np.sqrt(np.mean(np.square(values)))) for values in accelerations)
     return linear, angular
+
+
+def body_remarks(runs: Sequence[FilterRun]) -> list[str]:
+    """A sentence for each run with scored bodies: how many are consistent, and how much the worst one adds."""
+    remarks = []
+    for run in runs:
+        scored = np.zeros(0, bool) if run.bodies is None else np.isfinite(run.bodies.pose_nees)
+        if run.bodies is not None and scored.any():
+            values, (_, body) = run.bodies.pose_nees[scored], np.unique(run.bodies.numbers[scored], return_inverse=True)
+            sums = np.bincount(body, values)
+            inside = 100.0 * share_inside(values, mean_band(DOF["pose"], 1))
+            worst, swapped = 100.0 * sums.max() / sums.sum(), 100.0 * run.bodies.swapped.mean()
+            remarks.append(sentence("bodies", run.filter_name, len(sums), inside, worst, swapped))
+    return remarks
 
 
 # ---- distance from the limit -----------------------------------------------------------------------------------------

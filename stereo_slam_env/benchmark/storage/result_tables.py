@@ -135,7 +135,11 @@ def write_trial_table(path: Path, results: Sequence[CellResult]) -> None:
     columns = [
         ("cell", "text", "", "cell of the grid, or name of the scenario"),
         *((factor, "any", "", "factor of the grid") for factor in factors),
-        *((figure.column, figure.kind, figure.unit, figure.column_meaning) for figure in trial_columns()),
+        *(
+            (figure.column, figure.kind, figure.unit, figure.column_meaning)
+            for figure in trial_columns()
+            if not figure.is_optional or any(figure.column in row for row in rows)
+        ),
         ("policy", "text", "", "policy that chose where to look, as JSON; null where there is none"),
         ("options", "text", "", "options the filter was made with, as JSON"),
         ("series", "text", "", "time series of the trial (npz), relative to this file"),

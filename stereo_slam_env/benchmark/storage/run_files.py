@@ -30,7 +30,7 @@ from stereo_slam_env.evaluation.figures import trial_columns
 from stereo_slam_env.evaluation.landmark_statistics import SERIES as _LANDMARK_SERIES
 from stereo_slam_env.evaluation.landmark_statistics import LandmarkStatistics
 from stereo_slam_env.evaluation.map_scoring import LandmarkTrace
-from stereo_slam_env.evaluation.results import FilterRun
+from stereo_slam_env.evaluation.results import BodyScores, FilterRun
 from stereo_slam_env.evaluation.run_figures import RunScore
 from stereo_slam_env.evaluation.trajectory_metrics import SegmentErrors
 from stereo_slam_env.evaluation.trial import estimate_of, truth_of
@@ -142,10 +142,11 @@ def _write(path: Path, poses: Trajectory | None, claimed: Trajectory | None) -> 
 
 FORMAT = 4
 _TEXT = ("filter_name", "recording_name", "options", "not_given", "seed", "failure")
-_PARTS = ("counts", "traces", "memory_mb", "landmark_statistics", "truth_from", "final_map")
+_PARTS = ("counts", "traces", "memory_mb", "landmark_statistics", "truth_from", "final_map", "bodies")
 _SERIES = tuple(f.name for f in dataclasses.fields(FilterRun) if f.name not in (*_TEXT, *_PARTS))
 _TRACE_SERIES = ("frames", "depth", "sigma", "true_depth", "measured_depth")
 _SEGMENT_SERIES = tuple(f.name for f in dataclasses.fields(SegmentErrors))
+_BODY_SERIES = tuple(f.name for f in dataclasses.fields(BodyScores))
 _SHAPES = {
     **dict.fromkeys(("positions", "true_positions", "linear_velocities", "angular_velocities"), (3,)),
     **dict.fromkeys(("true_linear_velocities", "true_angular_velocities"), (3,)),
@@ -202,6 +203,8 @@ def packed_run(
 def _whole(run: FilterRun) -> dict[str, Any]:
     arrays: dict[str, Any] = {name: getattr(run, name) for name in _SERIES}
     arrays |= {f"count.{name}": values for name, values in run.counts.items()}
+    if run.bodies is not None:
+        arrays |= {f"body.{name}": getattr(run.bodies, name) for name in _BODY_SERIES}
     for i, trace in enumerate(run.traces):
         arrays |= {f"trace.{i}.{name}": getattr(trace, name) for name in _TRACE_SERIES}
     return arrays
@@ -239,9 +242,8 @@ def load_run(path: Path, *, inside: Path | None = None) -> StoredRun:
         score = None
         if segments is not None:
             errors = SegmentErrors(*(numbers.next((segments,)) for _ in _SEGMENT_SERIES))
-            if about["figures"].keys() == {
-                figure.name for figure in trial_columns()
-            }:  # else they are of a version with others
+            columns = {figure.name: figure.is_optional for figure in trial_columns()}
+            if all(columns.get(name) for name in columns.keys() ^ about["figures"].keys()):  # else of another version
                 score = RunScore(about["figures"], errors)
         run = FilterRun(
             **about["run"],
@@ -254,6 +256,7 @@ def load_run(path: Path, *, inside: Path | None = None) -> StoredRun:
             memory_mb=memory,
             landmark_statistics=landmarks,
             truth_from=reference_of(about),
+            bodies=BodyScores(*(arrays[f"body.{name}"] for name in _BODY_SERIES)) if "body.frames" in arrays else None,
         )
         return StoredRun(run, about["provenance"], score, full)
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from stereo_slam_env.frontend.finding import Found
-from stereo_slam_env.frontend.tracker import STRIKES, beside_moving, judged, moving_together
-from stereo_slam_env.frontend.tracks import Outcome
+from stereo_slam_env.frontend.tracker import STRIKES, judged, moving_together
+from stereo_slam_env.frontend.tracks import Outcome, beside_moving
 
 from .synthetic_steps import CAMERA, STEP, Cloud, tracks_of
 

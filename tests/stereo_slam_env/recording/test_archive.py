@@ -13,7 +13,8 @@ from stereo_slam_env.benchmark.recordings.reference_problem import long_drive
 from stereo_slam_env.benchmark.scenarios.streams import stream_digest
 from stereo_slam_env.datasets import load
 from stereo_slam_env.recording.archive import load_recording, save_recording
-from stereo_slam_env.recording.recording import GIVEN_TRUTH, SIMULATION, BodyTruth, Recording, Reference
+from stereo_slam_env.recording.body_truth import BodyTruth
+from stereo_slam_env.recording.recording import GIVEN_TRUTH, SIMULATION, Recording, Reference
 
 from ..benchmark.small_recordings import small_recording
 

@@ -10,7 +10,7 @@ import stereo_slam_env as sse
 from filters.geometry import rotations
 from stereo_slam_env.envs.arguments import DriveOptions
 from stereo_slam_env.envs.core_rows import CoreRows
-from stereo_slam_env.recording.recording import BODY_KINDS
+from stereo_slam_env.recording.body_truth import BODY_KINDS
 from stereo_slam_env.sensing.corruptions import corrupted
 
 TRAFFIC = {"route": "right-turn", "moving_cars": 12, "pedestrians": 8, "moving_landmarks": 7, "sigma": 0.5}

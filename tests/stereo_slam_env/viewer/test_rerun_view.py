@@ -4,9 +4,13 @@ import numpy as np
 import pytest
 
 from filters import EuclideanEKF, InverseDepthStereoEKF
+from stereo_slam_env.recording.recording import Frame, Recording
 from stereo_slam_env.viewer.rerun_view import FARTHEST, RerunView, ellipsoids
 from stereo_slam_env.viewer.watched_drive import Drive
 
+from ...filters.bodies.street import CARS, NOISE, street
+from ...filters.drives import CAMERA as STREET_CAMERA
+from ...filters.drives import DT
 from ..benchmark.small_recordings import CAMERA, small_recording
 
 NAME = "inverse-depth"
@@ -119,6 +123,26 @@ def test_two_filters_share_a_recording(tmp_path):
         view.close()
     found = read_back(tmp_path / "two.rrd")
     assert {"/world/a/path", "/world/b/path", "/world/truth/path"} <= found.keys()
+
+
+def test_moving_bodies_are_ellipsoids_with_arrows(tmp_path):
+    pytest.importorskip("rerun", reason="needs the extra viewer")
+    sights = street(0, CARS, frames=20)
+    frames = [Frame(DT * k, sight.observation, truth=sight.camera) for k, sight in enumerate(sights)]
+    recording = Recording("street", STREET_CAMERA, tuple(frames), NOISE)
+    beliefs = []
+    with RerunView(recording.camera, ["bodies"], save=tmp_path / "street.rrd") as view:
+        for moment in Drive.of(recording, "moving-bodies", label="bodies").moments():
+            view.show("bodies", moment)
+            beliefs.append(moment.bodies)
+    written = read_back(tmp_path / "street.rrd")
+    assert len(beliefs[-1]) == 3
+    np.testing.assert_allclose(
+        rows(written, "/world/bodies/velocities", "Arrows3D:vectors")[-1], beliefs[-1].linear, rtol=1e-5
+    )
+    shape = ellipsoids(beliefs[-1].covariances[:, :3, :3])
+    stored = rows(written, "/world/bodies/bodies", "Ellipsoids3D:half_sizes")[-1]
+    np.testing.assert_allclose(stored, shape.half_sizes, rtol=1e-5)
 
 
 def test_there_must_be_something_to_show():

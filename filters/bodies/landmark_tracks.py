@@ -36,7 +36,7 @@ class Tracks:
 
     @classmethod
     def none(cls) -> Tracks:
-        """No track."""
+        """Empty tracks, as before the first frame."""
         number = np.zeros(0, dtype=np.int64)
         return cls(number, np.zeros((0, KEPT, 3)), np.zeros((0, 3, 3)), number, number, number)
 
@@ -130,7 +130,7 @@ class Velocities:
     """(n, 3): where they are now, m, in W."""
     sizes: FloatArray
     """(n,): uncertainty of the points, m."""
-    own: FloatArray
+    alone: FloatArray
     """(n, 3): m/s, in W."""
     weights: FloatArray
     """(n, 3, 3): inverse covariances of these."""
@@ -150,23 +150,23 @@ class Velocities:
         `poses` are positions (L, 3) and rotations (L, 3, 3) of the camera, the newest first.
         """
         uvd, R = tracks.uvd[index], tracks.R[index]
-        there = np.isfinite(uvd[:, : min(_BACK + 1, len(poses[0])), 0])
-        lag = there.shape[1] - 1 - np.argmax(there[:, ::-1], axis=1)
+        measured = np.isfinite(uvd[:, : min(_BACK + 1, len(poses[0])), 0])
+        lag = measured.shape[1] - 1 - np.argmax(measured[:, ::-1], axis=1)
         points, now = world_points(camera, uvd[:, 0], R, poses[0][0], poses[1][0])
         before, then = world_points(camera, uvd[np.arange(len(index)), lag], R, poses[0][lag], poses[1][lag])
         seconds = np.maximum(lag, 1) * dt
-        own, C = (points - before) / seconds[:, None], (now + then) / seconds[:, None, None] ** 2
+        alone, C = (points - before) / seconds[:, None], (now + then) / seconds[:, None, None] ** 2
         sizes = 3.0 * dt * np.sqrt(np.trace(C, axis1=1, axis2=2))
         linked = np.eye(len(index), dtype=bool)
         first, second = np.nonzero(np.triu(beside(camera, uvd[:, 0], uvd[:, 0], _NEIGHBOURS, tracks.sigma_d), 1))
-        agree = squared(own[first] - own[second], inverse(C[first] + C[second])) < _ALIKE
+        agree = squared(alone[first] - alone[second], inverse(C[first] + C[second])) < _ALIKE
         linked[first[agree], second[agree]] = linked[second[agree], first[agree]] = True
         weights = inverse(C)
-        weighted = np.einsum("nij,nj->ni", weights, own)
+        weighted = np.einsum("nij,nj->ni", weights, alone)
         mask = linked.astype(float)
         covariances = inverse((mask @ weights.reshape(-1, 9)).reshape(-1, 3, 3))
         together = np.einsum("nij,nj->ni", covariances, mask @ weighted)
-        return cls(points, sizes, own, weights, linked, together, covariances)
+        return cls(points, sizes, alone, weights, linked, together, covariances)
 
 
 def beside(camera: StereoCamera, first: FloatArray, second: FloatArray, reach: float, sigma_d: float) -> BoolArray:
