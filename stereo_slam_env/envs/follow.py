@@ -73,8 +73,8 @@ class FollowLeader(PaidRows):
         driven[:, 0] = np.minimum(driven[:, 0], actions[:, 0])
         rewards, terminated, truncated = self.rows.step(driven, going)
         self._gaps[going] = self._measure(going)[going]
-        wanted = self._standstill + self._headway * self.world.shown("car")[:, 0]
-        share = np.where(self._gaps > 0.0, np.maximum(1.0 - np.abs(self._gaps - wanted) / wanted, 0.0), 0.0)
+        target = self._standstill + self._headway * self.world.shown("car")[:, 0]
+        share = np.where(self._gaps > 0.0, np.maximum(1.0 - np.abs(self._gaps - target) / target, 0.0), 0.0)
         self._kept, self._steps = self._kept + np.where(going, share, 0.0), self._steps + going
         return rewards + self.paid(going, {"gap": self._weight * FRAME_PERIOD * share}), terminated, truncated
 
@@ -138,8 +138,8 @@ class Follow(TaskEnv):
 
     ## Training
 
-    `stereo-slam train --environment StereoSlam/Follow-v0`. What careless drivers and the rule `follow_bus` score is on
-    the page of the tasks.
+    `stereo-slam train --environment StereoSlam/Follow-v0 --validation 32`; no network has been trained yet. What
+    careless drivers and the rule `follow_bus` score is on the page of the tasks.
 
     ## Version History
 
@@ -172,5 +172,5 @@ def follow_bus(observation: Mapping[str, Any]) -> NDArray[np.float32]:
         return np.array([_UNSEEN / Car.max_acceleration], dtype=np.float32)
     gap = np.hypot(*ahead[0, POSITION][[0, 2]]) - BUMPER - ahead[0, SIGMAS][0]
     closing = speed - np.hypot(*ahead[0, VELOCITY][[0, 2]])
-    wanted = _BY_GAP * (gap - STANDSTILL - HEADWAY * speed) - _BY_SPEED * closing
-    return np.array([np.clip(wanted / Car.max_acceleration, -1.0, 1.0)], dtype=np.float32)
+    acceleration = _BY_GAP * (gap - STANDSTILL - HEADWAY * speed) - _BY_SPEED * closing
+    return np.array([np.clip(acceleration / Car.max_acceleration, -1.0, 1.0)], dtype=np.float32)
