@@ -145,7 +145,7 @@ class Velocities:
     def of(
         cls, camera: StereoCamera, tracks: Tracks, index: IntArray, poses: tuple[FloatArray, FloatArray], dt: float
     ) -> Velocities:
-        """Velocities of the tracks at `index` from their oldest measurement within eight frames to the newest.
+        """Velocities of the tracks at `index` from their oldest measurement within twelve frames to the newest.
 
         `poses` are positions (L, 3) and rotations (L, 3, 3) of the camera, the newest first.
         """
@@ -185,7 +185,7 @@ def beside(camera: StereoCamera, first: FloatArray, second: FloatArray, reach: f
 
 _NEIGHBOURS = 2.0
 """Distance, m, within which tracks are neighbours."""
-_BACK = 8
+_BACK = 12
 """Frames over which velocities are measured."""
 _ALIKE = 11.3
 """Squared distance within which two velocities agree: chi-square of 3, 99 %."""

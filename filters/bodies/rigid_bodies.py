@@ -1,7 +1,6 @@
 """Rigid bodies in the state: a point, axes, velocity and angular velocity each, all in W, and landmarks that they move.
 
 The landmarks of a body stay points of W, which each step moves along, so that a measurement knows nothing of bodies.
-Kept in the axes of the body instead, they would have a gauge of their own, and the filter would claim too much.
 
 Derivation: docs/derivations/rigid_bodies.md.
 """
