@@ -82,7 +82,7 @@ _OUT_OF_SIGHT = -200.0
 _TIGHT = 0.8
 Bus = Literal["pulls-away", "leads", "stops-and-goes"]
 BUS_LENGTH = 10.0
-"""m."""
+"""Length of a bus, m."""
 _BUS = Box((0.0, 0.0, 1.7), (BUS_LENGTH, 2.5, 3.0), 0.0, Material((0.85, 0.1, 0.1)))
 _BUS_GAP, _BUS_STANDS, _BUS_STARTS, _BUS_PULL = 13.0, 25.0, 0.8, 1.5
 """How far ahead of the camera a bus drives and one that pulls away stands at first, m; when it starts, s; its largest
