@@ -25,6 +25,8 @@ HEADWAY, STANDSTILL = 1.5, 4.0
 """Gap to keep: so many seconds of the car's own speed, and m."""
 BUMPER = 0.5 * Car.size[0] + Car.body_c[2]
 """From the camera to the front of the car, m."""
+FEW_ON_BUS = 10
+"""Landmarks that are tracked on the bus at the level hard."""
 _BY_GAP, _BY_SPEED, _UNSEEN = 0.5, 1.2, -0.3
 """Gains of `follow_bus`, 1/s^2 and 1/s; its acceleration where no body is believed in, m/s^2."""
 
@@ -103,7 +105,8 @@ class Follow(TaskEnv):
     A bus drives ahead in the same lane; it chooses its speeds itself, up to 8 m/s, and often stands. The car steers
     along its route, the agent accelerates and brakes. The filter `moving-bodies` has the bus in its state, and the
     agent sees what it believes: where the bus is, how fast it drives, and how well both are known. Street, sensors and
-    truth are those of `StereoSlam/Drive-v0`, with 40 landmarks at most that stand and 40 on the bus.
+    truth are those of `StereoSlam/Drive-v0`, with 40 landmarks at most that stand and 40 on the bus; at the level hard
+    10, so that the filter often has no bus in its state.
 
     ## Action Space
 
@@ -156,6 +159,10 @@ class Follow(TaskEnv):
     filter, filter_options = "moving-bodies", None
     parts = ((ObserveBodies, {"most": 4}), (FollowLeader, {}))
     keys = ("bodies", "car")
+
+    @classmethod
+    def at_level(cls, level: str) -> Mapping[str, Any]:
+        return {**super().at_level(level), **({"moving_landmarks": FEW_ON_BUS} if level == "hard" else {})}
 
 
 follow_vector = Follow.vector
