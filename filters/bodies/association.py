@@ -1,4 +1,4 @@
-"""Which landmarks stand, which are on a body, and which groups of them are a body from now on."""
+"""Association of landmarks with the scene and with bodies, and groups of them that are a body from now on."""
 
 from __future__ import annotations
 

@@ -20,6 +20,8 @@ from filters.geometry.camera import StereoCamera
 if TYPE_CHECKING:
     from filters.engine.row import Row
 
+_WALKS = 3.0
+"""Speed, m/s, above which a body is no walker, however narrow it looks from behind."""
 _CELL, _MOST = 3.0, 2
 """Side of a cell of space, m, and how many landmarks of the scene are used in one."""
 _VAGUE, _FAR = 3.0, 10.0
@@ -130,7 +132,8 @@ class MovingBodies:
         velocity = covariance @ np.einsum("nij,nj->i", velocities.weights, velocities.alone)
         uvd = tracks.uvd[index, 0]
         middle = np.array([*uvd[:, :2].mean(axis=0), max(float(np.median(uvd[:, 2])), 0.5)])
-        body = Body(self._next, self._width(index) >= self.settings.smallest_turning, self._frame, label, *_no_poses())
+        turning = self._turns(index, velocity, covariance)
+        body = Body(self._next, turning, self._frame, label, *_no_poses())
         self._next += 1
         prior, name = self.settings.prior(body.turning), body.names
         prior[:3, :3] += 2.0 * covariance
@@ -245,14 +248,23 @@ class MovingBodies:
         return float(np.ptp(u)) * self.camera.disparity_constant / d / self.camera.fx
 
     def _widen(self, row: Row) -> None:
-        """Estimate the turn of bodies that show enough width by now."""
+        """Estimate the turn of bodies that show by now that they are wide, or too fast to be narrow."""
         tracks, settings = self.tracks, self.settings
-        for body in self.bodies:
+        for body, value in zip(self.bodies, self._values(row), strict=True):
             mine = np.flatnonzero((tracks.status == body.number) & (tracks.missed == 0))
-            if not body.turning and len(mine) and self._width(mine) >= settings.smallest_turning:
-                body.turning = True
-                prior = np.diag(settings.sigma_angular_velocity) ** 2
-                row.engine.add_noise(row.number, row.rows_of([body.names[2]])[0], prior)
+            if body.turning or len(mine) == 0:
+                continue
+            body.turning = self._turns(mine, value[7:10], row.joint(body.names[1]))
+            if body.turning:  # it may have turned at such a rate since its birth
+                sigmas = np.array(settings.sigma_angular_velocity)
+                since = np.diag(np.concatenate([sigmas * self._dt * np.isfinite(body.points[:, 0]).sum(), sigmas])) ** 2
+                rows = row.rows_of(body.names[::2])
+                row.engine.add_noise(row.number, np.concatenate([rows[0][3:], rows[1]]), since)
+
+    def _turns(self, index: IntArray, velocity: FloatArray, covariance: FloatArray) -> bool:
+        """Whether the turn of a body with tracks at `index` is estimated: of a wide one, or one surely fast."""
+        speed = float(np.linalg.norm(velocity)) - 2.0 * float(np.sqrt(np.trace(covariance)))
+        return self._width(index) >= self.settings.smallest_turning or speed > _WALKS
 
     # --- which body: told ---
 

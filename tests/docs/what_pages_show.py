@@ -282,6 +282,12 @@ def shows_inertial(names, out):
     np.testing.assert_allclose(slam.pose.position, 0.0, atol=1e-3)
 
 
+def shows_moving_bodies(names, printed):
+    belief = names["last"].slam.bodies
+    assert printed.count("body-") == len(belief) >= 1
+    np.testing.assert_allclose(names["later"].positions, belief.positions + belief.linear, atol=0.5)
+
+
 SHOWS = {
     "README.md": shows_readme,
     "docs/active_perception.md": shows_active_perception,
@@ -294,6 +300,7 @@ SHOWS = {
     "docs/claim.md": shows_claim,
     "docs/faults.md": shows_faults,
     "docs/filters/inertial.md": shows_inertial,
+    "docs/filters/moving_bodies.md": shows_moving_bodies,
     "docs/filters/msckf.md": shows_msckf,
     "docs/front_end.md": shows_front_end,
     "docs/index.md": shows_index,

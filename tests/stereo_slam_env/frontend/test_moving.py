@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from stereo_slam_env.frontend.finding import Found
-from stereo_slam_env.frontend.tracker import STRIKES, judged, moving_together
+from stereo_slam_env.frontend.settings import TrackerSettings
+from stereo_slam_env.frontend.tracker import STRIKES, StereoTracker, judged, moving_together
 from stereo_slam_env.frontend.tracks import Outcome, beside_moving
 
 from .synthetic_steps import CAMERA, STEP, Cloud, tracks_of
@@ -124,3 +125,15 @@ def test_a_body_reaches_three_metres_and_a_tenth_of_its_depth_more_along_the_vie
     body, point = CAMERA.project(np.array([[-3.0, 0.5, 15.0]])), CAMERA.project(np.array([at]))
     assert beside_moving(CAMERA, point, body).tolist() == [beside]
     assert not beside_moving(CAMERA, point, np.zeros((0, 3))).any()
+
+
+@pytest.mark.parametrize("movers", [False, True])
+def test_landmarks_on_bodies_are_given_to_a_filter_that_asks_for_them(movers):
+    """Eight of eighty landmarks are judged to move: they leave the map, or stay in it under their ids."""
+    pairs = Cloud(moved=8).pairs()
+    tracks, _ = judge(pairs, strikes=STRIKES - 1)
+    tracker = StereoTracker(CAMERA, TrackerSettings(movers=movers))
+    measured, after, initialised = tracker._release(tracks)
+    assert np.isin(tracks.ids[:8], measured[0]).tolist() == [movers] * 8
+    assert set(initialised.tolist()) == set(measured[0].tolist())
+    assert after.released[8:].mean() > 0.9
