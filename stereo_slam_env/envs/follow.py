@@ -25,8 +25,6 @@ HEADWAY, STANDSTILL = 1.5, 4.0
 """Gap to keep: so many seconds of the car's own speed, and m."""
 BUMPER = 0.5 * Car.size[0] + Car.body_c[2]
 """From the camera to the front of the car, m."""
-FEW_ON_BUS = 10
-"""Landmarks that are tracked on the bus at the level hard."""
 _BY_GAP, _BY_SPEED, _UNSEEN = 0.5, 1.2, -0.3
 """Gains of `follow_bus`, 1/s^2 and 1/s; its acceleration where no body is believed in, m/s^2."""
 
@@ -162,7 +160,7 @@ class Follow(TaskEnv):
 
     @classmethod
     def at_level(cls, level: str) -> Mapping[str, Any]:
-        return {**super().at_level(level), **({"moving_landmarks": FEW_ON_BUS} if level == "hard" else {})}
+        return {**super().at_level(level), **({"moving_landmarks": 10} if level == "hard" else {})}
 
 
 follow_vector = Follow.vector
