@@ -158,7 +158,11 @@ ROWS: dict[str, dict[str, Choice]] = {
         "the same, by the truth": follow_by_truth,
     },
     "Follow-easy-v0": {"follow the bus": lambda seen, *_: follow_bus(seen)},
-    "Follow-hard-v0": {"follow the bus": lambda seen, *_: follow_bus(seen)},
+    "Follow-hard-v0": {
+        "random": at_random,
+        "follow the bus": lambda seen, *_: follow_bus(seen),
+        "the same, by the truth": follow_by_truth,
+    },
 }
 """Agents by id, and what it is given, see `GIVEN`."""
 GIVEN: dict[str, dict[str, Any]] = {

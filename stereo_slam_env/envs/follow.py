@@ -103,7 +103,8 @@ class Follow(TaskEnv):
     A bus drives ahead in the same lane; it chooses its speeds itself, up to 8 m/s, and often stands. The car steers
     along its route, the agent accelerates and brakes. The filter `moving-bodies` has the bus in its state, and the
     agent sees what it believes: where the bus is, how fast it drives, and how well both are known. Street, sensors and
-    truth are those of `StereoSlam/Drive-v0`, with 40 landmarks at most that stand and 40 on the bus.
+    truth are those of `StereoSlam/Drive-v0`, with 40 landmarks at most that stand and 40 on the bus; at the level hard
+    10, so that the filter often has no bus in its state.
 
     ## Action Space
 
@@ -156,6 +157,10 @@ class Follow(TaskEnv):
     filter, filter_options = "moving-bodies", None
     parts = ((ObserveBodies, {"most": 4}), (FollowLeader, {}))
     keys = ("bodies", "car")
+
+    @classmethod
+    def at_level(cls, level: str) -> Mapping[str, Any]:
+        return {**super().at_level(level), **({"moving_landmarks": 10} if level == "hard" else {})}
 
 
 follow_vector = Follow.vector

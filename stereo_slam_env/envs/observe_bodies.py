@@ -60,10 +60,7 @@ class ObserveBodies(RowsWrapper):
         self._most = whole_number("most", most, 1)
         self._beliefs: FilterRows = self.needed("beliefs")
         if getattr(getattr(self._beliefs.filters[0], "options", None), "bodies", None) is None:
-            raise ValueError(
-                "ObserveBodies needs a filter with moving bodies in its state: use "
-                "BeliefObservation(env, filter='moving-bodies')"
-            )
+            raise ValueError("ObserveBodies needs a filter with moving bodies: BeliefObservation(env, 'moving-bodies')")
         low, high = (np.tile(bound, (most, 1)).astype(np.float32) for bound in (_LOW, _HIGH))
         self.observation_space = spaces.Dict({**self.dict_space(), "bodies": spaces.Box(low, high)})
         self._reads_bodies = True

@@ -103,6 +103,12 @@ def test_a_script_would_run_into_such_a_bus(name, arguments):
         gym.make(f"StereoSlam/{name}-v0", bus="stops-and-goes", **arguments)
 
 
+def test_at_the_level_hard_less_of_the_bus_is_tracked():
+    tracked = {level: gym.make(ID, level=level).unwrapped.options.moving_landmarks for level in ("easy", "hard")}
+    assert tracked == {"easy": 40, "hard": 10}
+    assert gym.make(ID, level="hard", moving_landmarks=5).unwrapped.options.moving_landmarks == 5
+
+
 def test_without_a_bus_that_is_seen_there_is_nothing_to_follow():
     for arguments in ({"bus": "stops-and-goes"}, {"moving_cars": 1, "moving_landmarks": 5}):
         with pytest.raises(ValueError, match="FollowLeader needs a bus that is seen"):
