@@ -36,6 +36,7 @@ REPEATABLE: Mapping[str, Callable[[Path], None]] = {
 }
 """Pictures that are the same whenever they are drawn."""
 OF_RUNS: Mapping[str, Callable[..., None]] = {
+    "bodies.webp": runs.bodies,
     "drive.webp": runs.drive,
     "report.png": runs.report,
     "view_rerun.jpg": runs.rerun,

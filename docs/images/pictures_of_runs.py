@@ -15,6 +15,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -25,8 +26,11 @@ from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 
 import stereo_slam_env as sse
+from filters import StereoNoise
 from stereo_slam_env.benchmark import preset_study, run_benchmark
+from stereo_slam_env.benchmark.scenarios.streams import without_measurements
 from stereo_slam_env.cli.app import main as stereo_slam
+from stereo_slam_env.frontend import ActiveSearch
 from stereo_slam_env.paper import NOISES, convergence, plots
 from stereo_slam_env.viewer import Drive, RerunView
 
@@ -34,6 +38,7 @@ BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 REPORT_SIZE, RERUN_SIZE = (1280, 1180), (1120, 860)
 MOVING_WIDTH, LEFT_VIEW = 880, 428
 """Width of the moving picture, and rows of the film of the search that its left view takes, px."""
+BODY_COLOURS = ((60, 60, 240), (230, 120, 30), (40, 200, 240), (200, 60, 200), (80, 190, 60))
 HEADINGS, MILLISECONDS = "headings", "milliseconds"
 """Texts in the PNG of the report: headings of its first table, and time a frame by filter, as JSON."""
 
@@ -54,6 +59,32 @@ def drive(path: Path, work: Path, *, small: bool) -> None:
         for views, panels in zip(_pictures(search), _pictures(film), strict=True)
     ]
     pictures[0].save(path, save_all=True, append_images=pictures[1:], duration=100, loop=0, quality=55, method=6)
+
+
+def bodies(path: Path, work: Path, *, small: bool) -> None:
+    """A moving picture: landmarks on the cars in the state of a filter, and how fast it believes these to be."""
+    traffic = {"route": "town", "renderer": "gl", "moving_cars": 14, "pedestrians": 4}
+    frames, views = 12 if small else 70, list[NDArray[np.uint8]]()
+    drive, pairs = sse.RenderedDrive(traffic, seed=1, frames=frames), []
+    settings = replace(drive.front_end, method="klt")
+    looks = ActiveSearch(drive, settings, watch=lambda pair, tracked: pairs.append((pair.left, tracked.observation)))
+    recorded = sse.record("StereoSlam/Drive-v0", seed=1, policy="route", frames=frames, **traffic)
+    noise = {"noise": StereoNoise.independent_pixels(0.3), "observe": looks.observe}
+    for moment in sse.run("moving-bodies", without_measurements(recorded), **noise):
+        left, observation = pairs[-1]
+        view, belief = cv2.cvtColor(left, cv2.COLOR_GRAY2BGR), moment.slam.bodies
+        for number, velocity, ids in zip(belief.ids.tolist(), belief.linear, belief.landmarks, strict=True):
+            colour = BODY_COLOURS[number % len(BODY_COLOURS)]
+            points = observation.uvd[np.isin(observation.ids, ids), :2]
+            for point in points:
+                cv2.circle(view, (round(point[0]), round(point[1])), 6, colour, 2, cv2.LINE_AA)
+            if len(points):
+                corner = int(points[:, 0].min()), int(points[:, 1].min()) - 14
+                speed = f"body-{number}: {np.linalg.norm(velocity):.1f} m/s"
+                cv2.putText(view, speed, corner, cv2.FONT_HERSHEY_SIMPLEX, 0.8, colour, 2, cv2.LINE_AA)
+        views.append(_wide(np.asarray(view, dtype=np.uint8)))
+    pictures = [Image.fromarray(view[..., ::-1]) for view in views]
+    pictures[0].save(path, save_all=True, append_images=pictures[1:], duration=100, loop=0, quality=60, method=6)
 
 
 def _pictures(film: Path) -> Iterator[NDArray[np.uint8]]:

@@ -319,7 +319,7 @@ def show_lines(lines: Mapping[str, str], width: int = 0, *, as_json: bool = Fals
 
 FILTER_GROUPS: Mapping[str, tuple[str, ...]] = {
     "the paper's": ("inverse-depth", "dual-bearing", "euclidean"),
-    "other choices": ("right-invariant", "unscented", "monocular", "submaps"),
+    "other choices": ("right-invariant", "unscented", "monocular", "submaps", "moving-bodies"),
     "for real drives": ("coloured-noise", "coloured-noise-causal"),
     "inertial": ("inertial", "msckf"),
     "baselines": ("dead-reckoning", "frame-to-frame", "fixed-lag", "batch", "filterpy-ekf"),
