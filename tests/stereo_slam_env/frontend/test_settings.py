@@ -27,7 +27,7 @@ def test_what_is_not_set_is_as_documented():
         **{"method": "active-search", "model": None, "matcher_model": None},
         **{"max_landmarks": 100, "refill_below": 85, "nearest": 2.5, "min_disparity": 1.0},
         **{"min_score": 0.8, "uniqueness": 0.92, "search_gate": 0.99, "max_radius": 24.0, "gate": 0.999},
-        **{"max_misses": 2, "margin": 8, "min_distance": 10.0, "sigma_acceleration": 3.0},
+        **{"max_misses": 2, "movers": False, "margin": 8, "min_distance": 10.0, "sigma_acceleration": 3.0},
         **{"sigma_angular_acceleration": 0.6, "disparity_offset": 0.0, "disparity_offset_sigma": 0.0},
         **{"sigma_floor": 0.05, "image_blur": 0.0, "sigma_relief": 0.04},
     }
