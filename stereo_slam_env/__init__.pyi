@@ -23,7 +23,6 @@ from .loop import Moment as Moment
 from .loop import run as run
 from .recording.archive import load_recording as load_recording
 from .recording.archive import save_recording as save_recording
-from .recording.body_truth import BodyTruth as BodyTruth
 from .recording.recording import Frame as Frame
 from .recording.recording import LandmarkTruth as LandmarkTruth
 from .recording.recording import Recording as Recording
