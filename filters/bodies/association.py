@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -160,6 +161,7 @@ class Association:
             beside(self.camera, tracks.uvd[index, 0], tracks.uvd[members, 0], reach, tracks.sigma_d).any(axis=1)
         )
 
+    @cached_property
     def _carriages(self) -> tuple[FloatArray, FloatArray]:
         """Turns (1 + K, 4, 3, 3) and shifts (1 + K, 4, 3) of points over the lags, by the scene, then by each body.
 
@@ -178,7 +180,7 @@ class Association:
 
         Carrier 0 is the scene, 1 + k body k.
         """
-        tracks, (turns, shifts) = self.tracks, self._carriages()
+        tracks, (turns, shifts) = self.tracks, self._carriages
         before, turn, shift = tracks.uvd[index][:, _LAGS], turns[carrier], shifts[carrier]
         measured = np.isfinite(before[:, :, 0]) & np.isfinite(shift[:, :, 0])
         n, lag = np.nonzero(measured)

@@ -131,19 +131,19 @@ class MovingBodies:
             return
         velocity = covariance @ np.einsum("nij,nj->i", velocities.weights, velocities.alone)
         uvd = tracks.uvd[index, 0]
-        middle = np.array([*uvd[:, :2].mean(axis=0), max(float(np.median(uvd[:, 2])), 0.5)])
+        middle_c = self.camera.backproject([*uvd[:, :2].mean(axis=0), max(float(np.median(uvd[:, 2])), 0.5)])
         turning = self._turns(index, velocity, covariance)
         body = Body(self._next, turning, self._frame, label, *_no_poses())
         self._next += 1
         prior, name = self.settings.prior(body.turning), body.names
         prior[:3, :3] += 2.0 * covariance
         row.clone_pose(name[0])
-        self._shift(row, name[0], self.camera.backproject(middle), R_wc)
+        self._shift(row, name[0], middle_c, R_wc)
         for number, (start, at) in enumerate(((velocity, slice(0, 3)), (np.zeros(3), slice(3, 6)))):
             row.add(Variable(name[1 + number], start, prior[at, at], in_world=True), {})
         self._release(row, tracks.ids[index])
         tracks.status[index], tracks.strikes[index] = body.number, 0
-        body.points[0], body.axes[0] = position + R_wc @ self.camera.backproject(middle), R_wc
+        body.points[0], body.axes[0] = position + R_wc @ middle_c, R_wc
         self.bodies.append(body)
 
     def _shift(self, row: Row, name: str, offset_c: FloatArray, R_wc: FloatArray) -> None:

@@ -243,7 +243,7 @@ class CoreRows(Rows):
         if self.simulator.rules.steered:
             info["cross_track"] = sensed.beside.copy()
         if options.moving_landmarks:
-            info["truth_bodies"] = bodies_now(fleet, options.moving_bodies)
+            info["truth_bodies"] = self.true_bodies()
             info["truth_body_of"] = bodies_of_measurements(fleet, sensed)
         info |= {f"reward_{name}": sensed.terms[k].copy() for name, k in self._weights.items()}
         return observation, info | self._extras(shown.v_right)
@@ -301,6 +301,9 @@ class CoreRows(Rows):
 
     def true_positions(self) -> FloatArray:
         return self.simulator.fleet.pose[:, :3].copy()
+
+    def true_bodies(self) -> FloatArray:
+        return bodies_now(self.simulator.fleet, self.options.moving_bodies)
 
     def told(self, name: str) -> FloatArray:
         if name == "distance":

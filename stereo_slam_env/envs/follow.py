@@ -65,14 +65,14 @@ class FollowLeader(PaidRows):
 
     def reset(self, chosen: BoolArray, seeds: Seeds, options: Mapping[str, Any]) -> None:
         super().reset(chosen, seeds, options)
-        self._kept[chosen], self._steps[chosen], self._gaps[chosen] = 0.0, 0.0, self._measure(chosen)[chosen]
+        self._kept[chosen], self._steps[chosen], self._gaps[chosen] = 0.0, 0.0, self._measure()[chosen]
 
     def step(self, actions: Any, going: BoolArray) -> Step:
         """Steer along the route, slowly enough for its bends, and pay for the gap."""
         driven = follow_route({key: self.world.shown(key) for key in ("car", "route")})
         driven[:, 0] = np.minimum(driven[:, 0], actions[:, 0])
         rewards, terminated, truncated = self.rows.step(driven, going)
-        self._gaps[going] = self._measure(going)[going]
+        self._gaps[going] = self._measure()[going]
         target = self._standstill + self._headway * self.world.shown("car")[:, 0]
         share = np.where(self._gaps > 0.0, np.maximum(1.0 - np.abs(self._gaps - target) / target, 0.0), 0.0)
         self._kept, self._steps = self._kept + np.where(going, share, 0.0), self._steps + going
@@ -83,16 +83,11 @@ class FollowLeader(PaidRows):
         success = (self._kept >= 0.5 * np.maximum(self._steps, 1.0)) & ~np.asarray(info["failed"])
         return observation, {**info, "gap": self._gaps.copy(), "is_success": success}
 
-    def _measure(self, which: BoolArray) -> FloatArray:
-        """True gaps (B,) of some rows, m; 0 where there is no bus."""
-        gaps = np.zeros(self.num_envs)
-        for b in np.flatnonzero(which).tolist():
-            frame = self.world.frame(b)
-            assert frame.bodies is not None
-            assert frame.truth is not None
-            away = (frame.bodies.positions - frame.truth.position)[[kind == "bus" for kind in frame.bodies.kinds]]
-            gaps[b] = max(float(np.hypot(*away[0, [0, 2]])) - 0.5 * BUS_LENGTH - BUMPER, 0.0) if len(away) else 0.0
-        return gaps
+    def _measure(self) -> FloatArray:
+        """True gaps (B,), m; 0 where there is no bus, which is the first of the moving bodies."""
+        bus = self.world.true_bodies()[:, 0]
+        away = np.hypot(*(bus[:, 1:4] - self.world.true_positions())[:, [0, 2]].T)
+        return np.where(bus[:, 0] > 0.0, np.maximum(away - 0.5 * BUS_LENGTH - BUMPER, 0.0), 0.0)
 
 
 class Follow(TaskEnv):

@@ -76,6 +76,9 @@ class World(Protocol):
     def true_positions(self) -> FloatArray:
         """True positions of the left cameras, in W, m; (B, 3)."""
 
+    def true_bodies(self) -> FloatArray:
+        """Moving bodies, as `truth_bodies` of `info` has them; (B, K, 14)."""
+
     def frame(self, b: int) -> Frame:
         """The frame in full precision."""
 
@@ -218,6 +221,9 @@ class OneRow(Rows):
         if truth is None:
             raise ValueError("the environment must have the truth: its frames have truth = None")
         return truth.position[None]
+
+    def true_bodies(self) -> FloatArray:
+        return np.asarray(self._said[1]["truth_bodies"], dtype=np.float64)[None]
 
     def measured(self, which: BoolArray) -> Measured:
         frame = self.frame(0)
