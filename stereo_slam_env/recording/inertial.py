@@ -19,8 +19,8 @@ FASTEST_TURN = 20.0
 """No camera turns faster and sees anything, rad/s."""
 _MOSTLY = 99.0
 """Percentile of the rates: a single one may be a fault."""
-_SAME = 1e-9
-"""Of two times, s: as far apart as rounding moves them."""
+_SAME = 5e-9
+"""Of two times, s: as far apart as rounding to nanoseconds moves them."""
 
 
 def samples_of_steps(
@@ -28,7 +28,9 @@ def samples_of_steps(
 ) -> list[InertialSamples | None]:
     """Samples of the step to each frame from the one before; None for the first, and where a step is not covered.
 
-    Between two rows what was measured changes linearly: a sample is its mean from the row, or the frame, before.
+    A row stands for the time around its stamp, to half way to the next ones: as what a unit has averaged over a period
+    is stamped in its middle, and as good as straight lines between the rows for what it has not. Noise of the samples
+    is then independent, as filters take it, which that of means between two rows is not.
 
     Parameters
     ----------
@@ -56,17 +58,18 @@ def samples_of_steps(
         message = f"its rows are {apart:.3g} s apart, the frames {step:.3g} s: are its times of another unit?"
         raise ValueError(f"{path}: {message} Write those of both in one")
     steps: list[InertialSamples | None] = [None]
-    integral = np.vstack([np.zeros(6), np.cumsum(np.diff(times)[:, None] * 0.5 * (numbers[1:] + numbers[:-1]), axis=0)])
+    middles = 0.5 * (times[1:] + times[:-1])
+    ends = np.concatenate([[2.0 * times[0] - middles[0]], middles, [2.0 * times[-1] - middles[-1]]])
     longest = _GAP * apart
     for begin, end in pairwise(frames.tolist()):
-        first, last = np.searchsorted(times, [begin + _SAME, end - _SAME])
-        covered = times[0] - _SAME <= begin < end <= times[-1] + _SAME
-        if not covered or np.diff(times[max(first - 1, 0) : last + 1]).max(initial=0.0) > longest:
+        before, after = np.searchsorted(times, [begin + _SAME, end - _SAME])
+        covered = ends[0] - _SAME <= begin < end <= ends[-1] + _SAME
+        if not covered or np.diff(times[max(before - 1, 0) : after + 1]).max(initial=0.0) > longest:
             steps.append(None)
             continue
-        edges = np.array([begin, *times[first:last], end])
-        means = np.diff(_at(times, numbers, integral, edges), axis=0) / np.diff(edges)[:, None]
-        steps.append(InertialSamples(edges[1:] - begin, means[:, :3], means[:, 3:], unit))
+        first, last = np.searchsorted(ends, [begin + _SAME, end - _SAME])
+        rows = numbers[first - 1 : last]
+        steps.append(InertialSamples(np.append(ends[first:last], end) - begin, rows[:, :3], rows[:, 3:], unit))
     return steps
 
 
@@ -94,12 +97,3 @@ def joined(steps: Sequence[InertialSamples | None], durations: FloatArray) -> In
         elapsed += before
         one = None if one is None or step is None else one.followed_by(step, elapsed)
     return one
-
-
-def _at(times: FloatArray, numbers: FloatArray, integral: FloatArray, t: FloatArray) -> FloatArray:
-    """Integral of what changes linearly between the rows, from the first of them to `t` (M,); (M, 6)."""
-    row = np.clip(np.searchsorted(times, t, side="right") - 1, 0, len(times) - 2)
-    since, width = t - times[row], times[row + 1] - times[row]
-    slope = (numbers[row + 1] - numbers[row]) / width[:, None]
-    integrated: FloatArray = integral[row] + since[:, None] * (numbers[row] + 0.5 * since[:, None] * slope)
-    return integrated

@@ -1,4 +1,4 @@
-"""Inertial samples that are cut out of a table: exact means, gaps, joined steps."""
+"""Inertial samples that are cut out of a table: periods of the rows, gaps, joined steps."""
 
 from __future__ import annotations
 
@@ -21,17 +21,27 @@ def ramp(t: np.ndarray) -> np.ndarray:
     return np.outer(t, np.arange(1.0, 7.0)) + np.arange(6.0)
 
 
-def test_a_sample_is_the_mean_of_its_interval() -> None:
+def test_a_row_stands_for_the_time_around_its_stamp() -> None:
     none, *steps = samples_of_steps(FILE, TIMES, ramp(TIMES), FRAMES, UNIT)
     assert none is None
     for begin, end, step in zip(FRAMES, FRAMES[1:], steps, strict=False):
         assert step is not None
         edges = begin + np.concatenate([[0.0], step.times])
         assert edges[-1] == pytest.approx(end, abs=1e-12)
-        np.testing.assert_array_equal(edges[1:-1].round(9), TIMES[(begin < TIMES) & (end > TIMES)].round(9))
-        means = 0.5 * (ramp(edges[1:]) + ramp(edges[:-1]))
-        np.testing.assert_allclose(np.hstack([step.angular_rates, step.specific_forces]), means, atol=1e-12)
+        halves = TIMES + 0.0065
+        np.testing.assert_array_equal(edges[1:-1].round(9), halves[(begin < halves) & (end > halves)].round(9))
+        nearest = ramp(0.013 * np.round(0.5 * (edges[1:] + edges[:-1]) / 0.013))
+        np.testing.assert_allclose(np.hstack([step.angular_rates, step.specific_forces]), nearest, atol=1e-12)
         step.check_step(end - begin)
+
+
+def test_means_that_are_stamped_in_the_middle_of_their_periods_are_the_samples() -> None:
+    stamps = np.round((np.arange(60) + 0.5) / 200.0, 9)  # of 20 periods a frame
+    steps = samples_of_steps(FILE, stamps, ramp(stamps), np.round(0.1 * np.arange(4), 9), UNIT)[1:]
+    for k, step in enumerate(steps):
+        assert step is not None
+        np.testing.assert_allclose(step.times, np.arange(1, 21) / 200.0, rtol=0, atol=1e-9)
+        np.testing.assert_array_equal(step.angular_rates, ramp(stamps)[20 * k : 20 * k + 20, :3])
 
 
 def test_a_step_that_is_not_covered_has_no_samples() -> None:
