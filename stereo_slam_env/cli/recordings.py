@@ -22,12 +22,23 @@ def convert(
     out: Annotated[
         Path | None,
         typer.Argument(
-            help="NAME.mcap: images for Foxglove and ROS 2; NAME.npz: measured tracks; else a folder for "
-            "sequences/NAME and poses/NAME.txt, as KITTI has them.",
+            help="NAME.mcap (ROS 2), NAME.bag (ROS 1), NAME.npz (measured tracks), else a folder.",
             show_default=False,
         ),
     ] = None,
-    name: Annotated[str, typer.Option("--name", help="Sequence name.")] = "00",
+    format_name: Annotated[
+        str | None,
+        typer.Option(
+            "--format",
+            help="'kitti', 'euroc', 'tum-vi'; 'mcap', 'db3' (ROS 2), 'bag' (ROS 1).",
+            show_default="by the ending, else kitti",
+        ),
+    ] = None,
+    name: Annotated[str, typer.Option("--name", help="Name of a KITTI sequence.")] = "00",
+    lossy: Annotated[
+        bool, typer.Option("--lossy", help="Leave out what the format has no place for; otherwise it is refused.")
+    ] = False,
+    compressed: Annotated[bool, typer.Option("--compressed", help="Images in bags as PNG.")] = False,
     skip_broken: Annotated[
         bool, typer.Option("--skip-broken", help="Leave out pairs with missing or damaged images, and count them.")
     ] = False,
@@ -35,8 +46,9 @@ def convert(
     *,
     images: ImagesOptions,
 ) -> None:
-    """Write a recording as MCAP, KITTI sequence or track archive."""
-    from stereo_slam_env.datasets import available_recordings, load, open_image_sequence, write_kitti_sequence
+    """Write a recording in another format, or its tracks."""
+    from stereo_slam_env.datasets import available_recordings, load, open_image_sequence
+    from stereo_slam_env.datasets.writing import KINDS, write_recording
     from stereo_slam_env.files.folders import require_writable
     from stereo_slam_env.recording.archive import save_recording
     from stereo_slam_env.report.console import progress_bar
@@ -46,18 +58,22 @@ def convert(
         return
     if path is None or out is None:
         raise ValueError("convert needs a recording and where it goes: stereo-slam convert RECORDING OUT")
-    require_writable(out.parent if out.suffix in (".mcap", ".npz") else out)
+    require_writable(out.parent if out.suffix in (".mcap", ".bag", ".npz") else out)
     options: dict[str, Any] = {**images.given(), **({"on_broken": "skip"} if skip_broken else {})}
     with progress_bar(console(stderr=True), "pairs") as progress:
         if out.suffix == ".npz":
             save_recording(out, load(path, **options))
             written = out
-        elif out.suffix == ".mcap":
-            from stereo_slam_env.datasets.bag_images import write_mcap
-
-            written = write_mcap(open_image_sequence(path, **options), out, on_pair=progress)
         else:
-            written = write_kitti_sequence(open_image_sequence(path, **options), out, name, on_pair=progress)
+            written = write_recording(
+                open_image_sequence(path, **options),
+                out,
+                format_name,
+                name=name,
+                compressed=compressed,
+                may_lose=KINDS if lossy else (),
+                on_pair=progress,
+            )
     typer.echo(str(written.resolve()))
 
 

@@ -106,24 +106,81 @@ def render_scene(
 @app.command("record")
 @with_options(_scene, "scene")
 def record_scene(
-    out: Annotated[Path, typer.Option("--out", help="Folder for sequences/NAME and poses/NAME.txt.")],
-    name: Annotated[str, typer.Option("--name", help="Sequence name, two digits for KITTI tools.")] = "00",
+    out: Annotated[Path, typer.Option("--out", help="Folder for the drive; with --seeds for one folder a seed.")],
+    format_name: Annotated[
+        str,
+        typer.Option("--format", help="'kitti', 'euroc', 'tum-vi'; 'mcap', 'db3' (ROS 2), 'bag' (ROS 1)."),
+    ] = "kitti",
+    name: Annotated[str, typer.Option("--name", help="Name of a KITTI sequence, two digits for its tools.")] = "00",
     seed: SeedOption = 0,
+    seeds: Annotated[
+        int | None, typer.Option("--seeds", help="So many drives, from --seed on, for Monte Carlo.", min=1)
+    ] = None,
     frames: FramesOption = None,
+    imu: Annotated[
+        str | None,
+        typer.Option("--imu", help="Inertial unit, 200 Hz: 'adis16448', 'bmi088', 'car'.", show_default="none"),
+    ] = None,
+    scale_errors: Annotated[
+        bool, typer.Option("--scale-errors", help="The unit has errors of scale and alignment, too.")
+    ] = False,
+    imu_offset: Annotated[
+        float, typer.Option("--imu-offset", help="Stamps of the unit less those of the cameras, s.")
+    ] = 0.0,
+    vehicle: Annotated[
+        str | None,
+        typer.Option("--vehicle", help="'smooth' or 'kinematic'.", show_default="smooth with --imu"),
+    ] = None,
+    rate: Annotated[
+        float | None, typer.Option("--rate", help="Pairs a second of a flight; a drive has 10.", show_default="20")
+    ] = None,
+    compressed: Annotated[bool, typer.Option("--compressed", help="Images in bags as PNG.")] = False,
     *,
     scene: dict[str, Any],
 ) -> None:
-    """Write a rendered drive as a KITTI odometry sequence."""
-    from stereo_slam_env.datasets import write_kitti_sequence
+    """Write rendered drives that other programs read.
+
+    With images, calibration, truth and, where the format has a place for them, inertial samples and wheel odometry;
+    beside them settings for Kalibr, OpenVINS, VINS-Fusion, ORB-SLAM3, Basalt and ROS. As ROUTE, 'flight' is a camera
+    that is carried to and fro in six degrees of freedom. What was interrupted goes on with the same command.
+    """
+    from stereo_slam_env.datasets.writing import FORMATS, STATES, STEPS, write_recording
     from stereo_slam_env.envs.recorder import RenderedDrive
+    from stereo_slam_env.envs.rendered_flight import RenderedFlight
     from stereo_slam_env.files.folders import require_writable
     from stereo_slam_env.report.console import progress_bar
 
     require_writable(out)
-    drive = RenderedDrive(scene, seed, frames)
-    with progress_bar(console(stderr=True), "frames") as progress:
-        folder = write_kitti_sequence(drive, out, name, on_pair=progress)
-    typer.echo(str(folder.resolve()))
+    is_flight = scene["route"] == "flight"
+    if rate is not None and not is_flight:
+        raise ValueError(f"--rate needs the route 'flight', got {scene['route']!r}: a drive has 10 pairs a second")
+    arguments = {**scene, "imu": imu, "imu_calibrated": not scale_errors}
+    arguments["vehicle"] = vehicle or ("smooth" if imu is not None else "kinematic")
+    if is_flight:
+        arguments["route"] = "straight"
+    errors = "as --scale-errors was given, also of scale and alignment" if scale_errors else "none but these"
+    about = {"Errors of the unit that settings cannot state": errors} if imu is not None else {}
+    for number in range(seed, seed + (seeds or 1)):
+        drive: Any
+        if is_flight:
+            drive = RenderedFlight(arguments, number, frames or 400, rate=rate or 20.0)
+        else:
+            drive = RenderedDrive(arguments, number, frames)
+        place = out if seeds is None else out / f"{number:03d}"
+        with progress_bar(console(stderr=True), f"frames of seed {number}") as progress:
+            folder = write_recording(
+                drive,
+                place,
+                format_name,
+                name=name,
+                time_offset=imu_offset,
+                compressed=compressed,
+                may_lose={STEPS, STATES} - FORMATS[format_name].keeps if format_name in FORMATS else (),
+                about={**about, "Seed": str(number)},
+                keep_same=seeds is not None,
+                on_pair=progress,
+            )
+        typer.echo(str(folder.resolve()))
 
 
 @app.command("noise")

@@ -13,9 +13,8 @@ from typing import Any
 
 from filters.contract.noise import ColouredNoise
 from filters.contract.validation import require_known
-from stereo_slam_env.datasets.bag_images import grey_of, write_mcap
+from stereo_slam_env.datasets.bag_images import grey_of
 from stereo_slam_env.datasets.image_files import BrokenPair
-from stereo_slam_env.datasets.kitti_odometry import write_kitti_sequence
 from stereo_slam_env.datasets.layouts import (
     FolderLayout,
     available_recordings,
@@ -26,6 +25,7 @@ from stereo_slam_env.datasets.layouts import (
 from stereo_slam_env.datasets.restated import Recalibrated, WithTruth
 from stereo_slam_env.datasets.sequence import Choice, OnBroken
 from stereo_slam_env.datasets.single_data_sets import read_gtsam
+from stereo_slam_env.datasets.writing import FORMATS, write_recording
 from stereo_slam_env.evaluation.body_frames import read_body
 from stereo_slam_env.files.opening import is_there, require_inside, require_links_inside
 from stereo_slam_env.frontend.camera_motion import set_up_for_tracks, with_moving_start
@@ -42,6 +42,7 @@ EXAMPLE = "gtsam"
 _CHOICE = ("first", "last", "on_broken", "rig", "truth", "body")
 
 __all__ = [
+    "FORMATS",
     "BrokenPair",
     "available_recordings",
     "grey_of",
@@ -52,8 +53,7 @@ __all__ = [
     "open_for_front_end",
     "open_image_sequence",
     "track_layouts",
-    "write_kitti_sequence",
-    "write_mcap",
+    "write_recording",
 ]
 
 
@@ -208,6 +208,8 @@ def open_image_sequence(
     require_baseline(place, sequence.camera.baseline)
     if truth is not None:
         sequence = WithTruth(sequence, str(truth), None if body is None else read_body(Path(body)))
+    elif (stated := getattr(sequence, "stated_truth", None)) is not None:
+        sequence = WithTruth(sequence, *stated)
     return sequence
 
 

@@ -6,6 +6,7 @@ frames to that of the left images. Noise is what the messages state.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,6 +30,27 @@ ASSUMED = "bmi088"
 """Data sheet of what messages do not state: the walks of the biases, and densities where a covariance is zero."""
 
 
+log = logging.getLogger(__name__)
+
+_SAME = 1e-6
+"""Of two times, s."""
+_NUMBERS = "std_msgs/msg/Float64MultiArray"
+TRUTH = "/ground_truth"
+"""Topic of an odometry of true poses."""
+NOISE = "noise"
+"""Name of a topic beside that of a unit: densities of gyros and accelerometers, their walks."""
+
+
+@dataclass(frozen=True, eq=False)
+class Clock:
+    """Times of pairs."""
+
+    origin: int
+    """Stamp that times count from, ns."""
+    seconds: FloatArray
+    """(K,), s."""
+
+
 @dataclass(frozen=True, eq=False)
 class BagMotion:
     """Inertial samples and odometry of a bag; either may be absent."""
@@ -37,8 +59,8 @@ class BagMotion:
     """Of the step to each pair; empty without a unit."""
     odometry: Trajectory | None
     """Poses of the left camera by the odometry, on the clock of the pairs."""
-    twist: FloatArray
-    """(6, 6): covariance of the camera's mean velocity over a step, linear before angular."""
+    twists: FloatArray
+    """(N, 6, 6): covariances of the camera's velocity at the poses of the odometry, linear before angular."""
     source: Mapping[str, Any]
     """Topics, and whose noise was assumed."""
 
@@ -50,12 +72,16 @@ class BagMotion:
         if before is None or after is None:
             return None
         moved, dt = before.inverse() @ after, end - begin
-        turn = rotations.log(moved.R_wc)
-        return BodyVelocity(rotations.exp(-0.5 * turn) @ moved.position / dt, turn / dt, self.twist)
+        turn, times = rotations.log(moved.R_wc), self.odometry.timestamps
+        assert times is not None
+        first, last = np.searchsorted(times, [begin + _SAME, end + _SAME])
+        twists = self.twists[first:last] if last > first else self.twists
+        linear = rotations.exp(-0.5 * turn) @ moved.position / dt
+        return BodyVelocity(linear, turn / dt, np.median(twists, axis=0))
 
 
 def motion_of_bag(
-    reader: Any, path: Path, images: str, times: FloatArray, R_left: FloatArray, imu: str | None, odometry: str | None
+    reader: Any, path: Path, images: str, clock: Clock, R_left: FloatArray, imu: str | None, odometry: str | None
 ) -> BagMotion:
     """Read what there is.
 
@@ -67,8 +93,8 @@ def motion_of_bag(
         Its name, for messages.
     images : str
         Topic of the left images.
-    times : (K,) ndarray
-        Of the left images, s, on the robot's clock.
+    clock : Clock
+        Times of the left images.
     R_left : (3, 3) ndarray
         From the left camera as it is mounted to the rectified one.
     imu, odometry : str, optional
@@ -89,11 +115,23 @@ def motion_of_bag(
     mounting = _Mounting(reader, path, images, R_left) if units or odometry is not None else None
     inertial, source = list[InertialSamples | None](), dict[str, Any]()
     if mounting is not None and (imu is not None or len(units) == 1):
-        inertial, source = _inertial(reader, mounting, units[0], times, asked=imu is not None)
+        inertial, source = _inertial(reader, mounting, units[0], clock, asked=imu is not None)
     if mounting is None or odometry is None:
-        return BagMotion(inertial, None, np.zeros((6, 6)), source)
-    poses, twist = _odometry(reader, mounting, odometry)
-    return BagMotion(inertial, poses, twist, {**source, "odometry": odometry})
+        return BagMotion(inertial, None, np.zeros((0, 6, 6)), source)
+    poses, twists = _odometry(reader, mounting, odometry, clock.origin)
+    return BagMotion(inertial, poses, twists, {**source, "odometry": odometry})
+
+
+def truth_of_bag(reader: Any, path: Path, images: str) -> Pose | None:
+    """Pose of the left camera, as it is mounted, in the body whose true poses are on `TRUTH`; None without those."""
+    if TRUTH not in {c.topic for c in reader.connections if c.msgtype == ODOMETRY}:
+        return None
+    try:
+        mounting = _Mounting(reader, path, images, np.eye(3))
+        return mounting.camera_in(_first(reader, TRUTH).child_frame_id)
+    except ValueError as error:
+        log.warning("%s: no truth is taken from %s: %s", path, TRUTH, error)
+        return None
 
 
 class _Mounting:
@@ -105,7 +143,7 @@ class _Mounting:
         self._turn = Pose(np.zeros(3), rotations.from_matrix(R_left.T))
 
     def camera_in(self, frame: str) -> Pose:
-        """T_fc of the camera in a frame."""
+        """T_fc of the rectified camera in a frame."""
         link = fixed_pose(self._links, frame.strip("/"), self._camera)
         if link is None:
             message = f"no static transform links {plain(frame)!r} with the camera's frame {plain(self._camera)!r}"
@@ -114,7 +152,7 @@ class _Mounting:
 
 
 def _inertial(
-    reader: Any, mounting: _Mounting, topic: str, times: FloatArray, *, asked: bool
+    reader: Any, mounting: _Mounting, topic: str, clock: Clock, *, asked: bool
 ) -> tuple[list[InertialSamples | None], dict[str, Any]]:
     """Samples of the steps between `times`; nothing where the unit is not asked for and its place is not known."""
     messages = [(stamp, message) for stamp, message in _messages(reader, topic)]
@@ -126,44 +164,62 @@ def _inertial(
         if asked:
             raise
         return [], {"imu": None, "imu_unused": str(error)}
-    rows = np.array([[stamp, *_vector(m.angular_velocity), *_vector(m.linear_acceleration)] for stamp, m in messages])
-    rows = rows[np.unique(rows[:, 0], return_index=True)[1]]
+    times = 1e-9 * np.array([stamp - clock.origin for stamp, _ in messages], dtype=np.float64)
+    rows = np.array([[*_vector(m.angular_velocity), *_vector(m.linear_acceleration)] for _, m in messages])
+    times, order = np.unique(times, return_index=True)
     stated = np.array(
         [[m.angular_velocity_covariance[::4], m.linear_acceleration_covariance[::4]] for _, m in messages]
     )
     sheet, variances = DATA_SHEETS[ASSUMED], np.median(stated, axis=0).mean(axis=1)
-    step = float(np.median(np.diff(rows[:, 0])))
+    step = float(np.median(np.diff(times)))
     has_variances = bool((variances > 0.0).all())
     gyro, accelerometer = sheet.gyro_density, sheet.accelerometer_density
     if has_variances:
         gyro, accelerometer = np.sqrt(variances * step).tolist()
-    unit = InertialUnit(T_ci.position, T_ci.orientation, gyro, accelerometer, sheet.gyro_walk, sheet.accelerometer_walk)
-    assumed = "walks of the biases" if has_variances else "densities and walks"
-    origin = times[0]
-    samples = samples_of_steps(mounting.path, rows[:, 0] - origin, rows[:, 1:], times - origin, unit)
-    return samples, {"imu": topic, "imu_assumed": f"{assumed} of {ASSUMED}"}
+    walks, assumed = (sheet.gyro_walk, sheet.accelerometer_walk), f"densities and walks of {ASSUMED}"
+    if has_variances:
+        assumed = f"walks of the biases of {ASSUMED}"
+    if (noise := _noise_beside(reader, topic)) is not None:
+        gyro, accelerometer, *rest = noise
+        walks = rest[0], rest[1]
+        assumed = "nothing"
+    unit = InertialUnit(T_ci.position, T_ci.orientation, gyro, accelerometer, *walks)
+    samples = samples_of_steps(mounting.path, times, rows[order], clock.seconds, unit)
+    return samples, {"imu": topic, "imu_assumed": assumed}
 
 
-def _odometry(reader: Any, mounting: _Mounting, topic: str) -> tuple[Trajectory, FloatArray]:
-    """Poses of the camera, and the covariance of its velocity: that of the twists, carried from the body to it."""
+def _noise_beside(reader: Any, topic: str) -> list[float] | None:
+    """Densities and walks on the topic `noise` beside that of the samples, as `bag_writer` has it; None without."""
+    name = f"{topic.rpartition('/')[0]}/{NOISE}"
+    for connection in (c for c in reader.connections if c.topic == name and c.msgtype == _NUMBERS):
+        for _, _, raw in reader.messages([connection]):
+            numbers = [float(number) for number in reader.deserialize(raw, _NUMBERS).data]
+            if len(numbers) == 4 and np.isfinite(numbers).all() and min(numbers) >= 0.0:
+                return numbers
+    return None
+
+
+def _odometry(reader: Any, mounting: _Mounting, topic: str, origin: int) -> tuple[Trajectory, FloatArray]:
+    """Poses of the camera, and covariances of its velocity: those of the twists, carried from the body to it."""
     rows, doubts, body = [], [], ""
     for stamp, message in _messages(reader, topic):
         p, q = message.pose.pose.position, message.pose.pose.orientation
-        rows.append([stamp, p.x, p.y, p.z, q.x, q.y, q.z, q.w])
+        rows.append([1e-9 * (stamp - origin), p.x, p.y, p.z, q.x, q.y, q.z, q.w])
         doubts.append(np.asarray(message.twist.covariance).reshape(6, 6))
         body = message.child_frame_id
     table = np.array(rows).reshape(-1, 8)
-    table = table[np.unique(table[:, 0], return_index=True)[1]]
+    order = np.unique(table[:, 0], return_index=True)[1]
+    table = table[order]
     if len(table) < 2:
         raise ValueError(f"{mounting.path}: {topic} has {len(table)} messages: record it again")
-    covariance = np.median(doubts, axis=0)
-    if not covariance.any():
+    covariances = np.array(doubts)[order]
+    if not np.median(covariances, axis=0).any():
         said = f"{topic} states no covariance of its twist, so that nobody knows what it is worth"
         raise ValueError(f"{mounting.path}: {said}: have the driver state one, or leave it out")
     T_bc = mounting.camera_in(body)
     R_cb = T_bc.R_wc.T
     J = np.block([[R_cb, -R_cb @ rotations.skew(T_bc.position)], [np.zeros((3, 3)), R_cb]])
-    twist = J @ covariance @ J.T
+    twists = J @ covariances @ J.T
     poses = [Pose(row[1:4], row[4:8]) @ T_bc for row in table]
     trajectory = Trajectory(
         np.array([pose.position for pose in poses]),
@@ -171,14 +227,14 @@ def _odometry(reader: Any, mounting: _Mounting, topic: str) -> tuple[Trajectory,
         table[:, 0],
         gauge=None,
     )
-    return trajectory, 0.5 * (twist + twist.T)
+    return trajectory, 0.5 * (twists + twists.swapaxes(1, 2))
 
 
 def _messages(reader: Any, topic: str) -> Any:
-    """Stamps, s, and messages of a topic."""
+    """Stamps, ns, and messages of a topic."""
     for connection, _, raw in reader.messages([c for c in reader.connections if c.topic == topic]):
         message = reader.deserialize(raw, connection.msgtype)
-        yield message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec, message
+        yield message.header.stamp.sec * 10**9 + message.header.stamp.nanosec, message
 
 
 def _first(reader: Any, topic: str) -> Any:

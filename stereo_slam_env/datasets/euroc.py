@@ -6,7 +6,7 @@ cv) and a distortion, radial-tangential or equidistant. TUM-VI has Kalibr's `dso
 `mav0/state_groundtruth_estimate0/data.csv`, of TUM-VI `mav0/mocap0/data.csv`: timestamp in ns, position and quaternion
 (w first) of the body in its own world, and more columns that are not used. Inertial samples are `mav0/imu0/data.csv`:
 timestamp in ns, angular rates, specific forces; the unit is that of `sensor.yaml` there (T_BS, densities of the noise),
-of TUM-VI that of `dso/imu_config.yaml`, which is the body itself.
+of TUM-VI that of `dso/imu_config.yaml`, which is the body itself. Odometry is `mav0/odom0/data.csv`, see `asl_writer`.
 
 Frame k is row k of `cam0/data.csv`. The images are rectified on reading, so the camera of the sequence is not the one
 in the file. The truth is that of the turned left camera; frames outside the time that it covers are left out.
@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
-from filters import InertialSamples, InertialUnit, Pose
+from filters import BodyVelocity, InertialSamples, InertialUnit, Pose
 from filters.geometry.arrays import FloatArray, IntArray
 from stereo_slam_env.datasets.layouts import reference_for
 from stereo_slam_env.datasets.restated import as_they_are, sample_of_files
@@ -33,6 +33,7 @@ from stereo_slam_env.recording.inertial import samples_of_steps
 from stereo_slam_env.recording.recording import NO_REFERENCE
 from stereo_slam_env.sensing.lenses import Rectification
 from stereo_slam_env.sensing.rig_files import body_of_camera, imu_shift, noise_of_unit, read_calibration
+from stereo_slam_env.sensing.sensor_suite import STANDARD_GRAVITY
 
 NAME = "euroc"
 _IN_MAV0 = tuple(f"mav0/{camera}/{name}" for camera in ("cam0", "cam1") for name in ("data.csv", "sensor.yaml"))
@@ -42,7 +43,12 @@ FILES = (
     tuple(name.removeprefix("mav0/") for name in _IN_MAV0),
     ("mav0/cam0/data.csv", "mav0/cam1/data.csv", _CAMCHAIN),
 )
-_INERTIAL, _UNIT = "imu0", "dso/imu_config.yaml"
+_INERTIAL, _UNIT, _ODOMETRY = "imu0", "dso/imu_config.yaml", "odom0"
+_LOWER = np.tril_indices(6)
+_POSE_ONLY = 7
+"""Commas in a row of poses alone."""
+STATES_OF_TRUTH = frozenset({"true velocities and biases"})
+"""What the tables of truth have beside poses, which `evaluate` reads."""
 TRUTHS = ("state_groundtruth_estimate0", "mocap0")
 STATED = "The poses of {}, interpolated and carried over to the rectified left camera."
 LARGEST_TRUTH_GAP_NS = 100_000_000
@@ -90,7 +96,9 @@ def open_sequence(path: Path, choice: Choice, *, use_truth: bool = True) -> Reco
         last = last if choice.last is None else min(last, choice.last)
         choice = Choice(max(choice.first or 0, first), last, choice.on_broken)
     folders = cameras[0] / "data", cameras[1] / "data"
-    files = ImageFiles(folders, (left, right), 1e-9 * (ns - ns[0]), cameras[0] / "data.csv", truth, table, (), inertial)
+    odometry = _odometry(root / _ODOMETRY / "data.csv", ns, rectify.R_left)
+    seconds, listing = 1e-9 * (ns - ns[0]), cameras[0] / "data.csv"
+    files = ImageFiles(folders, (left, right), seconds, listing, truth, table, odometry, inertial)
     name = root.parent.name if root.name == "mav0" else root.name
     source: dict[str, Any] = {
         "reader": NAME,
@@ -99,7 +107,37 @@ def open_sequence(path: Path, choice: Choice, *, use_truth: bool = True) -> Reco
         "epoch_s": 1e-9 * int(ns[0]),
         **({"notes": list(notes)} if notes else {}),
     }
-    return RecordedSequence(f"{NAME}_{name}", files, choice, lambda image: rectify.camera, source, truth_from, rectify)
+    sequence = RecordedSequence(
+        f"{NAME}_{name}", files, choice, lambda image: rectify.camera, source, truth_from, rectify
+    )
+    origin = None if truth is None else truth[sequence.frame_numbers[0]]
+    if origin is not None:  # its world has z up
+        sequence.gravity = tuple((origin.R_wc.T @ [0.0, 0.0, -STANDARD_GRAVITY]).tolist())
+        sequence.not_read = STATES_OF_TRUTH if _has_states(table) else frozenset()
+    return sequence
+
+
+def _has_states(table: Path) -> bool:
+    """Whether a table of truth has velocities and biases, too."""
+    return next((line.count(",") > _POSE_ONLY for _, line in _rows(table)), False)
+
+
+def _odometry(path: Path, ns: IntArray, turned: FloatArray) -> list[BodyVelocity | None]:
+    """Mean velocity of the turned left camera over the step to each frame; none where there is no row of its stamp."""
+    if not path.exists():
+        return []
+    stamps, rows = _read_stamped(path, 6 + len(_LOWER[0]))
+    by_stamp, turn = dict(zip(stamps.tolist(), rows, strict=True)), np.kron(np.eye(2), turned)
+    steps: list[BodyVelocity | None] = []
+    for stamp in ns.tolist():
+        if (row := by_stamp.get(stamp)) is None:
+            steps.append(None)
+            continue
+        P = np.zeros((6, 6))
+        P[_LOWER] = row[6:]
+        P = turn @ (P + np.tril(P, -1).T) @ turn.T
+        steps.append(BodyVelocity(turned @ row[:3], turned @ row[3:6], P))
+    return steps
 
 
 def _read_listing(folder: Path) -> tuple[list[int], list[str]]:

@@ -54,6 +54,34 @@ class BrokenPair(ValueError):
         self.reason = reason
 
 
+def write_image(path: Path, image: GreyImage, size: tuple[int, int], number: int) -> None:
+    """Write an image of a pair as PNG; one of no size was written before.
+
+    Raises
+    ------
+    ValueError
+        It is no grey image (H, W) uint8 of this width and height.
+    """
+    if image.size == 0 and path.is_file():
+        return
+    if image.dtype != np.uint8 or image.shape != size[::-1]:
+        raise ValueError(
+            f"pair {number} cannot be written to {path}: its images must be uint8 of shape {size[::-1]}, got "
+            f"{image.dtype} of shape {image.shape}"
+        )
+    written = path.with_suffix(".part")
+    written.write_bytes(png_of(image))
+    written.replace(path)
+
+
+def png_of(image: GreyImage) -> bytes:
+    """PNG of an image (H, W) uint8; a `ValueError` where OpenCV has no such encoder."""
+    done, data = cv2.imencode(".png", image)
+    if not done:
+        raise ValueError("OpenCV could not encode an image as PNG: install opencv-python-headless with PNG support")
+    return bytes(data)
+
+
 def numbered_images(folder: Path, prefix: str = "", suffix: str = "") -> dict[int, Path]:
     """The images `<prefix><digits><suffix>.png|jpg|jpeg` of a folder by their number; none where there is no folder."""
     pattern = re.compile(re.escape(prefix) + r"(\d+)" + re.escape(suffix) + r"\.(png|jpg|jpeg)", re.IGNORECASE)

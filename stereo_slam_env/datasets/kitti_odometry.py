@@ -8,17 +8,16 @@ a row.
 
 from __future__ import annotations
 
-import json
 import logging
 from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 
-import cv2
 import numpy as np
 
-from filters import Pose, StereoCamera
+from filters import StereoCamera
 from filters.geometry.arrays import FloatArray
-from stereo_slam_env.datasets.image_files import numbered_images
+from stereo_slam_env.datasets.image_files import numbered_images, write_image
 from stereo_slam_env.datasets.layouts import POSITION, reference_for
 from stereo_slam_env.datasets.sequence import (
     Choice,
@@ -28,17 +27,17 @@ from stereo_slam_env.datasets.sequence import (
     poses_of_rows,
     rig_of,
 )
+from stereo_slam_env.datasets.written_frame import WrittenFrame, numbers
 from stereo_slam_env.files.opening import require_inside
 from stereo_slam_env.files.readers import read_table
-from stereo_slam_env.recording.recording import NO_REFERENCE, ImageSequence, StereoPair
+from stereo_slam_env.recording.recording import NO_REFERENCE
 from stereo_slam_env.sensing.projections import projections
+from stereo_slam_env.sensing.sensor_suite import SensorSuite
 
 NAME = "kitti_odometry"
 FILES = (("calib.txt", "times.txt", "image_0", "image_1"), ("calib.txt", "times.txt", "image_2", "image_3"))
 CAMERAS = {"grey": (0, 1), "colour": (2, 3)}
 """Numbers of the left and the right camera of the two pairs of a KITTI car."""
-PARTIAL = ".partial"
-"""Ending of the folder of a sequence that is not yet complete."""
 
 log = logging.getLogger(__name__)
 
@@ -93,97 +92,49 @@ def chosen_cameras(folder_of: Callable[[int], Path], asked: str | None) -> tuple
     return asked, (left, right)
 
 
-def write_kitti_sequence(
-    sequence: ImageSequence,
-    out: str | Path,
-    name: str = "00",
-    *,
-    on_pair: Callable[[int, int], None] | None = None,
-) -> Path:
-    """Write `out/sequences/NAME` (images, calibration, times) and `out/poses/NAME.txt`.
+class KittiWriter:
+    """Writer of a sequence; without a true pose of every pair there is no file of poses."""
 
-    Everything is written into `out/sequences/NAME.partial` and renamed at the end: a folder without that ending is
-    complete. True poses are written where every pair has one. Odometry has no place in this layout and is left out.
-    `source.json`, which is no part of it, says where the images come from.
+    POSES = "poses.txt"
+    """File of the poses, until its place outside of the sequence is known to be free."""
 
-    Parameters
-    ----------
-    sequence : ImageSequence
-        What to write; it is read once.
-    out : str or Path
-        Folder for `sequences` and `poses`; other sequences in it stay.
-    name : str
-        Name of the sequence, two digits in the benchmark.
-    on_pair : callable, optional
-        Called after every pair with the number written and the number expected.
-
-    Returns
-    -------
-    Path
-        `out/sequences/NAME`.
-
-    Raises
-    ------
-    ValueError
-        The sequence is there already, or a part of it from a writing that was interrupted; the name is no file name; an
-        image is not of the camera's size; there are no pairs.
-    """
-    if not name or Path(name).name != name or name.startswith("."):
-        raise ValueError(f"name must be a plain folder name such as '00', got {name!r}")
-    final = Path(out) / "sequences" / name
-    partial, poses = final.with_name(name + PARTIAL), poses_file(final)
-    _require_free(final, partial, poses)
-    for number in CAMERAS["grey"]:
-        (partial / f"image_{number}").mkdir(parents=True)
-    times: list[float] = []
-    truth: list[Pose | None] = []
-    for number, pair in enumerate(sequence.pairs()):
-        _write_images(partial, number, pair, sequence.camera)
-        times.append(pair.timestamp)
-        truth.append(pair.truth)
-        if on_pair is not None:
-            on_pair(number + 1, len(sequence))
-    if not times:
-        raise ValueError(f"sequence {sequence.name!r} has no pairs: nothing was written but the empty {partial}")
-    (partial / "calib.txt").write_text(_calibration(sequence.camera))
-    (partial / "times.txt").write_text("".join(f"{float(time)!r}\n" for time in times))
-    (partial / "source.json").write_text(json.dumps({"name": sequence.name, **sequence.source}, indent=2) + "\n")
-    known_poses = [pose for pose in truth if pose is not None]
-    if len(known_poses) == len(truth):
-        poses.parent.mkdir(exist_ok=True)
-        rows = (np.column_stack([pose.R_wc, pose.position]) for pose in known_poses)
-        poses.write_text("".join(f"{_row(row.ravel())}\n" for row in rows))
-    elif known_poses:
-        log.warning(
-            "%s not written: %d of %d pairs have no true pose", poses, len(truth) - len(known_poses), len(truth)
+    def __init__(self, folder: Path, suite: SensorSuite) -> None:
+        self._folder, self._suite, self._stack = folder, suite, ExitStack()
+        self._size, self._without_pose, self._count = (suite.camera.width, suite.camera.height), 0, 0
+        for number in CAMERAS["grey"]:
+            (folder / f"image_{number}").mkdir(parents=True, exist_ok=True)
+        self._times, self._poses = (
+            self._stack.enter_context((folder / name).open("w")) for name in ("times.txt", self.POSES)
         )
-    if final.exists():
-        final.rmdir()
-    partial.rename(final)
-    return final
 
+    def _image(self, side: int, number: int) -> Path:
+        return self._folder / f"image_{side}" / f"{number:06d}.png"
 
-def _require_free(final: Path, partial: Path, poses: Path) -> None:
-    if partial.exists():
-        raise ValueError(f"{partial} was left by a writing that was interrupted: remove it, then write again")
-    if final.exists() and (not final.is_dir() or any(final.iterdir())):
-        raise ValueError(f"{final} is not empty: choose another name or folder, or remove it")
-    if poses.exists():
-        raise ValueError(f"{poses} is there already: choose another name or folder, or remove it")
+    def has_images(self, number: int, stamp: int) -> bool:
+        """Whether both images of a number are there."""
+        return all(self._image(side, number).is_file() for side in CAMERAS["grey"])
 
+    def write(self, frame: WrittenFrame) -> None:
+        """Write images, time and pose of a pair."""
+        pair = frame.pair
+        for side, image in zip(CAMERAS["grey"], (pair.left, pair.right), strict=True):
+            write_image(self._image(side, frame.number), image, self._size, frame.number)
+        self._times.write(f"{float(pair.timestamp)!r}\n")
+        self._count += 1
+        if pair.truth is None:
+            self._without_pose += 1
+        else:
+            self._poses.write(f"{numbers(np.column_stack([pair.truth.R_wc, pair.truth.position]).ravel())}\n")
 
-def _write_images(folder: Path, number: int, pair: StereoPair, camera: StereoCamera) -> None:
-    for side, image in enumerate((pair.left, pair.right)):
-        path = folder / f"image_{side}" / f"{number:06d}.png"
-        if image.dtype != np.uint8 or image.shape != (camera.height, camera.width):
-            raise ValueError(
-                f"pair {number} cannot be written to {path}: its images must be uint8 of shape "
-                f"{(camera.height, camera.width)}, got {image.dtype} of shape {image.shape}"
-            )
-        done, data = cv2.imencode(".png", image)
-        if not done:
-            raise ValueError("OpenCV could not encode an image as PNG: install opencv-python-headless with PNG support")
-        path.write_bytes(bytes(data))
+    def close(self) -> None:
+        """Write the calibration, which makes it complete."""
+        self._stack.close()
+        poses = self._folder / self.POSES
+        if self._without_pose:
+            if self._without_pose < self._count:
+                log.warning("no poses written: %d of %d pairs have no true pose", self._without_pose, self._count)
+            poses.unlink()
+        (self._folder / "calib.txt").write_text(_calibration(self._suite.camera))
 
 
 def _calibration(camera: StereoCamera) -> str:
@@ -193,8 +144,4 @@ def _calibration(camera: StereoCamera) -> str:
         return np.array([[camera.fx, 0.0, camera.cx, offset], [0.0, camera.fy, camera.cy, 0.0], [0.0, 0.0, 1.0, 0.0]])
 
     grey = (projection(0.0), projection(-camera.disparity_constant))
-    return "".join(f"P{n}: {_row(grey[n % 2].ravel())}\n" for n in range(4))
-
-
-def _row(numbers: FloatArray) -> str:
-    return " ".join(f"{float(number)!r}" for number in numbers)
+    return "".join(f"P{n}: {numbers(grey[n % 2].ravel())}\n" for n in range(4))

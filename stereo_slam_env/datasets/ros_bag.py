@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from filters import BodyVelocity, InertialSamples, Start, StereoCamera
+from filters import BodyVelocity, InertialSamples, Pose, Start, StereoCamera
 from filters.contract.extras import require_module
 from filters.contract.validation import plain
 from filters.geometry.arrays import FloatArray, IntArray
@@ -29,7 +29,7 @@ from stereo_slam_env.datasets.bag_images import (
     shift_of_messages,
     size_of_message,
 )
-from stereo_slam_env.datasets.bag_motion import BagMotion, motion_of_bag
+from stereo_slam_env.datasets.bag_motion import TRUTH, BagMotion, Clock, motion_of_bag, truth_of_bag
 from stereo_slam_env.datasets.image_files import BrokenPair
 from stereo_slam_env.datasets.restated import as_they_are, sample_of_pairs
 from stereo_slam_env.datasets.sequence import Choice, Faults
@@ -110,9 +110,13 @@ def open_sequence(
         for note in (*notes, *more):
             log.warning("%s", note)
         sequence.take(calibration, [*notes, *more, *rows])
-        seconds = 1e-9 * times[selected].astype(np.float64) + (0.0 if rig is None else imu_shift_of(rig))
-        sequence.motion = motion_of_bag(reader, path, eyes[0], seconds, sequence.R_left, imu, odometry)
+        origin = int(times[selected][0])
+        shift_s = 0.0 if rig is None else imu_shift_of(rig)
+        clock = Clock(origin, 1e-9 * (times[selected] - origin).astype(np.float64) + shift_s)
+        sequence.motion = motion_of_bag(reader, path, eyes[0], clock, sequence.R_left, imu, odometry)
         sequence.source = {**sequence.source, **sequence.motion.source}
+        if (T_bc := truth_of_bag(reader, path, eyes[0])) is not None:
+            sequence.stated_truth = f"{path}:{TRUTH}", T_bc
     return sequence
 
 
@@ -120,7 +124,9 @@ class BagSequence:
     """An `ImageSequence` of two topics of a bag; images are read pair by pair."""
 
     start, truth_from = Start(), NO_REFERENCE
-    motion = BagMotion([], None, np.zeros((6, 6)), {})
+    motion = BagMotion([], None, np.zeros((0, 6, 6)), {})
+    stated_truth: tuple[str, Pose] | None = None
+    """Trajectory of true poses, and the left camera as mounted in its body."""
 
     def __init__(
         self,
@@ -212,10 +218,10 @@ class BagSequence:
         """Odometry and inertial samples from pair `begin` to pair `end`; nothing before the first."""
         if begin < 0:
             return None, None
-        epoch, t = float(self.source["epoch_s"]), self._seconds
+        t = self._seconds
         steps = self.motion.inertial[begin + 1 : end + 1]
         samples = joined(steps, np.diff(t[begin : end + 1])) if steps else None
-        return self.motion.step(epoch + t[begin], epoch + t[end]), samples
+        return self.motion.step(t[begin], t[end]), samples
 
     def _image(self, reader: Any, topic: str, kind: str, raw: bytes) -> GreyImage:
         size = self.camera.width, self.camera.height

@@ -216,6 +216,11 @@ class RecordedSequence:
     `rectify` makes rectified images, left and right, of those on disk, and `source` says reader, path and settings.
     """
 
+    gravity: tuple[float, float, float] | None = None
+    """Acceleration of a body that falls, in W, m/s^2, where the recording says it."""
+    not_read: frozenset[str] = frozenset()
+    """What the recording has beside, and is not in the pairs."""
+
     def __init__(
         self,
         name: str,

@@ -13,7 +13,7 @@ from filters.geometry.camera import StereoCamera
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.rendering.renderers import RendererName, image_quality
 from stereo_slam_env.sensing.corruptions import NoiseName
-from stereo_slam_env.sensing.imu import DATA_SHEETS
+from stereo_slam_env.sensing.imu import DATA_SHEETS, DataSheet
 from stereo_slam_env.sensing.padding import TrackingPolicy
 from stereo_slam_env.sensing.rigs import RIGS, Rig, camera_of
 from stereo_slam_env.simulator.scene_arrays import landmarks_on
@@ -188,6 +188,7 @@ class DriveOptions(StereoOptions):
     vehicle: Vehicle = "kinematic"
     roughness: float = 1.0
     imu: str | None = None
+    imu_calibrated: bool = False
     progress_weight: float = 0.1
     collision_weight: float = 10.0
     goal_weight: float = 10.0
@@ -207,6 +208,12 @@ class DriveOptions(StereoOptions):
                 raise ValueError(
                     "imu must be None with vehicle='kinematic', whose velocity jumps: use vehicle='smooth'"
                 )
+
+    @property
+    def data_sheet(self) -> DataSheet:
+        """Errors of the inertial unit; a `KeyError` where there is none."""
+        sheet = DATA_SHEETS[self.imu or ""]
+        return sheet.calibrated if self.imu_calibrated else sheet
 
 
 @dataclass(frozen=True)

@@ -73,7 +73,7 @@ class CoreRows(Rows):
         self._pixel_noise = NOISE_MODELS[options.noise](options.sigma)
         self._weights = {name: k for k, name in enumerate(WEIGHTS) if hasattr(options, f"{name}_weight")}
         drive = options if isinstance(options, DriveOptions) else None
-        self._imu = Imu(drive.imu) if drive is not None and drive.imu is not None else None
+        self._imu = None if drive is None or drive.imu is None else Imu(drive.data_sheet)
         rules = make_rules(
             self.camera,
             options.tracking,

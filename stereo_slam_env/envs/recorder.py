@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
-from itertools import count, islice
+from dataclasses import replace
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,6 @@ from filters.contract.noise import StereoNoise
 from filters.geometry.camera import StereoCamera
 from stereo_slam_env.envs.arguments import DriveOptions, StereoOptions
 from stereo_slam_env.envs.core_rows import CoreRows
-from stereo_slam_env.envs.drive import StereoDriveEnv
 from stereo_slam_env.envs.stereo_env import StereoEnv
 from stereo_slam_env.files.package_versions import version_of
 from stereo_slam_env.frontend.settings import TrackerSettings
@@ -88,15 +88,6 @@ def _drives(
     return collected
 
 
-def _drive(env: StereoDriveEnv, seed: int) -> Iterator[Mapping[str, Any]]:
-    """The observations of a scripted drive, to its end."""
-    observation, over = env.reset(seed=seed)[0], False
-    yield observation
-    while not over:
-        observation, _, over, _, _ = env.step(np.zeros(2, dtype=np.float32))
-        yield observation
-
-
 def recording_of(
     env: StereoEnv, frames: Sequence[Frame], seed: int, about: Mapping[str, Any] | None = None
 ) -> Recording:
@@ -145,7 +136,7 @@ class RenderedDrive:
     Parameters
     ----------
     env_kwargs : mapping, optional
-        Arguments of `StereoDriveEnv`; `policy`, `sensor` and `render_images` are chosen here.
+        Arguments of `StereoDriveEnv`; `policy`, `sensor` and `render_images` are set here.
     seed : int
         Seed of the episode: same seed, same bits.
     frames : int, optional
@@ -157,32 +148,48 @@ class RenderedDrive:
         An argument is not allowed.
     """
 
+    draws_on_demand = True
+
     def __init__(self, env_kwargs: Mapping[str, Any] | None = None, seed: int = 0, frames: int | None = None) -> None:
-        self._kwargs = {**(env_kwargs or {}), "policy": "route", "sensor": "landmarks"}
-        self._kwargs |= {"max_landmarks": 1, "refill_below": None, "render_images": False}
+        arguments = {**(env_kwargs or {}), "policy": "route", "sensor": "landmarks", "render_images": False}
+        self.options = options = DriveOptions.checked({**arguments, "max_landmarks": 1, "refill_below": None})
         self._seed = seed
-        with closing(StereoDriveEnv(**self._kwargs)) as env:
-            env.reset(seed=seed)
-            self.start, self._count, options = env.start, env.route.frames, env.options
+        with closing(self._rows(draws=False)) as rows:
+            self.start, self._count = rows.start(0), rows.route.frames
         if frames is not None and not 1 <= frames <= self._count:
             raise ValueError(f"frames must be from 1 to {self._count} on route {options.route!r}, got {frames}")
         self._count = frames or self._count
-        self.camera: StereoCamera = env.camera
-        self.name = f"{options.surroundings}-{Path(options.route).stem}-{seed}"
+        self.camera: StereoCamera = rows.camera
+        self.name = f"{options.surroundings}-{Path(str(options.route)).stem}-{seed}"
         self.truth_from: Reference = SIMULATION
         self.skipped: Mapping[str, int] = {}
         self.front_end: TrackerSettings = DriveOptions.checked(env_kwargs or {}).front_end
         """Settings of the front end for these images."""
-        self._kwargs["render_images"] = True
-        self.source: Mapping[str, Any] = {**described(DriveOptions.checked(self._kwargs), seed), "frames": self._count}
+        about = described(replace(options, render_images=True), seed)
+        self.source: Mapping[str, Any] = {**about, "frames": self._count}
 
     def __len__(self) -> int:
         return self._count
 
-    def pairs(self) -> Iterator[StereoPair]:
-        """The pairs in time order."""
-        with closing(StereoDriveEnv(**self._kwargs)) as env:
-            for observation in islice(_drive(env, self._seed), self._count):
-                frame = env.frame
-                left, right = grey(observation["left"]), grey(observation["right"])
-                yield StereoPair(frame.timestamp, left, right, frame.truth, frame.odometry, frame.inertial)
+    def _rows(self, *, draws: bool) -> CoreRows:
+        """The simulator at the beginning of the drive."""
+        rows = CoreRows(self.options, 1, draws=draws)
+        rows.reset(np.ones(1, dtype=np.bool_), [self._seed], {})
+        return rows
+
+    def pairs(self, is_drawn: Callable[[int, float], bool] = lambda number, time: True) -> Iterator[StereoPair]:
+        """The pairs in time order; those whose number and time, s, are not to be drawn have images of no size."""
+        with closing(self._rows(draws=True)) as rows:
+            one, nothing = np.ones(1, dtype=np.bool_), np.zeros((1, 2))
+            for number in range(self._count):
+                if number:
+                    rows.step(nothing, one)
+                frame, simulator = rows.frame(0), rows.simulator
+                images = rows.images(0) if is_drawn(number, frame.timestamp) else None
+                left, right = (NOT_DRAWN, NOT_DRAWN) if images is None else (grey(images.left), grey(images.right))
+                measured = frame.truth, frame.odometry, frame.inertial
+                yield StereoPair(frame.timestamp, left, right, *measured, simulator.velocity(0), simulator.biases(0))
+
+
+NOT_DRAWN = np.zeros((0, 0), dtype=np.uint8)
+"""Image of a frame that is not drawn."""

@@ -73,6 +73,57 @@ def samples_of_steps(
     return steps
 
 
+class InertialRows:
+    """Rows of a table that `samples_of_steps` reads as the samples of steps, which come one by one.
+
+    A sample stands for a period, a row for the time half way to its neighbours: so the stamps of two rows lie as far
+    before as behind the end of the period between them. A period that a frame has cut in two is one row.
+    """
+
+    def __init__(self) -> None:
+        self._values: list[FloatArray] = []  # of periods that have no row yet
+        self._ends: list[int] = []  # their begins and ends, ns
+        self._stamp: int | None = None  # of the last row
+
+    def of_step(self, begin: int, samples: InertialSamples | None) -> list[tuple[int, FloatArray]]:
+        """Stamps, ns, and numbers (6,) of the rows that are known once the step from `begin`, ns, has come."""
+        if samples is None:
+            return self.rest()
+        ends = begin + np.round(1e9 * samples.times).astype(np.int64)
+        values = list(np.hstack([samples.angular_rates, samples.specific_forces]))
+        rows = [] if self._ends and abs(self._ends[-1] - begin) <= 1 else self.rest()
+        if not self._ends:
+            self._ends = [begin]
+        usual = int(np.median(np.diff(ends, prepend=begin)))
+        if self._values and (self._values[-1] == values[0]).all() and ends[0] - self._ends[-2] < 1.5 * usual:
+            self._values.pop()
+            self._ends.pop()
+        self._values += values
+        self._ends += ends.tolist()
+        return [*rows, *self._rows(keep=1)]
+
+    def rest(self) -> list[tuple[int, FloatArray]]:
+        """The rows that are left; the next one begins anew, as after a gap."""
+        rows = self._rows(keep=0)
+        self._values, self._ends, self._stamp = [], [], None
+        return rows
+
+    def _rows(self, keep: int) -> list[tuple[int, FloatArray]]:
+        """The rows of all periods but the last ones, which may go on in the next step."""
+        rows = []
+        while len(self._values) > keep:
+            begin, end = self._ends[:2]
+            if self._stamp is not None:
+                self._stamp = 2 * begin - self._stamp
+            elif len(self._values) > 1:  # the first may be cut by the frame, the second is whole
+                self._stamp = 2 * end - (end + self._ends[2]) // 2
+            else:
+                self._stamp = (begin + end) // 2
+            rows.append((self._stamp, self._values.pop(0)))
+            self._ends.pop(0)
+        return rows
+
+
 def _require_units(path: Path, numbers: FloatArray) -> None:
     """Refuse rates and forces (N, 6) whose sizes are those of degrees per second and of g."""
     rates, forces = np.linalg.norm(numbers[:, :3], axis=1), np.linalg.norm(numbers[:, 3:], axis=1)

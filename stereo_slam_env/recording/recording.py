@@ -361,6 +361,8 @@ class StereoPair:
     truth: Pose | None = None  # true pose of the left camera in W
     odometry: BodyVelocity | None = None  # mean body velocity of the step from the previous pair to this one
     inertial: InertialSamples | None = None  # what an inertial unit measured over that step
+    velocity: Velocity | None = None  # true velocity at that instant
+    biases: FloatArray | None = None  # (6,): true biases of gyros, rad/s, and accelerometers, m/s^2, at that instant
 
 
 class ImageSequence(Protocol):

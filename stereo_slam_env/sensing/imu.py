@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from types import MappingProxyType
 
 import numpy as np
@@ -41,6 +42,11 @@ class DataSheet:
     """Standard deviation of the scale, relative, constant over a drive."""
     misalignment: float = 0.0
     """Standard deviation of the stated orientation, rad, each axis, constant over a drive."""
+
+    @property
+    def calibrated(self) -> DataSheet:
+        """The sheet of a unit whose scales and orientation are exactly as stated: white noise and biases alone."""
+        return replace(self, scale=0.0, misalignment=0.0)
 
 
 DATA_SHEETS: Mapping[str, DataSheet] = MappingProxyType(
@@ -132,16 +138,20 @@ class Imu:
         (K, 6) ndarray
             Biases of gyros, rad/s, and accelerometers, m/s^2.
         """
+        steps = list(self.measured(path, frames, gravity, rng))
+        return [samples for samples, _ in steps], np.array([bias for _, bias in steps])
+
+    def measured(
+        self, path: Path, frames: FloatArray, gravity: FloatArray, rng: np.random.Generator
+    ) -> Iterator[tuple[InertialSamples | None, FloatArray]]:
+        """Samples and biases of `measure`, frame by frame."""
         errors, unit = self.errors(rng), self.unit
-        samples: list[InertialSamples | None] = [None]
-        biases = [errors.bias]
-        for begin, end in zip(frames[:-1].tolist(), frames[1:].tolist(), strict=True):
+        yield None, errors.bias
+        for begin, end in pairwise(frames.tolist()):
             count = max(1, round((end - begin) * self.rate))
             edges = np.linspace(begin, end, count + 1)
             numbers = errors.added(self.means(path, edges + self.time_offset, gravity), end - begin)
-            samples.append(InertialSamples(edges[1:] - begin, numbers[:, :3], numbers[:, 3:], unit))
-            biases.append(errors.bias)
-        return samples, np.array(biases)
+            yield InertialSamples(edges[1:] - begin, numbers[:, :3], numbers[:, 3:], unit), errors.bias
 
     def errors(self, rng: np.random.Generator) -> UnitErrors:
         """The errors of one drive, drawn."""

@@ -130,9 +130,13 @@ def noise_of_unit(path: Path) -> tuple[float, float, float, float]:
 
 
 def imu_shift(path: str | Path) -> float:
-    """Seconds to be added to times of the left camera for those of the inertial unit: Kalibr's `timeshift_cam_imu`."""
+    """Seconds to be added to times of the left camera for those of the inertial unit: Kalibr's `timeshift_cam_imu`.
+
+    It stands with the entries of `cam0`, or in a file of one camera.
+    """
     file = _file_of(Path(path))
-    camera = table_of(file).get("cam0") if file.suffix != ".txt" else None
+    table = table_of(file) if file.suffix != ".txt" else {}
+    camera = table.get("cam0", table)
     if not isinstance(camera, dict) or "timeshift_cam_imu" not in camera:
         return 0.0
     shift = float(numbers_of(file, camera, "timeshift_cam_imu", 1)[0])

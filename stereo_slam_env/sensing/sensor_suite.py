@@ -19,7 +19,8 @@ from filters.geometry.arrays import FloatArray
 STANDARD_GRAVITY = 9.81
 """m/s^2, of the simulation."""
 _FORWARD_LEFT_UP = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-"""Takes vectors of a camera to a frame with x forward, y left and z up."""
+T_BASE_CAMERA = Pose(np.zeros(3), rotations.from_matrix(_FORWARD_LEFT_UP))
+"""Pose of C0 in a frame at the same place with x forward, y left and z up."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +57,7 @@ class SensorSuite:
     def T_bc(self) -> Pose:
         """Pose of C0 in B."""
         if self.unit is None:
-            return Pose(np.zeros(3), rotations.from_matrix(_FORWARD_LEFT_UP))
+            return T_BASE_CAMERA
         return Pose(self.unit.position, self.unit.orientation).inverse()
 
     @property

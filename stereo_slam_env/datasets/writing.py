@@ -1,0 +1,261 @@
+"""Recordings of images written for other programs, in a stream: what each format keeps, resumed where it was stopped.
+
+Everything is told in the frames of `SensorSuite`: true poses of the body B and of the left camera in the world U, whose
+z axis points up, stamps in ns since 1970. Inertial rows are stamped in the middle of the period that they are the mean
+of, which readers that take them for instants, or join them by straight lines, read rightly.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from itertools import chain, islice
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from filters import StereoCamera
+from filters.contract.validation import require_known
+from stereo_slam_env.datasets.asl_writer import AslWriter
+from stereo_slam_env.datasets.bag_writer import IMU, LEFT_IMAGES, ODOMETRY, RIGHT_IMAGES, BagWriter
+from stereo_slam_env.datasets.kitti_odometry import KittiWriter, poses_file
+from stereo_slam_env.datasets.written_frame import TrueTrajectories, WrittenFrame, frames_of
+from stereo_slam_env.datasets.settings_files import Topics, readme, settings_files
+from stereo_slam_env.files.folders import json_text, write_text
+from stereo_slam_env.files.readers import read_json
+from stereo_slam_env.recording.recording import ImageSequence, StereoPair
+from stereo_slam_env.sensing.sensor_suite import SensorSuite
+
+EPOCH_NS = 1_700_000_000 * 10**9
+"""Stamp of the first pair of a simulated drive: programs take stamps near zero for missing ones."""
+PARTIAL = ".partial"
+"""Ending of a folder or file that is not yet complete."""
+_SOURCE = "source.json"
+INERTIAL, STEPS, POSES, STATES = "inertial samples", "odometry", "true poses", "true velocities and biases"
+TOPICS = Topics(
+    *(f"{topic}/image_rect" for topic in (LEFT_IMAGES, RIGHT_IMAGES)),
+    *(f"{topic}/camera_info" for topic in (LEFT_IMAGES, RIGHT_IMAGES)),
+    IMU,
+    ODOMETRY,
+)
+KINDS = frozenset({INERTIAL, STEPS, POSES, STATES})
+"""Data that a recording may have beside images."""
+
+
+class FrameWriter(Protocol):
+    """Writer of one format."""
+
+    def has_images(self, number: int, stamp: int) -> bool:
+        """Whether the images of a pair are there from a writing that was stopped; by number and stamp, ns."""
+
+    def write(self, frame: WrittenFrame) -> None:
+        """Write what came with a pair."""
+
+    def close(self) -> None:
+        """Write what makes it complete."""
+
+
+@dataclass(frozen=True)
+class WrittenFormat:
+    """A format that drives are written in."""
+
+    line: str
+    """What it is, in a line."""
+    keeps: frozenset[str]
+    """Data beside images and calibration that it has a place for."""
+    writer: Callable[..., FrameWriter]
+    """Called with where it goes and the sensors."""
+    file: str | None = None
+    """Name of its only file in the folder of a drive; None: it is the folder."""
+
+
+FORMATS: Mapping[str, WrittenFormat] = {
+    "euroc": WrittenFormat("EuRoC's ASL folder (mav0), what most visual-inertial systems read", KINDS, AslWriter.euroc),
+    "tum-vi": WrittenFormat("TUM-VI's folder: mav0 with Kalibr's files (dso)", KINDS - {STATES}, AslWriter.tum_vi),
+    "kitti": WrittenFormat("KITTI odometry: sequences/NN, poses/NN.txt", frozenset({POSES}), KittiWriter),
+    "mcap": WrittenFormat("ROS 2, one MCAP file", KINDS, partial(BagWriter, kind="mcap"), "drive.mcap"),
+    "db3": WrittenFormat("ROS 2, a folder with a database", KINDS, partial(BagWriter, kind="db3"), "drive"),
+    "bag": WrittenFormat("ROS 1, one file", KINDS, partial(BagWriter, kind="bag"), "drive.bag"),
+}
+"""Formats by name."""
+
+
+def write_recording(
+    sequence: ImageSequence,
+    out: str | Path,
+    format_name: str | None = None,
+    *,
+    name: str = "00",
+    time_offset: float = 0.0,
+    compressed: bool = False,
+    may_lose: Collection[str] = (),
+    about: Mapping[str, str] | None = None,
+    keep_same: bool = False,
+    on_pair: Callable[[int, int], None] | None = None,
+) -> Path:
+    """Write a recording of images with all that came with it; what was stopped goes on where it was.
+
+    Parameters
+    ----------
+    sequence : ImageSequence
+        What to write; it is read once, a pair at a time.
+    out : str or Path
+        Folder; of KITTI that of `sequences` and `poses`. NAME.mcap and NAME.bag are one file, without settings.
+    format_name : str, optional
+        One of `FORMATS`; None: by the ending, else "kitti".
+    name : str
+        Of a KITTI sequence, two digits in the benchmark.
+    time_offset : float
+        Added to the stamps of the inertial unit, s.
+    compressed : bool
+        Whether images in a bag are PNG.
+    may_lose : collection of str
+        Data that may be left out where the format has no place for them.
+    about : mapping of str to str, optional
+        Further facts, by title, for a README.md in the folder; None: there is none.
+    keep_same : bool
+        Whether the same recording that is there already, whole, is left as it is. Otherwise it is refused.
+    on_pair : callable, optional
+        Called after every pair with the number written and the number expected.
+
+    Returns
+    -------
+    Path
+        The folder or file of the drive; of KITTI that of the sequence.
+
+    Raises
+    ------
+    ValueError
+        No such format; it has no place for what the recording has; something is there already, or a part of it from
+        another writing; the name is no file name; an image is not of the camera's size; there are no pairs.
+    """
+    out = Path(out)
+    if format_name is None:
+        format_name = out.suffix[1:] if out.suffix in (".mcap", ".bag") else "kitti"
+    require_known("there is no format", [format_name], FORMATS)
+    form = FORMATS[format_name]
+    if compressed and form.file is None:
+        raise ValueError(f"compressed must be left out of the format {format_name}: its images are PNG")
+    place = _place(out, format_name, name)
+    source = {"name": sequence.name, "format": format_name, "time_offset": time_offset, **sequence.source}
+    if keep_same and _is_of(place, source):
+        return place
+    unfinished = place.with_name(place.name + PARTIAL)
+    _require_free(place, unfinished, source)
+    writer: FrameWriter | None = None
+
+    epoch = round(1e9 * float(sequence.source["epoch_s"])) if "epoch_s" in sequence.source else EPOCH_NS
+
+    def is_drawn(number: int, time: float) -> bool:
+        return writer is None or not writer.has_images(number, epoch + round(1e9 * time))
+
+    drawn: Any = sequence
+    every = drawn.pairs(is_drawn) if getattr(sequence, "draws_on_demand", False) else sequence.pairs()
+    ahead = list(islice(every, 2))
+    if not ahead:
+        raise ValueError(f"sequence {sequence.name!r} has no pairs: nothing was written")
+    suite = _suite(sequence, ahead, time_offset)
+    kept = form.keeps | set(may_lose)
+    _require_kept(ahead, kept, format_name, getattr(sequence, "not_read", frozenset()))
+    is_file = place.suffix in (".mcap", ".bag")
+    target = unfinished / place.name if is_file else unfinished
+    unfinished.mkdir(parents=True, exist_ok=True)
+    (unfinished / _SOURCE).write_text(json_text(source))
+    options = {"compressed": True} if compressed else {}
+    writer = form.writer(target if form.file is None or is_file else target / form.file, suite, **options)
+    truths = None if is_file else TrueTrajectories(unfinished)
+    for frame in frames_of(chain(ahead, every), suite, epoch):
+        _require_kept([frame.pair], kept, format_name)
+        writer.write(frame)
+        if truths is not None:
+            truths.write(frame)
+        if on_pair is not None:
+            on_pair(frame.number + 1, len(sequence))
+    writer.close()
+    if truths is not None:
+        truths.close()
+        texts = {f"settings/{file}": text for file, text in settings_files(suite, sequence.name, TOPICS).items()}
+        for file, text in {**texts, **({} if about is None else {"README.md": readme(suite, sequence.name, about)})}.items():
+            write_text(unfinished / file, text)
+    return _completed(place, unfinished, is_file=is_file)
+
+
+def _place(out: Path, format_name: str, name: str) -> Path:
+    if format_name != "kitti":
+        return out
+    if not name or Path(name).name != name or name.startswith("."):
+        raise ValueError(f"name must be a plain folder name such as '00', got {name!r}")
+    return out / "sequences" / name
+
+
+def _is_of(folder: Path, source: Mapping[str, Any]) -> bool:
+    """Whether a folder says that it is of this writing."""
+    file = folder / _SOURCE
+    return file.is_file() and read_json(file) == json.loads(json_text(source))
+
+
+def _require_free(place: Path, partial: Path, source: Mapping[str, Any]) -> None:
+    """Refuse what is there already, but for what the same writing left when it was stopped."""
+    remove = "choose another name or folder, or remove it"
+    if place.exists() and (not place.is_dir() or any(place.iterdir())):
+        raise ValueError(f"{place} is not empty: {remove}" if place.is_dir() else f"{place} is there already: {remove}")
+    if partial.exists():
+        if not _is_of(partial, source):
+            raise ValueError(f"{partial} was left by a writing that was interrupted, of something else: remove it")
+    if place.parent.name == "sequences" and poses_file(place).exists():
+        raise ValueError(f"{poses_file(place)} is there already: {remove}")
+
+
+def _completed(place: Path, partial: Path, *, is_file: bool) -> Path:
+    """Give what was written its name."""
+    if is_file:
+        (partial / place.name).replace(place)
+        shutil.rmtree(partial)
+        return place
+    if (poses := partial / KittiWriter.POSES).exists():
+        poses_file(place).parent.mkdir(exist_ok=True)
+        poses.replace(poses_file(place))
+    if place.exists():
+        place.rmdir()
+    partial.rename(place)
+    return place
+
+
+def _data_of(pair: StereoPair) -> set[str]:
+    data = {INERTIAL: pair.inertial, STEPS: pair.odometry, POSES: pair.truth, STATES: pair.velocity}
+    return {kind for kind, value in data.items() if value is not None}
+
+
+def _require_kept(
+    pairs: Sequence[StereoPair], kept: Collection[str], format_name: str, not_read: Collection[str] = ()
+) -> None:
+    if unread := set(not_read) - (set(kept) - FORMATS[format_name].keeps):
+        what = " and ".join(sorted(unread))
+        raise ValueError(f"the {what} of the recording are not read, so they would be lost: leave them out (--lossy)")
+    lost = set().union(*map(_data_of, pairs)) - set(kept)
+    if lost:
+        others = ", ".join(name for name, form in FORMATS.items() if lost <= form.keeps)
+        raise ValueError(
+            f"the format {format_name} has no place for {' and '.join(sorted(lost))}, which the recording has: choose "
+            f"{others}, or leave them out (--lossy)"
+        )
+
+
+def _suite(sequence: ImageSequence, ahead: Sequence[StereoPair], time_offset: float) -> SensorSuite:
+    """Sensors of a sequence, by its first two pairs."""
+    camera: StereoCamera = sequence.camera
+    first, last = ahead[0], ahead[-1]
+    rate = 1.0 / (last.timestamp - first.timestamp) if len(ahead) > 1 else 10.0
+    about: dict[str, Any] = {}
+    if (samples := last.inertial) is not None:
+        step = float(np.median(np.diff(samples.times))) if len(samples.times) > 1 else float(samples.times[0])
+        about = {"unit": samples.unit, "imu_rate": 1.0 / step, "time_offset": time_offset}
+    if (gravity := getattr(sequence, "gravity", None)) is not None:
+        about["gravity"] = tuple(np.asarray(gravity).tolist())
+    if last.odometry is not None:
+        about["odometry"] = last.odometry.covariance
+    return SensorSuite(camera, rate, **about)
