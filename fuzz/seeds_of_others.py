@@ -69,12 +69,12 @@ def bag_of_images() -> Files:
     """Stereo images with their calibration, as `convert` writes them."""
 
     def write(folder: Path) -> None:
-        from stereo_slam_env.datasets.bag_images import write_mcap
+        from stereo_slam_env.datasets import write_recording
 
         for name, content in seeds.kitti06().items():
             (folder / "in" / name).parent.mkdir(parents=True, exist_ok=True)
             (folder / "in" / name).write_bytes(content)
-        write_mcap(open_image_sequence(folder / "in"), folder / "images.mcap")
+        write_recording(open_image_sequence(folder / "in"), folder / "images.mcap")
 
     return {"images.mcap": made_by(write)["images.mcap"]}
 

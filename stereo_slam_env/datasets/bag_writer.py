@@ -30,6 +30,8 @@ LEFT_IMAGES, RIGHT_IMAGES = "/stereo/left", "/stereo/right"
 IMU, ODOMETRY, BIAS, STATIC = "/imu/data", "/wheel/odometry", f"{TRUTH}/imu_bias", "/tf_static"
 WORLD, LEFT, RIGHT, UNIT, BASE, ODOM = "world", "left_camera", "right_camera", "imu_link", "base_link", "odom"
 
+_TRANSFORMS = "tf2_msgs/msg/TFMessage"
+
 
 class BagWriter:
     """Writer of one bag, a file or a folder."""
@@ -38,7 +40,7 @@ class BagWriter:
         require_module("rosbags", "bags")
         from rosbags.rosbag1 import Writer as Writer1
         from rosbags.rosbag2 import StoragePlugin, Writer
-        from rosbags.typesys import Stores, get_typestore
+        from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
         self._path, self._suite, self._kind, self._compressed = path, suite, kind, compressed
         self._of_ros1, self._connections = kind == "bag", dict[str, Any]()
@@ -48,6 +50,7 @@ class BagWriter:
         if self._of_ros1:
             self._writer: Any = Writer1(path)
             self._types = get_typestore(Stores.ROS1_NOETIC)
+            self._types.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", _TRANSFORMS))
         else:
             plugin = StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3
             self._writer = Writer(self._folder, version=9, storage_plugin=plugin)
@@ -113,7 +116,7 @@ class BagWriter:
             noise = self._new("std_msgs/msg/Float64MultiArray", layout=layout, data=np.array(densities))
             self._put(_beside(IMU), "std_msgs/msg/Float64MultiArray", stamp, noise)
         transforms = [self._transform(stamp, *link) for link in links]
-        self._put(STATIC, "tf2_msgs/msg/TFMessage", stamp, self._new("tf2_msgs/msg/TFMessage", transforms=transforms))
+        self._put(STATIC, _TRANSFORMS, stamp, self._new(_TRANSFORMS, transforms=transforms))
 
     def _write_truth(self, frame: WrittenFrame) -> None:
         """Write the true pose of the body, its velocity and the biases, where they are known."""

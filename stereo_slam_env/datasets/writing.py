@@ -23,8 +23,8 @@ from filters.contract.validation import require_known
 from stereo_slam_env.datasets.asl_writer import AslWriter
 from stereo_slam_env.datasets.bag_writer import IMU, LEFT_IMAGES, ODOMETRY, RIGHT_IMAGES, BagWriter
 from stereo_slam_env.datasets.kitti_odometry import KittiWriter, poses_file
-from stereo_slam_env.datasets.written_frame import TrueTrajectories, WrittenFrame, frames_of
 from stereo_slam_env.datasets.settings_files import Topics, readme, settings_files
+from stereo_slam_env.datasets.written_frame import TrueTrajectories, WrittenFrame, frames_of
 from stereo_slam_env.files.folders import json_text, write_text
 from stereo_slam_env.files.readers import read_json
 from stereo_slam_env.recording.recording import ImageSequence, StereoPair
@@ -179,7 +179,10 @@ def write_recording(
     if truths is not None:
         truths.close()
         texts = {f"settings/{file}": text for file, text in settings_files(suite, sequence.name, TOPICS).items()}
-        for file, text in {**texts, **({} if about is None else {"README.md": readme(suite, sequence.name, about)})}.items():
+        for file, text in {
+            **texts,
+            **({} if about is None else {"README.md": readme(suite, sequence.name, about)}),
+        }.items():
             write_text(unfinished / file, text)
     return _completed(place, unfinished, is_file=is_file)
 
@@ -203,9 +206,8 @@ def _require_free(place: Path, partial: Path, source: Mapping[str, Any]) -> None
     remove = "choose another name or folder, or remove it"
     if place.exists() and (not place.is_dir() or any(place.iterdir())):
         raise ValueError(f"{place} is not empty: {remove}" if place.is_dir() else f"{place} is there already: {remove}")
-    if partial.exists():
-        if not _is_of(partial, source):
-            raise ValueError(f"{partial} was left by a writing that was interrupted, of something else: remove it")
+    if partial.exists() and not _is_of(partial, source):
+        raise ValueError(f"{partial} was left by a writing that was interrupted, of something else: remove it")
     if place.parent.name == "sequences" and poses_file(place).exists():
         raise ValueError(f"{poses_file(place)} is there already: {remove}")
 
@@ -241,7 +243,7 @@ def _require_kept(
         others = ", ".join(name for name, form in FORMATS.items() if lost <= form.keeps)
         raise ValueError(
             f"the format {format_name} has no place for {' and '.join(sorted(lost))}, which the recording has: choose "
-            f"{others}, or leave them out (--lossy)"
+            f"{others}, or leave them out (convert --lossy)"
         )
 
 
@@ -249,13 +251,18 @@ def _suite(sequence: ImageSequence, ahead: Sequence[StereoPair], time_offset: fl
     """Sensors of a sequence, by its first two pairs."""
     camera: StereoCamera = sequence.camera
     first, last = ahead[0], ahead[-1]
-    rate = 1.0 / (last.timestamp - first.timestamp) if len(ahead) > 1 else 10.0
+    rate = _rounded(1.0 / (last.timestamp - first.timestamp)) if len(ahead) > 1 else 10.0
     about: dict[str, Any] = {}
     if (samples := last.inertial) is not None:
         step = float(np.median(np.diff(samples.times))) if len(samples.times) > 1 else float(samples.times[0])
-        about = {"unit": samples.unit, "imu_rate": 1.0 / step, "time_offset": time_offset}
+        about = {"unit": samples.unit, "imu_rate": _rounded(1.0 / step), "time_offset": time_offset}
     if (gravity := getattr(sequence, "gravity", None)) is not None:
         about["gravity"] = tuple(np.asarray(gravity).tolist())
     if last.odometry is not None:
         about["odometry"] = last.odometry.covariance
     return SensorSuite(camera, rate, **about)
+
+
+def _rounded(rate: float) -> float:
+    """A rate by the difference of two times, to the digits that it has."""
+    return float(f"{rate:.9g}")

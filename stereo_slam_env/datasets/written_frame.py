@@ -59,15 +59,13 @@ class WrittenFrame:
 
 
 def frames_of(pairs: Iterable[StereoPair], suite: SensorSuite, epoch: int) -> Iterator[WrittenFrame]:
-    """The pairs with stamps from `epoch`, ns, on; inertial rows come one frame late where a frame cuts their period."""
+    """The pairs, whose times count from `epoch`, ns; a row whose period a frame cuts comes with the next one."""
     rows, driven, before, shift = InertialRows(), IDENTITY, epoch, round(1e9 * suite.time_offset)
     waiting: tuple[int, int, StereoPair, list[tuple[int, FloatArray]], float, Pose] | None = None
     for number, pair in enumerate(pairs):
-        if waiting is None:
-            begin = pair.timestamp
-        else:
+        if waiting is not None:
             yield _frame(waiting, suite, shift)
-        stamp = epoch + round(1e9 * (pair.timestamp - begin))
+        stamp = epoch + round(1e9 * pair.timestamp)
         dt = 1e-9 * (stamp - before)
         if pair.odometry is not None:
             driven = driven @ step_of(pair.odometry, dt)

@@ -187,8 +187,9 @@ class RenderedDrive:
                 frame, simulator = rows.frame(0), rows.simulator
                 images = rows.images(0) if is_drawn(number, frame.timestamp) else None
                 left, right = (NOT_DRAWN, NOT_DRAWN) if images is None else (grey(images.left), grey(images.right))
-                measured = frame.truth, frame.odometry, frame.inertial
-                yield StereoPair(frame.timestamp, left, right, *measured, simulator.velocity(0), simulator.biases(0))
+                velocity = frame.truth_velocity if simulator.rules.smooth else None  # else that of the whole step
+                truth = frame.truth, frame.odometry, frame.inertial, velocity, simulator.biases(0)
+                yield StereoPair(frame.timestamp, left, right, *truth)
 
 
 NOT_DRAWN = np.zeros((0, 0), dtype=np.uint8)

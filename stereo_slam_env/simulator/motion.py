@@ -288,7 +288,7 @@ def _road(rules: Rules, ride: FloatArray, first: int, last: int) -> tuple[float,
 
 
 @kernel
-def camera_of_ride(rules: Rules, ride: FloatArray, pose: FloatArray, velocity: FloatArray) -> None:
+def _camera(rules: Rules, ride: FloatArray, pose: FloatArray, velocity: FloatArray) -> None:
     """Pose (7,) and velocity (6,) of the camera: linear in W, angular in the camera frame."""
     speed = math.hypot(ride[_V], ride[_V + 2])
     (y, dy), (p, dp), (r, dr) = _road(rules, ride, 0, 3), _road(rules, ride, 3, 5), _road(rules, ride, 5, RIDE_WAVES)
@@ -337,7 +337,7 @@ def begin_ride(rules: Rules, fleet: Fleet, b: int, stream: int) -> None:
     for i in range(RIDE_WAVES):  # wrapped, normal numbers of such a width are uniform
         ride[_PHASES + i] = 2.0 * math.pi * fleet.normals[b, stream, used + i]
     fleet.used[b, stream] = used + RIDE_WAVES
-    camera_of_ride(rules, ride, fleet.pose[b], velocity)
+    _camera(rules, ride, fleet.pose[b], velocity)
 
 
 @kernel
@@ -352,7 +352,7 @@ def ride_step(rules: Rules, fleet: Fleet, sensed: Sensed, b: int, before: FloatA
     linear = (velocity[0], velocity[1], velocity[2])
     tilt0, tilt1, tilt2 = turn_between(rotation_of(ride[_POSE : _POSE + 7]), rotation_of(fleet.body[b]))
     angular = (velocity[3] + _PULL * tilt0, velocity[4] + _PULL * tilt1, velocity[5] + _PULL * tilt2)
-    camera_of_ride(rules, ride, now[:7], now[7:])
+    _camera(rules, ride, now[:7], now[7:])
     first, x, y, z = rotation_of(now[:7]), now[0], now[1], now[2]
     for k in range(RIDE_STEPS):
         before[:] = now
@@ -370,7 +370,7 @@ def ride_step(rules: Rules, fleet: Fleet, sensed: Sensed, b: int, before: FloatA
         q = product_of(ride[_POSE + 3], ride[_POSE + 4], ride[_POSE + 5], ride[_POSE + 6], *turn)
         ride[_POSE + 3], ride[_POSE + 4], ride[_POSE + 5], ride[_POSE + 6] = q
         ride[_WAY] += 0.5 * h * (speed + math.hypot(ride[_V], ride[_V + 2]))
-        camera_of_ride(rules, ride, now[:7], now[7:])
+        _camera(rules, ride, now[:7], now[7:])
         _means(C, arm, h, before, now, sensed.inertial[b, k])
     pose[:] = now[:7]
     turn0, turn1, turn2 = turn_between(first, rotation_of(pose))

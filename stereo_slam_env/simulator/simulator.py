@@ -17,7 +17,6 @@ from stereo_slam_env.recording.recording import Frame, Velocity
 from stereo_slam_env.sensing.corruptions import PixelNoise
 from stereo_slam_env.sensing.imu import Imu, UnitErrors
 from stereo_slam_env.simulator.frame_kernel import FIRST, JUDGE, MOVE, SENSE, STEP, WAIT, run_frame
-from stereo_slam_env.simulator.motion import camera_of_ride
 from stereo_slam_env.simulator.moving_truth import bodies_now, bodies_of_measurements
 from stereo_slam_env.simulator.rays import traversal
 from stereo_slam_env.simulator.scene_arrays import (
@@ -181,14 +180,6 @@ class Simulator(Kept):
     def body(self, b: int) -> Pose:
         """Pose of the left camera of a row if the head looked straight ahead."""
         return self.pose(b) if self.rules.smooth else _pose(self.fleet.body[b])
-
-    def velocity(self, b: int) -> Velocity | None:
-        """True velocity of the left camera of a row at this instant; None of a ride that is not smooth: it jumps."""
-        if not self.rules.smooth:
-            return None
-        velocity = np.zeros(6)
-        camera_of_ride(self.rules, self.fleet.ride[b], np.zeros(7), velocity)
-        return Velocity(velocity[:3], velocity[3:])
 
     def biases(self, b: int) -> FloatArray | None:
         """True biases (6,) of the inertial unit of a row: gyros, rad/s, accelerometers, m/s^2; None without a unit."""

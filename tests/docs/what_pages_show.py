@@ -14,7 +14,8 @@ from filters import make_filter
 from stereo_slam_env.benchmark import run_benchmark
 from stereo_slam_env.benchmark.recordings.reference_problem import long_drive, short_turn
 from stereo_slam_env.benchmark.scenarios.study import study_from
-from stereo_slam_env.datasets import open_image_sequence, write_kitti_sequence
+from stereo_slam_env.datasets import open_image_sequence, write_recording
+from stereo_slam_env.datasets.writing import KINDS
 from stereo_slam_env.envs.recorder import RenderedDrive
 from stereo_slam_env.evaluation import run_filter
 from stereo_slam_env.rendering.renderers import make_renderer
@@ -58,13 +59,13 @@ def given_environment():
 
 def given_front_end():
     drive = RenderedDrive({"route": "straight", "rig": "qvga"}, seed=0, frames=12)
-    write_kitti_sequence(drive, "PATH/kitti06_stereo51", "00")
+    write_recording(drive, "PATH/kitti06_stereo51", "kitti", name="00", may_lose=KINDS)
     return {}
 
 
 def given_your_data():
     drive = RenderedDrive({"route": "straight", "rig": "qvga"}, seed=0, frames=4)
-    write_kitti_sequence(drive, "PATH/dataset", "06")
+    write_recording(drive, "PATH/dataset", "kitti", name="06", may_lose=KINDS)
     return {}
 
 

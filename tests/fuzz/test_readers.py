@@ -44,7 +44,7 @@ NOT_ON_IT = {
 }
 """Functions that call one of `OPENERS` and are reached by no target, with the reason."""
 WRITERS = {
-    *("BenchmarkResult", "write_mcap", "write_kitti_sequence", "DriftModel.write", "claimed_folder", "is_occupied"),
+    *("BenchmarkResult", "write_recording", "DriftModel.write", "claimed_folder", "is_occupied"),
     *("own_files", "write_atomically", "write_text", "write_json", "save_recording", "save_trajectory", "Chart.save"),
     *("figure_block", "on_page", "write_trajectory_report", "save_film", "save_still", "RerunView"),
     *("search_film", "Recorder"),

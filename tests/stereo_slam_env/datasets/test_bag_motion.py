@@ -7,10 +7,11 @@ from scipy.spatial.transform import Rotation, Slerp
 from filters import Pose, StereoNoise, make_filter
 from stereo_slam_env.cli import app as cli
 from stereo_slam_env.datasets import load, open_image_sequence
-from stereo_slam_env.datasets.bag_images import LEFT, write_mcap
+from stereo_slam_env.datasets.bag_writer import LEFT
+from stereo_slam_env.datasets.writing import write_recording
 from stereo_slam_env.sensing.imu import DATA_SHEETS
 
-from .small_image_folders import CAMERA, DT, FRAMES, drive, true_poses
+from .small_image_folders import CAMERA, DT, FRAMES, Drive, drive, true_poses
 
 pytest.importorskip("rosbags", reason="the extra bags is not installed")
 T_BODY_CAMERA = Pose(np.array([0.4, -0.1, 0.9]), Rotation.from_euler("ZYX", [-95, 3, -88], degrees=True).as_quat())
@@ -18,6 +19,13 @@ T_CAMERA_UNIT = Pose(np.array([0.05, -0.02, 0.1]), Rotation.from_rotvec([0.3, -0
 TWIST = np.diag([1e-4, 4e-4, 0.0, 0.0, 0.0, 9e-6])
 GYRO, FORCE = np.array([0.02, -0.31, 0.1]), np.array([0.3, -9.7, 1.2])  # in the camera frame, changing with time
 RATE_IMU, RATE_WHEELS = 200, 50
+
+
+def since_zero():
+    """The small drive on a clock that begins with it."""
+    one = Drive(list(drive().pairs()))
+    one.source = {"epoch_s": 0.0}
+    return one
 
 
 def robot(folder, *, linked=True, twist=TWIST, sigmas=(0.01, 0.2), units=1, name="robot", scales=(1.0, 1.0)):
@@ -28,7 +36,7 @@ def robot(folder, *, linked=True, twist=TWIST, sigmas=(0.01, 0.2), units=1, name
 
     store = get_typestore(Stores.ROS2_HUMBLE)
     kinds = store.types
-    images = write_mcap(drive(), folder / f"{name}_images.mcap")
+    images = write_recording(since_zero(), folder / f"{name}_images.mcap")
     begin, last = next(drive().pairs()).timestamp, (FRAMES - 1) * DT
 
     def header(t, frame):

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from filters import StereoNoise, make_filter
-from stereo_slam_env.datasets import load, open_for_front_end, write_kitti_sequence
+from stereo_slam_env.datasets import load, open_for_front_end, write_recording
+from stereo_slam_env.datasets.writing import KINDS
 from stereo_slam_env.envs.drive import StereoDriveEnv
 from stereo_slam_env.envs.recorder import RenderedDrive
 from stereo_slam_env.frontend.settings import TrackerSettings
@@ -74,7 +75,7 @@ def test_settings_of_the_sensor_do_no_harm():
 
 def test_through_a_kitti_folder_the_tracks_stay_the_same(drive, tmp_path):
     """Of a perfect rig no offset is found that its error would not explain, and without one no bit changes."""
-    write_kitti_sequence(drive, tmp_path, "00")
+    write_recording(drive, tmp_path, "kitti", name="00", may_lose=KINDS)
     found = load(tmp_path).source["front_end"]
     assert abs(found["disparity_offset"]) < 3.0 * found["disparity_offset_sigma"]
     direct = record_tracks(drive, TrackerSettings())
@@ -136,6 +137,6 @@ def test_a_guided_search_without_settings_is_that_of_who_drew_the_pictures(drive
 
 
 def test_nothing_is_said_of_a_camera_that_nobody_has_measured(tmp_path):
-    write_kitti_sequence(RenderedDrive(DRIVE, seed=2, frames=2), tmp_path)
+    write_recording(RenderedDrive(DRIVE, seed=2, frames=2), tmp_path, "kitti", may_lose=KINDS)
     assert open_for_front_end(tmp_path)[1].image_blur == 0.0
     assert open_for_front_end(tmp_path, front_end={"image_blur": 0.5})[1].image_blur == 0.5

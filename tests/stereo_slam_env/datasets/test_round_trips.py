@@ -1,0 +1,293 @@
+"""What is written for other programs is read back the same: every format, every kind of data, from any start.
+
+Images to the bit, numbers to 1e-9.
+"""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from filters import BodyVelocity, InertialSamples, InertialUnit, Pose
+from filters.geometry import rotations
+from stereo_slam_env.datasets import FORMATS, open_image_sequence, write_recording
+from stereo_slam_env.datasets.writing import KINDS
+from stereo_slam_env.recording.recording import Velocity
+from stereo_slam_env.recording.trajectory_files import load_trajectory
+from stereo_slam_env.sensing.rig_files import read_calibration
+
+from .small_image_folders import CAMERA, FRAMES, Drive, drive
+
+UNIT = InertialUnit([0.05, -0.1, 0.2], [0.5, -0.5, 0.5, 0.5], 2.4e-4, 1.8e-3, 4e-5, 5e-3)
+RATE = 200
+STATES = "true velocities and biases"
+NEEDS_ROSBAGS = ("mcap", "db3", "bag")
+
+
+def full_drive(*, first=0, jitter=0.0):
+    """The small drive with all that a recording may have; `jitter`, s, of the ends of inertial periods."""
+    rng, every = np.random.default_rng(5), list(drive().pairs())
+    pairs = []
+    for before, pair in zip([None, *every], every, strict=False):
+        more = {
+            "velocity": Velocity(rng.normal(size=3), rng.normal(size=3)),
+            "biases": 0.01 * rng.normal(size=6),
+        }
+        if before is not None:
+            dt = pair.timestamp - before.timestamp
+            count = round(RATE * dt)
+            ends = dt * np.arange(1, count + 1) / count
+            ends[:-1] += jitter * rng.uniform(-1.0, 1.0, count - 1)
+            forces = rng.normal(size=(count, 3)) + [0.0, 0.0, 9.81]
+            root = np.tril(0.1 * rng.normal(size=(6, 6))) + 0.2 * np.eye(6)
+            more["inertial"] = InertialSamples(np.round(ends, 9), rng.normal(size=(count, 3)), forces, UNIT)
+            more["odometry"] = BodyVelocity(rng.normal(size=3), 0.3 * rng.normal(size=3), root @ root.T)
+        pairs.append(replace(pair, **more))
+    return Drive(pairs[first:])
+
+
+def read_again(place, format_name, **options):
+    if format_name in NEEDS_ROSBAGS:
+        place, options = place / FORMATS[format_name].file, {"odometry": "/wheel/odometry", **options}
+    return open_image_sequence(place, **options)
+
+
+def place_of(tmp_path, format_name, sequence, **options):
+    if format_name in NEEDS_ROSBAGS:
+        pytest.importorskip("rosbags")
+    lossy = KINDS - FORMATS[format_name].keeps
+    return write_recording(sequence, tmp_path / "drive", format_name, may_lose=lossy, **options)
+
+
+def assert_same_samples(one, other):
+    np.testing.assert_allclose(one.times, other.times, rtol=0, atol=1.1e-9)
+    np.testing.assert_allclose(one.angular_rates, other.angular_rates, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(one.specific_forces, other.specific_forces, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(one.unit.rows, other.unit.rows, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("format_name", FORMATS)
+def test_what_is_written_is_read_the_same(tmp_path, format_name):
+    sequence = read_again(place_of(tmp_path, format_name, full_drive()), format_name)
+    keeps = FORMATS[format_name].keeps
+    rig = [getattr(sequence.camera, name) for name in ("fx", "fy", "cx", "cy", "baseline", "width", "height")]
+    assert rig == pytest.approx([CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy, 0.5, 160, 120], rel=1e-12)
+    pairs = list(sequence.pairs())
+    assert len(pairs) == FRAMES
+    for pair, original in zip(pairs, full_drive().pairs(), strict=True):
+        assert pair.timestamp == pytest.approx(original.timestamp, abs=1e-9)
+        np.testing.assert_array_equal(pair.left, original.left)
+        np.testing.assert_array_equal(pair.right, original.right)
+        np.testing.assert_allclose(pair.truth.position, original.truth.position, atol=1e-9)
+        np.testing.assert_allclose(pair.truth.R_wc, original.truth.R_wc, atol=1e-9)
+        if original.odometry is not None and "odometry" in keeps:
+            np.testing.assert_allclose(pair.odometry.linear, original.odometry.linear, atol=1e-9)
+            np.testing.assert_allclose(pair.odometry.angular, original.odometry.angular, atol=1e-9)
+            np.testing.assert_allclose(pair.odometry.covariance, original.odometry.covariance, atol=1e-9)
+        if original.inertial is not None and "inertial samples" in keeps:
+            assert_same_samples(pair.inertial, original.inertial)
+
+
+@pytest.mark.parametrize("first", [0, 2])
+@pytest.mark.parametrize("format_name", ["euroc", "mcap"])
+def test_a_recording_that_was_read_can_be_written_again(tmp_path, format_name, first):
+    """Periods that are not of one length, and stamps that frames fall between."""
+    original = full_drive(jitter=4e-4)
+    place = place_of(tmp_path, format_name, original)
+    once = read_again(place, format_name, first=first)
+    again_at = write_recording(once, tmp_path / "again", format_name, may_lose={STATES})
+    again = list(read_again(again_at, format_name).pairs())
+    for pair, other in zip(again, once.pairs(), strict=True):
+        np.testing.assert_array_equal(pair.left, other.left)
+        np.testing.assert_allclose(pair.truth.position, other.truth.position, atol=1e-9)
+        assert (pair.inertial is None) == (other.inertial is None)
+        if pair.inertial is not None:
+            assert_same_samples(pair.inertial, other.inertial)
+
+
+@pytest.mark.parametrize("format_name", ["euroc", "tum-vi", "mcap"])
+def test_the_clock_of_the_unit_may_be_another_one(tmp_path, format_name):
+    place = place_of(tmp_path, format_name, full_drive(), time_offset=0.0123)
+    told = {} if format_name != "mcap" else {"rig": str(place / "settings" / "kalibr" / "camchain.yaml")}
+    for pair, original in zip(read_again(place, format_name, **told).pairs(), full_drive().pairs(), strict=True):
+        if original.inertial is not None:
+            assert_same_samples(pair.inertial, original.inertial)
+
+
+@pytest.mark.parametrize("format_name", FORMATS)
+def test_the_truth_of_body_and_camera_is_in_a_world_with_z_up(tmp_path, format_name):
+    place = place_of(tmp_path, format_name, full_drive())
+    body, camera = (load_trajectory(place / f"truth_{name}.tum") for name in ("body", "left_camera"))
+    T_cb = Pose(UNIT.position, UNIT.orientation)
+    for k, pair in enumerate(full_drive().pairs()):
+        assert camera.timestamps[k] == pytest.approx(1_700_000_000 + pair.timestamp, abs=1e-6)
+        x, y, z = pair.truth.position
+        np.testing.assert_allclose(camera.positions[k], [z, -x, -y], atol=1e-12)  # z forward, y down
+        T_ub = camera.pose(k) @ T_cb
+        np.testing.assert_allclose(body.positions[k], T_ub.position, atol=1e-12)
+        np.testing.assert_allclose(body.pose(k).R_wc, T_ub.R_wc, atol=1e-12)
+
+
+def test_velocity_and_biases_are_those_of_the_body(tmp_path):
+    place = place_of(tmp_path, "euroc", full_drive())
+    table = place / "mav0" / "state_groundtruth_estimate0" / "data.csv"
+    rows = np.loadtxt(table, delimiter=",", comments="#")
+    assert rows.shape == (FRAMES, 17)
+    for row, pair in zip(rows, full_drive().pairs(), strict=True):
+        of_unit = pair.velocity.linear + pair.truth.R_wc @ np.cross(pair.velocity.angular, UNIT.position)
+        np.testing.assert_allclose(row[8:11], [of_unit[2], -of_unit[0], -of_unit[1]], atol=1e-12)
+        np.testing.assert_allclose(row[11:], pair.biases, atol=1e-15)
+
+
+def test_positions_and_velocities_of_the_body_agree(tmp_path):
+    """Of a camera that turns about the lever arm of its unit, by differences."""
+    turn, dt, every = np.array([0.0, 0.4, 0.1]), 1e-3, list(full_drive().pairs())
+    poses = [Pose(np.zeros(3), rotations.exp_quaternion(k * dt * turn)) for k in range(3)]
+    pairs = [
+        replace(every[k], timestamp=k * dt, truth=pose, velocity=Velocity(np.zeros(3), turn), odometry=None, inertial=s)
+        for k, (pose, s) in enumerate(
+            zip(poses, [None, *2 * [InertialSamples([dt], [[0, 0, 0]], [[0, 0, 9.8]], UNIT)]], strict=True)
+        )
+    ]
+    place = place_of(tmp_path, "euroc", Drive(pairs))
+    rows = np.loadtxt(place / "mav0" / "state_groundtruth_estimate0" / "data.csv", delimiter=",", comments="#")
+    np.testing.assert_allclose((rows[2, 1:4] - rows[0, 1:4]) / (2 * dt), rows[1, 8:11], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("format_name", "lost"),
+    [
+        ("kitti", "inertial samples and odometry and true velocities and biases"),
+        ("tum-vi", "true velocities and biases"),
+    ],
+)
+def test_what_a_format_has_no_place_for_is_named_before_anything_is_written(tmp_path, format_name, lost):
+    with pytest.raises(ValueError, match=f"the format {format_name} has no place for {lost}.* choose euroc, mcap"):
+        write_recording(full_drive(), tmp_path / "out", format_name)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_velocities_of_a_truth_that_is_read_are_not_lost_unsaid(tmp_path):
+    place = place_of(tmp_path, "euroc", full_drive())
+    with pytest.raises(ValueError, match="true velocities and biases of the recording are not read"):
+        write_recording(open_image_sequence(place), tmp_path / "out", "mcap")
+
+
+def test_what_was_stopped_goes_on_and_ends_with_the_same_bytes(tmp_path):
+    def stop(done, of):
+        if done == 3:
+            raise KeyboardInterrupt
+
+    class Drawn(Drive):
+        draws_on_demand, drawn = True, 0
+
+        def pairs(self, is_drawn):
+            nothing = np.zeros((0, 0), np.uint8)
+            for number, pair in enumerate(super().pairs()):
+                if is_drawn(number, pair.timestamp):
+                    self.drawn += 1
+                    yield pair
+                else:
+                    yield replace(pair, left=nothing, right=nothing)
+
+    whole = write_recording(Drawn(full_drive()._pairs), tmp_path / "whole", "euroc")
+    with pytest.raises(KeyboardInterrupt):
+        write_recording(Drawn(full_drive()._pairs), tmp_path / "out", "euroc", on_pair=stop)
+    with pytest.raises(ValueError, match="no known layout"):
+        open_image_sequence(tmp_path / "out.partial")
+    again = Drawn(full_drive()._pairs)
+    resumed = write_recording(again, tmp_path / "out", "euroc")
+    assert again.drawn == FRAMES - 3 + 2  # two are looked at before it is known where they go
+    files = sorted(path.relative_to(whole) for path in whole.rglob("*") if path.is_file())
+    assert files == sorted(path.relative_to(resumed) for path in resumed.rglob("*") if path.is_file())
+    for file in files:
+        assert (whole / file).read_bytes() == (resumed / file).read_bytes(), file
+
+
+@pytest.mark.parametrize("format_name", NEEDS_ROSBAGS)
+def test_the_same_drive_has_the_same_bytes_as_a_bag(tmp_path, format_name):
+    one, other = (place_of(tmp_path / name, format_name, full_drive()) for name in "ab")
+    for file in (path for path in one.rglob("*") if path.is_file()):
+        assert file.read_bytes() == (other / file.relative_to(one)).read_bytes(), file
+
+
+def test_a_drive_that_is_there_is_kept_where_it_is_the_same(tmp_path):
+    place = place_of(tmp_path, "euroc", full_drive())
+    assert write_recording(full_drive(), place, "euroc", keep_same=True) == place
+    with pytest.raises(ValueError, match="drive is not empty: choose another name"):
+        write_recording(full_drive(), place, "euroc")
+    with pytest.raises(ValueError, match="drive is not empty: choose another name"):
+        write_recording(full_drive(), place, "euroc", keep_same=True, time_offset=0.1)
+
+
+@pytest.mark.parametrize("format_name", ["mcap", "bag"])
+def test_images_in_a_bag_may_be_packed(tmp_path, format_name):
+    place = place_of(tmp_path, format_name, full_drive(), compressed=True)
+    sequence = read_again(place, format_name)
+    assert sequence.source["topics"] == [f"/stereo/{side}/image_rect/compressed" for side in ("left", "right")]
+    for pair, original in zip(sequence.pairs(), drive().pairs(), strict=True):
+        np.testing.assert_array_equal(pair.left, original.left)
+    with pytest.raises(ValueError, match="compressed must be left out of the format euroc: its images are PNG"):
+        place_of(tmp_path / "e", "euroc", full_drive(), compressed=True)
+
+
+@pytest.mark.parametrize("format_name", ["mcap", "db3", "bag"])
+def test_the_pose_of_the_odometry_grows_in_doubt_as_its_steps_say(tmp_path, format_name):
+    """By samples: steps with errors of their covariance, put one behind the other."""
+    rng, sequence = np.random.default_rng(0), full_drive()
+    small = Drive([
+        pair if pair.odometry is None else replace(
+            pair, odometry=replace(pair.odometry, covariance=1e-4 * pair.odometry.covariance)
+        ) for pair in sequence.pairs()
+    ])  # fmt: skip
+    place = place_of(tmp_path, format_name, small)
+    stated = load_trajectory(f"{place / FORMATS[format_name].file}:/wheel/odometry")
+    R_bc = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+    steps, ends = [pair.odometry for pair in small.pairs()][1:], []
+    dts = [after.timestamp - before.timestamp for before, after in pairwise(small.pairs())]
+    for _ in range(4000):
+        pose = Pose(np.zeros(3), [0.0, 0.0, 0.0, 1.0])
+        for step, dt in zip(steps, dts, strict=True):
+            twist = np.concatenate([step.linear, step.angular]) + rng.multivariate_normal(np.zeros(6), step.covariance)
+            v, turn = dt * twist[:3], dt * twist[3:]
+            pose = pose @ Pose(rotations.exp(0.5 * turn) @ v, rotations.exp_quaternion(turn))
+        ends.append(np.concatenate([R_bc @ pose.position, rotations.log(R_bc @ pose.R_wc @ R_bc.T)]))
+    spread = np.cov(np.array(ends).T)
+    last = stated.pose_covariances[-1]
+    assert np.trace(last[:3, :3]) == pytest.approx(np.trace(spread[:3, :3]), rel=0.1)
+    np.testing.assert_allclose(np.linalg.eigvalsh(last[:3, :3]), np.linalg.eigvalsh(spread[:3, :3]), rtol=0.15)
+
+
+@pytest.mark.parametrize("format_name", FORMATS)
+def test_the_settings_beside_it_state_the_rig(tmp_path, format_name):
+    place = place_of(tmp_path, format_name, full_drive(), about={"Seed": "7"})
+    stated = read_calibration(place / "settings" / "kalibr" / "camchain.yaml")
+    assert stated.camera.baseline == pytest.approx(CAMERA.baseline, abs=1e-12)
+    assert "Seed" in (place / "README.md").read_text()
+
+
+def test_evo_reads_the_truth(tmp_path):
+    pytest.importorskip("evo")
+    from evo.tools import file_interface
+
+    place = place_of(tmp_path, "euroc", full_drive())
+    truth = file_interface.read_tum_trajectory_file(place / "truth_body.tum")
+    csv = file_interface.read_euroc_csv_trajectory(place / "mav0" / "state_groundtruth_estimate0" / "data.csv")
+    np.testing.assert_allclose(truth.positions_xyz, csv.positions_xyz, atol=1e-12)
+    assert truth.num_poses == FRAMES
+
+
+@pytest.mark.parametrize("format_name", NEEDS_ROSBAGS)
+def test_rosbags_reads_what_stands_on_the_topics(tmp_path, format_name):
+    place = place_of(tmp_path, format_name, full_drive())
+    from rosbags.highlevel import AnyReader
+
+    with AnyReader([place / FORMATS[format_name].file]) as reader:
+        counts = {c.topic: c.msgcount for c in reader.connections}
+    samples = round(RATE * (FRAMES - 1) * 0.1)
+    assert counts == {
+        **{f"/stereo/{side}/{kind}": FRAMES for side in ("left", "right") for kind in ("camera_info", "image_rect")},
+        **dict.fromkeys(("/ground_truth", "/ground_truth/imu_bias", "/wheel/odometry"), FRAMES),
+        **{"/imu/data": samples, "/imu/noise": 1, "/tf_static": 1},
+    }
