@@ -36,8 +36,8 @@ class Topics:
         No name of a topic: letters, digits, `_` and `/` are allowed.
     """
 
-    left: str = "/cam0/image_raw"
-    right: str = "/cam1/image_raw"
+    left_image: str = "/cam0/image_raw"
+    right_image: str = "/cam1/image_raw"
     left_info: str = "/cam0/camera_info"
     right_info: str = "/cam1/camera_info"
     imu: str = "/imu0"

@@ -21,7 +21,7 @@ RATE, OFFSET = 200.0, -0.0037
 ODOMETRY = np.diag([0.01, 0.02, 0.03, 1e-5, 2e-5, 3e-5])
 SUITE = SensorSuite(CAMERA, 20.0, UNIT, RATE, OFFSET, odometry=ODOMETRY)
 BARE = SensorSuite(CAMERA, 20.0)
-TOPICS = Topics(left="/rig/left", imu="/rig/inertial")
+TOPICS = Topics(left_image="/rig/left", imu="/rig/inertial")
 OPENCV = ("openvins/", "vins_fusion/", "orb_slam3/")
 """Programs that read by OpenCV's FileStorage."""
 
