@@ -176,6 +176,10 @@ def rectification(left: Lens, right: Lens, T_rl: tuple[float, ...], where: str) 
             f"{where}: the right camera is {-shift[1, 0]:+.4g} m below the left one and {-shift[0, 0]:+.4g} m beside "
             "it, a vertical pair: only cameras side by side are read, so turn images and calibration by 90 degrees"
         )
+    if _is_rectified(left, right, T):  # OpenCV would find the same, to seven digits
+        P_left, shift_right = np.column_stack([left.K, np.zeros(3)]), np.zeros((3, 4))
+        shift_right[0, 3] = left.fx * shift[0, 0]
+        return stated_rectification((left, right), (np.eye(3), np.eye(3)), (P_left, P_left + shift_right), where)
     of_both = left.K, left.coefficients, right.K, right.coefficients, left.size, turn, shift
     maps: Any
     try:
@@ -192,6 +196,14 @@ def rectification(left: Lens, right: Lens, T_rl: tuple[float, ...], where: str) 
     turns, projections = (R_left, R_right), (P_left, P_right)
     camera = rectified_rig(where, *projections, left.size)
     return Rectification((left, right), turns, projections, camera)
+
+
+def _is_rectified(left: Lens, right: Lens, T_rl: FloatArray) -> bool:
+    """Whether two lenses are one ideal pinhole each, the same one, side by side along x."""
+    apart = T_rl - np.eye(4)
+    apart[0, 3] = 0.0
+    ideal = left.model == "radial-tangential" and not any((*left.distortion, *right.distortion))
+    return ideal and np.array_equal(left.K, right.K) and bool(np.abs(apart).max() <= _ROUNDING and T_rl[0, 3] < 0)
 
 
 def _narrowed(lens: Lens, P_left: FloatArray, P_right: FloatArray, where: str) -> tuple[FloatArray, FloatArray]:

@@ -119,6 +119,8 @@ def body_of_camera(path: Path) -> FloatArray:
 def noise_of_unit(path: Path) -> tuple[float, float, float, float]:
     """Densities of gyros and accelerometers, and their walks, as of `InertialUnit`: EuRoC's and Kalibr's entries."""
     table = table_of(path)
+    if isinstance(table.get("imu0"), dict):  # OpenVINS, and results of Kalibr
+        table = table["imu0"]
     kinds = (
         "gyroscope_noise_density",
         "accelerometer_noise_density",

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import importlib
+import subprocess
 import sys
 import time
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
+from stereo_slam_env.datasets.settings_files import Topics, settings_files
 from stereo_slam_env.envs.recorder import RenderedDrive
 from stereo_slam_env.evaluation.run_figures import figures_of, summarise_all
+from stereo_slam_env.sensing.sensor_suite import SensorSuite
 
 pytestmark = pytest.mark.slow
 
@@ -180,3 +184,45 @@ def test_the_filter_of_the_gaze_tasks_does_not_stretch_the_way_and_one_that_reli
 
     assert abs(signed({})) < 0.5
     assert signed(relinearising.UPDATES["two passes"]) < -0.5
+
+
+@pytest.fixture
+def street(tmp_path: Path) -> Path:
+    """A drive of 12 pairs in the layout of EuRoC, with its settings."""
+    drive = RenderedDrive({"rig": "vga"}, frames=12)
+    for name, text in settings_files(SensorSuite(drive.camera, 10.0), "street", Topics()).items():
+        (tmp_path / "settings" / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "settings" / name).write_text(text, encoding="utf-8")
+    pairs = {round(1e9 * pair.timestamp): (pair.left, pair.right) for pair in drive.pairs()}
+    for side, camera in enumerate(("cam0", "cam1")):
+        images = tmp_path / "mav0" / camera / "data"
+        images.mkdir(parents=True)
+        rows = ["#timestamp [ns],filename", *(f"{ns},{ns}.png" for ns in pairs)]
+        (images.parent / "data.csv").write_text("\n".join(rows), encoding="utf-8")
+        for ns, both in pairs.items():
+            cv2.imwrite(str(images / f"{ns}.png"), both[side])
+    return tmp_path
+
+
+def test_a_vocabulary_of_the_pictures_is_a_tree_of_descriptors(street: Path) -> None:
+    run = script("orb_slam3_run")
+    words = run.train_vocabulary([left for _, left, _ in run.pairs_of(street)][::4], street / "words.txt")
+    head, *lines = (street / "words.txt").read_text().split("\n")
+    nodes = [line.split() for line in lines]
+    assert head == f"{run.BRANCHES} {run.LEVELS} 0 0"
+    assert sum(node[1] == "1" for node in nodes) == words > 500
+    assert {len(node) for node in nodes} == {35}
+    leaves = {number for number, node in enumerate(nodes, 1) if node[1] == "1"}
+    assert all(int(node[0]) < number and int(node[0]) not in leaves for number, node in enumerate(nodes, 1))
+    assert min(float(node[34]) for node in nodes) > 0.0
+
+
+def test_orb_slam3_takes_the_settings_and_follows_the_drive(street: Path) -> None:
+    """12 pairs, in a process of its own."""
+    pytest.importorskip("pyorbslam3", reason="needs pyorbslam3")
+    line = [BENCHMARKS / "orb_slam3_run.py", street, street / "estimate.tum", "--vocabulary", "own"]
+    subprocess.run([sys.executable, *map(str, line)], check=True, timeout=200)
+    estimate = np.loadtxt(street / "estimate.tum")
+    truth = np.array([pair.truth.position for pair in RenderedDrive({"rig": "vga"}, frames=12).pairs()])
+    assert len(estimate) == 12
+    assert np.linalg.norm(estimate[:, 1:4] - truth, axis=1).max() < 0.02 * np.linalg.norm(truth[-1])
