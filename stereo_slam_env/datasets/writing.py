@@ -37,8 +37,10 @@ PARTIAL = ".partial"
 _SOURCE = "source.json"
 INERTIAL, STEPS, POSES, STATES = "inertial samples", "odometry", "true poses", "true velocities and biases"
 TOPICS = Topics(
-    *(f"{topic}/image_rect" for topic in (LEFT_IMAGES, RIGHT_IMAGES)),
-    *(f"{topic}/camera_info" for topic in (LEFT_IMAGES, RIGHT_IMAGES)),
+    f"{LEFT_IMAGES}/image_rect",
+    f"{RIGHT_IMAGES}/image_rect",
+    f"{LEFT_IMAGES}/camera_info",
+    f"{RIGHT_IMAGES}/camera_info",
     IMU,
     ODOMETRY,
 )
@@ -160,7 +162,10 @@ def write_recording(
         raise ValueError(f"sequence {sequence.name!r} has no pairs: nothing was written")
     suite = _suite(sequence, ahead, time_offset)
     kept = form.keeps | set(may_lose)
-    _require_kept(ahead, kept, format_name, getattr(sequence, "not_read", frozenset()))
+    if unread := set(getattr(sequence, "not_read", ())) - set(may_lose):
+        what = " and ".join(sorted(unread))
+        raise ValueError(f"the {what} of the recording are not read, so they would be lost: leave them out (--lossy)")
+    _require_kept(ahead, kept, format_name)
     is_file = place.suffix in (".mcap", ".bag")
     target = unfinished / place.name if is_file else unfinished
     unfinished.mkdir(parents=True, exist_ok=True)
@@ -232,12 +237,7 @@ def _data_of(pair: StereoPair) -> set[str]:
     return {kind for kind, value in data.items() if value is not None}
 
 
-def _require_kept(
-    pairs: Sequence[StereoPair], kept: Collection[str], format_name: str, not_read: Collection[str] = ()
-) -> None:
-    if unread := set(not_read) - (set(kept) - FORMATS[format_name].keeps):
-        what = " and ".join(sorted(unread))
-        raise ValueError(f"the {what} of the recording are not read, so they would be lost: leave them out (--lossy)")
+def _require_kept(pairs: Sequence[StereoPair], kept: Collection[str], format_name: str) -> None:
     lost = set().union(*map(_data_of, pairs)) - set(kept)
     if lost:
         others = ", ".join(name for name, form in FORMATS.items() if lost <= form.keeps)

@@ -28,7 +28,7 @@ def samples_of_steps(
 ) -> list[InertialSamples | None]:
     """Samples of the step to each frame from the one before; None for the first, and where a step is not covered.
 
-    A row stands for the time around its stamp, to half way to the next ones: as what a unit has averaged over a period
+    A row stands for the time around its stamp, to half way to the next ones, or for a period before and after all: as what a unit has averaged over a period
     is stamped in its middle, and as good as straight lines between the rows for what it has not. Noise of the samples
     is then independent, as filters take it, which that of means between two rows is not.
 
@@ -59,7 +59,7 @@ def samples_of_steps(
         raise ValueError(f"{path}: {message} Write those of both in one")
     steps: list[InertialSamples | None] = [None]
     middles = 0.5 * (times[1:] + times[:-1])
-    ends = np.concatenate([[2.0 * times[0] - middles[0]], middles, [2.0 * times[-1] - middles[-1]]])
+    ends = np.concatenate([[times[0] - apart], middles, [times[-1] + apart]])
     longest = _GAP * apart
     for begin, end in pairwise(frames.tolist()):
         before, after = np.searchsorted(times, [begin + _SAME, end - _SAME])
@@ -118,6 +118,8 @@ class InertialRows:
             elif len(self._values) > 1:  # the first may be cut by the frame, the second is whole
                 self._stamp = 2 * end - (end + self._ends[2]) // 2
             else:
+                self._stamp = (begin + end) // 2
+            if not begin < self._stamp < end:  # periods that no rows have
                 self._stamp = (begin + end) // 2
             rows.append((self._stamp, self._values.pop(0)))
             self._ends.pop(0)
