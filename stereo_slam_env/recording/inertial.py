@@ -28,9 +28,9 @@ def samples_of_steps(
 ) -> list[InertialSamples | None]:
     """Samples of the step to each frame from the one before; None for the first, and where a step is not covered.
 
-    A row stands for the time around its stamp, to half way to the next ones, or for a period before and after all: as what a unit has averaged over a period
-    is stamped in its middle, and as good as straight lines between the rows for what it has not. Noise of the samples
-    is then independent, as filters take it, which that of means between two rows is not.
+    A row stands for the time around its stamp, to half way to its neighbours, the first and the last for a period: what
+    a unit has averaged over a period is stamped in its middle, and what it has not is as well taken so as by straight
+    lines. Noise of the samples is then independent, as filters take it, which that of means between two rows is not.
 
     Parameters
     ----------
