@@ -68,12 +68,12 @@ class NoiseOfRange:
     low: float
     high: float
     count: int
+    nees: float  # median NEES of the errors over the median of chi2 with 3 degrees of freedom; 1 is ideal
     bias: tuple[float, float, float]  # median error, px
     sigma: tuple[float, float, float]  # 1.4826 x median absolute deviation, px
     outliers: tuple[float, float, float]  # share of errors beyond `OUTLIER` px
     claimed: tuple[float, float, float]  # median of the standard deviations that the measurements claim, px
     over_claim: tuple[float, float, float]  # 1.4826 x median of |error| / claimed standard deviation
-    nees: float  # median NEES of the errors over the median of chi2 with 3 degrees of freedom; 1 is ideal
 
 
 def measurement_errors(recording: Recording, *, claims: bool = True) -> MeasurementErrors:
@@ -118,9 +118,9 @@ def noise_by_range(found: MeasurementErrors) -> tuple[NoiseOfRange, ...]:
         outliers = _each(np.mean, np.where(np.isnan(error), np.nan, np.abs(error) > OUTLIER))
         claimed = _each(np.median, sigmas[inside])
         over_claim = _MAD_TO_SIGMA * _each(np.median, np.abs(error) / sigmas[inside])
-        triples = [tuple(values.tolist()) for values in (bias, sigma, outliers, claimed, over_claim)]
+        triples = (tuple(values.tolist()) for values in (bias, sigma, outliers, claimed, over_claim))
         ratio = float(_each(np.median, of_chi2[inside])[0])
-        rows.append(NoiseOfRange(low, high, int(inside.sum()), *triples, nees=ratio))
+        rows.append(NoiseOfRange(low, high, int(inside.sum()), ratio, *triples))
     return tuple(rows)
 
 
