@@ -6,7 +6,7 @@ Y, Z. Those of a pose are about the fixed axes of `header.frame_id`, those of a 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +23,7 @@ from stereo_slam_env.recording.trajectory_transforms import in_fixed_axes
 OPTICAL_TO_BASE = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """R that takes vectors of x right, y down, z forward to those of x forward, y left, z up (REP 103)."""
 GROWTH_SECONDS = (1.0, 10.0, 100.0)
-"""Times after the start at which the covariance of the pose is stated, s."""
+"""Times after the start at which the covariance of the pose is stated, beside the end, s."""
 _USUAL = 0.1
 """Steps whose length in time is within this share of the median count for the twist."""
 _FORWARD = 0.8
@@ -47,16 +47,15 @@ class RosCovariances:
     step: float
     """Usual length of a step, s."""
     integrated: float
-    """Standard deviation of the position after the last of `GROWTH_SECONDS` that the drive has, m, that follows from
-    these twists if their errors are taken as independent."""
+    """Standard deviation of the last position, m, that follows from these twists with independent errors."""
     drives_along_z: bool
     """Whether the body drives along its z axis, as the optical frame of a camera does."""
 
     @property
     def growth(self) -> list[int]:
-        """Rows at `GROWTH_SECONDS`, as far as the drive lasts; the last row where it is shorter than all."""
-        rows = [int(np.argmin(np.abs(self.times - seconds))) for seconds in GROWTH_SECONDS if seconds <= self.times[-1]]
-        return rows or [len(self.times) - 1]
+        """Rows at `GROWTH_SECONDS`, as far as the drive lasts, and the last one."""
+        rows = [int(np.argmin(np.abs(self.times - seconds))) for seconds in GROWTH_SECONDS if seconds < self.times[-1]]
+        return [*rows, len(self.times) - 1]
 
 
 def ros_covariances(claimed: Trajectory, *, optical: bool = False) -> RosCovariances:
@@ -91,23 +90,22 @@ def ros_covariances(claimed: Trajectory, *, optical: bool = False) -> RosCovaria
     into_before = np.tile(np.eye(POSE_SIZE), (len(turns), 1, 1))
     into_before[:, POSITION, POSITION] = rotations.matrix(turns)
     velocities = transformed(into_before, before)[usual] / dt[usual, None, None] ** 2
-    result = RosCovariances(
+    return RosCovariances(
         claimed.name,
         times,
         np.cumsum(driven),
         transformed(turn, in_fixed_axes(claimed.orientations, covariances)),
         transformed(turn, velocities.mean(axis=0)),
         float(np.median(dt)),
-        0.0,
+        _integrated(claimed, steps),
         bool(moved[:, 2].sum() > _FORWARD * driven.sum()),
     )
-    return replace(result, integrated=_integrated(claimed, steps, result.growth[-1]))
 
 
-def _integrated(claimed: Trajectory, steps: FloatArray, last: int) -> float:
-    """Standard deviation of the position of a row, m, by its steps with independent errors of covariances (K - 1)."""
-    A = adjoints(claimed.positions - claimed.positions[last], claimed.orientations)[1 : last + 1]
-    P = (A @ steps[:last] @ A.swapaxes(1, 2)).sum(axis=0)
+def _integrated(claimed: Trajectory, steps: FloatArray) -> float:
+    """Standard deviation of the last position, m, by steps with independent errors of covariances (K - 1, 6, 6)."""
+    A = adjoints(claimed.positions - claimed.positions[-1], claimed.orientations)[1:]
+    P = (A @ steps @ A.swapaxes(1, 2)).sum(axis=0)
     return float(np.sqrt(np.trace(P[POSITION, POSITION])))
 
 
@@ -118,8 +116,7 @@ def write_ros_yaml(path: Path, covariances: RosCovariances) -> None:
         f"     covariance: {_numbers(covariances.poses[row], 18)}}}\n"
         for row in covariances.growth
     )
-    last = covariances.growth[-1]
-    claimed = float(np.sqrt(np.trace(covariances.poses[last, POSITION, POSITION])))
+    claimed = float(np.sqrt(np.trace(covariances.poses[-1, POSITION, POSITION])))
     twist = f"  seconds: {covariances.step:.6g}\n  covariance: {_numbers(covariances.twist, 15)}\n"
     write_text(
         path,
@@ -127,7 +124,7 @@ def write_ros_yaml(path: Path, covariances: RosCovariances) -> None:
             name=covariances.name.replace("\n", " "),
             poses=poses,
             twist=twist,
-            seconds=f"{covariances.times[last]:.3g}",
+            seconds=f"{covariances.times[-1]:.3g}",
             claimed=f"{claimed:.3g}",
             integrated=f"{covariances.integrated:.3g}",
         ),
