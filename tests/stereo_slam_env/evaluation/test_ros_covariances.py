@@ -10,7 +10,6 @@ from filters import Pose
 from filters.geometry import rotations
 from stereo_slam_env.cli import app as cli
 from stereo_slam_env.evaluation.ros_covariances import OPTICAL_TO_BASE, ros_covariances, write_ros_yaml
-from stereo_slam_env.evaluation.windows import motion_covariances, motions
 from stereo_slam_env.files.yaml_files import parse_yaml
 
 VARIANCES = 1e-6 * np.array(
@@ -70,20 +69,26 @@ def test_errors_of_poses_in_the_world_have_the_36_numbers(claimed, optical):
 
 
 @pytest.mark.parametrize("optical", [False, True])
-def test_errors_of_velocities_have_the_36_numbers(claimed, optical):
-    """Of the step whose covariance is nearest the mean: the turn of the steps differs by little."""
-    rng, first = np.random.default_rng(1), np.arange(len(claimed) - 1)
-    moved, turns = motions(claimed, first, first + 1)
-    steps = motion_covariances(claimed, first, first + 1)
+def test_errors_of_velocities_have_the_36_numbers(optical):
+    """On a path whose steps all turn by half a radian, so that the axes before and after a step differ."""
+    step, poses = Pose([0.1, -0.2, 0.6], rotations.exp_quaternion([0.2, 0.4, -0.2])), [Pose()]
+    for _ in range(12):
+        poses.append(poses[-1] @ step)
+    positions, orientations = np.array([T.position for T in poses]), np.array([T.orientation for T in poses])
+    circle = sse.Trajectory(positions, orientations, 0.1 * np.arange(13), gauge=None)
+    model = sse.DriftModel(VARIANCES)
+    xi = np.random.default_rng(1).multivariate_normal(
+        np.zeros(6), model.covariances(circle, np.array([4]), np.array([5]))[0], DRAWS
+    )
+    true_turns = turned_by(step.R_wc, xi[:, 3:])
     axes = OPTICAL_TO_BASE if optical else np.eye(3)
-    errors = []
-    for k in rng.integers(0, len(first), DRAWS):
-        xi = rng.multivariate_normal(np.zeros(6), steps[k])
-        R = rotations.matrix(turns[k])
-        true_motion, true_turn = moved[k] + R @ xi[:3], R @ rotations.exp(xi[3:])
-        angular = rotations.log(true_turn @ R.T)
-        errors.append(np.concatenate([axes @ (true_motion - moved[k]), axes @ angular]) / 0.1)
-    assert_sampled(np.array(errors), ros_covariances(claimed, optical=optical).twist)
+    errors = np.column_stack([xi[:, :3] @ step.R_wc.T @ axes.T, logs(true_turns @ step.R_wc.T) @ axes.T]) / 0.1
+    assert_sampled(errors, ros_covariances(sse.claim(circle, model), optical=optical).twist)
+
+
+def test_an_optical_frame_has_x_right_y_down_z_forward():
+    right, down, forward = np.eye(3) @ OPTICAL_TO_BASE.T
+    np.testing.assert_array_equal([forward, right, down], [[1, 0, 0], [0, -1, 0], [0, 0, -1]])
 
 
 def test_our_reader_of_ros_covariances_takes_them_back(claimed, tmp_path):
