@@ -157,6 +157,15 @@ def vslam_lab() -> Files:
     }
 
 
+def measured_tracks() -> Files:
+    """Measurements of another program: with a line of names and deviations, and with triangles of covariances."""
+    named = "# d,v,u,id,frame,su,sv,sd\n" + "".join(
+        f"4.5,{5 + j},{10 + k},{j},{k},0.5,0.5,0.7\n" for k in range(FRAMES) for j in range(2)
+    )
+    plain = "".join(f"{k} {j} {10 + k} {5 + j} 4.5 1 0 1 1 0 2\n" for k in range(FRAMES) for j in range(2))
+    return {"named.csv": named.encode(), "plain.txt": plain.encode()}
+
+
 def mono_tracks() -> Files:
     """Tracks of one camera, and samples of an inertial unit."""
     unit = "position = [0, 0, 0]\norientation = [0, 0, 0, 1]\ngyro_density = 1e-4\naccelerometer_density = 1e-3\n"

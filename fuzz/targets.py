@@ -21,6 +21,7 @@ from stereo_slam_env.benchmark.storage.result_tables import results_of
 from stereo_slam_env.benchmark.storage.run_files import load_provenance, load_run
 from stereo_slam_env.benchmark.storage.store import read_study
 from stereo_slam_env.datasets import load, open_image_sequence
+from stereo_slam_env.datasets.measured_tracks import read_measured_tracks
 from stereo_slam_env.evaluation.body_frames import read_body
 from stereo_slam_env.evaluation.drift_model import DriftModel, claim
 from stereo_slam_env.evaluation.trajectory_score import evaluate_trajectory
@@ -73,6 +74,7 @@ def targets() -> tuple[Target, ...]:
         Target("kitti00_stereo_tracks", seeds.kitti00(), load, calls=_LOAD),
         Target("starry_night", seeds.starry_night(), load, calls=_LOAD),
         Target("mono_tracks", others.mono_tracks(), load, calls=_LOAD),
+        Target("measured_tracks", others.measured_tracks(), _measured_tracks, True, ("stereo-slam scenes noise",)),
         Target("kitti06_stereo51", seeds.kitti06(), _pairs, calls=_IMAGES),
         Target("kitti_odometry", seeds.kitti_odometry(), lambda folder: _pairs(folder / "sequences" / "07")),
         Target("kitti_raw", seeds.kitti_raw(), _pairs),
@@ -127,6 +129,10 @@ def _recording(folder: Path) -> object:
 
 def _arrays(folder: Path) -> object:
     return read_arrays(folder / "network.npz")
+
+
+def _measured_tracks(folder: Path) -> object:
+    return [read_measured_tracks(folder / name) for name in ("named.csv", "plain.txt")]
 
 
 def _bags(folder: Path) -> object:

@@ -183,10 +183,24 @@ def claim(
         Path | None,
         typer.Option("--out", help="Where the trajectory goes, .square.", show_default="EST.square, here"),
     ] = None,
+    ros: Annotated[
+        Path | None,
+        typer.Option(
+            "--ros", help="Also write the 36 numbers of ROS messages, and settings of an EKF.", metavar="OUT.yaml"
+        ),
+    ] = None,
+    optical: Annotated[
+        bool,
+        typer.Option(
+            "--optical", help="In --ros: the poses are a camera's, z forward; turn body and world to x forward, z up."
+        ),
+    ] = False,
 ) -> None:
     """Give a trajectory the covariance that `calibrate` learned."""
     from stereo_slam_env.evaluation.drift_model import DriftModel
     from stereo_slam_env.evaluation.drift_model import claim as claimed
+    from stereo_slam_env.evaluation.ros_covariances import ros_covariances, write_ros_yaml
+    from stereo_slam_env.files.folders import require_writable
     from stereo_slam_env.recording.trajectory_files import load_trajectory, save_trajectory
 
     path = Path(f"{estimate.stem}.square") if out is None else out
@@ -194,8 +208,22 @@ def claim(
         raise ValueError(f"--out must end in .square, which has covariances, got {path}")
     if path.resolve() == estimate.resolve():
         raise ValueError(f"--out would replace the estimate, {estimate}: give another name")
-    save_trajectory(path, claimed(load_trajectory(estimate), DriftModel.read(model)))
+    if ros is None and optical:
+        raise ValueError("--optical turns the axes of --ros OUT.yaml: give both")
+    if ros is not None and ros.suffix not in (".yaml", ".yml"):
+        raise ValueError(f"--ros must end in .yaml, got {ros}")
+    for file in filter(None, (path, ros)):
+        require_writable(file.parent)
+    trajectory = claimed(load_trajectory(estimate), DriftModel.read(model))
+    messages = None if ros is None else ros_covariances(trajectory, optical=optical)
+    save_trajectory(path, trajectory)
     typer.echo(f"trajectory: {path.resolve()}")
+    if ros is None or messages is None:
+        return
+    write_ros_yaml(ros, messages)
+    typer.echo(f"for ROS: {ros.resolve()}")
+    if messages.drives_along_z and not optical:
+        typer.echo("the body drives along its z axis, as a camera's does: --optical turns it to x forward, z up")
 
 
 _UNLIKE = 20.0

@@ -189,20 +189,48 @@ def scene_noise(
     seed: SeedOption = 0,
     frames: FramesOption = None,
     front_end: Annotated[
-        str, typer.Option("--front-end", help="Front end: 'active-search', 'klt', 'sift', or an installed one.")
-    ] = "active-search",
+        str | None,
+        typer.Option(
+            "--front-end",
+            help="Front end: 'active-search', 'klt', 'sift', or an installed one.",
+            show_default="active-search",
+        ),
+    ] = None,
+    tracks: Annotated[
+        Path | None,
+        typer.Option(
+            "--tracks",
+            help="Tracks or matches of another program in the pairs that `record` writes: frame, id, u, v, d, "
+            "and what it claims.",
+            metavar="FILE",
+            show_default="of the front end",
+        ),
+    ] = None,
+    as_json: JsonOption = False,
     *,
     scene: dict[str, Any],
 ) -> None:
-    """Measure the front end's noise against the render."""
-    from stereo_slam_env.benchmark.scenarios.recording_description import measurement_errors
-    from stereo_slam_env.envs.recorder import record
+    """Measure the noise of a front end, ours or any other's, against the render."""
+    from stereo_slam_env.benchmark.scenarios.recording_description import measurement_errors, noise_figures
+    from stereo_slam_env.datasets.measured_tracks import read_measured_tracks
+    from stereo_slam_env.envs.recorder import record, record_measurements
     from stereo_slam_env.report.console import progress_bar, show_noise
 
+    if tracks is not None and front_end is not None:
+        raise ValueError(f"--tracks {tracks} are measured already: leave --front-end out")
+    measured = None if tracks is None else read_measured_tracks(tracks)
     with progress_bar(console(stderr=True), "frames") as progress:
 
         def on_frame(done: int, wanted: int | None) -> None:
             progress(done, wanted or done)
 
-        recording = record({**scene, "sensor": "images", "front_end_name": front_end}, seed, frames, progress=on_frame)
-    show_noise(console(), recording.name, measurement_errors(recording))
+        if measured is None:
+            images = {**scene, "sensor": "images", "front_end_name": front_end or "active-search"}
+            recording = record(images, seed, frames, progress=on_frame)
+        else:
+            recording = record_measurements(scene, seed, measured, frames, progress=on_frame)
+    errors = measurement_errors(recording, claims=measured is None or measured.claims)
+    if as_json:
+        show_json(noise_figures(recording.name, errors))
+    else:
+        show_noise(console(), recording.name, errors)

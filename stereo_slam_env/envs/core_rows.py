@@ -18,6 +18,7 @@ from filters.geometry.poses import Pose
 from stereo_slam_env.envs.arguments import DriveOptions, HeadOptions, StereoOptions
 from stereo_slam_env.envs.row_pictures import Pictures
 from stereo_slam_env.envs.rows import Arrays, Measured, Rows, Seeds, Step
+from stereo_slam_env.frontend.front_ends import FrontEnd, make_front_end
 from stereo_slam_env.frontend.track_recorder import TYPICAL_NOISE, ImageSensor
 from stereo_slam_env.recording.recording import Frame, LandmarkTruth
 from stereo_slam_env.rendering.overlay import annotated_pair
@@ -98,8 +99,7 @@ class CoreRows(Rows):
             rules, count, self._pixel_noise, threads, imu=self._imu, senses=not self._sees_images
         )
         self.observation_space = self._make_observation_space()
-        size = 2 * (isinstance(options, DriveOptions) + isinstance(options, HeadOptions))
-        self.action_space = spaces.Box(-1.0, 1.0, (size,), np.float32)
+        self.action_space = spaces.Box(-1.0, 1.0, (2 * ((drive is not None) + (self.head is not None)),), np.float32)
         self._pictures = [Pictures(options, self.camera) for _ in range(count if self.draws else 0)]
         self._image_sensors: list[ImageSensor | None] = [None] * count
         self._seen: list[StereoObservation | None] = [None] * count  # in images
@@ -145,7 +145,7 @@ class CoreRows(Rows):
             if self._pictures:
                 self._pictures[b].build(scene.scene, camera)
             if self._sees_images:
-                self._image_sensors[b] = self._image_sensor(b)
+                self._image_sensors[b] = self.new_image_sensor(b)
         self.simulator.begin(chosen)
         self._take_pictures(rows)
 
@@ -162,7 +162,7 @@ class CoreRows(Rows):
 
     def restore(self, state: Mapping[str, Any]) -> None:
         if self._sees_images:
-            self._image_sensors = [self._image_sensor(b) for b in range(self.num_envs)]
+            self._image_sensors = [self.new_image_sensor(b) for b in range(self.num_envs)]
         super().restore(state)
 
     def close(self) -> None:
@@ -199,9 +199,10 @@ class CoreRows(Rows):
         )
         return scene_arrays(scene, route, int(options.moving_landmarks), rng)
 
-    def _image_sensor(self, b: int) -> ImageSensor:
-        pictures = self._pictures[b]
-        return ImageSensor(self.camera, lambda: self.images(b), self.options.front_end, pictures.on_moving_body)
+    def new_image_sensor(self, b: int, front_end: FrontEnd | None = None) -> ImageSensor:
+        """Sensor in the images of a row, by the front end of the options or another one."""
+        front_end = front_end or make_front_end(self.camera, self.options.front_end)
+        return ImageSensor(self.camera, lambda: self.images(b), front_end, self._pictures[b].on_moving_body)
 
     def _take_pictures(self, rows: list[int]) -> None:
         """Go on to the next picture of some rows, and measure in it where landmarks are seen in images."""
@@ -363,10 +364,9 @@ class CoreRows(Rows):
             largest = camera.disparity_constant / options.tracking.nearest
             slack = self._pixel_noise.largest_error + 10.0 * options.lasting  # so the bounds hold without clipping
         high = np.array([camera.width, camera.height, largest]) + slack
-        low = np.full(3, -slack)
         velocity = MAX_VELOCITY.astype(np.float32)
         shapes: dict[str, spaces.Space[Any]] = {
-            "uvd": spaces.Box(np.tile(low, (rows, 1)).astype(np.float32), np.tile(high, (rows, 1)).astype(np.float32)),
+            "uvd": spaces.Box(np.full((rows, 3), np.float32(-slack)), np.tile(high, (rows, 1)).astype(np.float32)),
             "ids": spaces.Box(NO_LANDMARK, np.iinfo(np.int32).max, (rows,), np.int64),
             "mask": spaces.Box(0, 1, (rows,), np.int8),
             "odometry": spaces.Box(-velocity, velocity),

@@ -14,11 +14,13 @@ import numpy as np
 from filters.contract.inputs import Start
 from filters.contract.noise import StereoNoise
 from filters.geometry.camera import StereoCamera
+from stereo_slam_env.datasets.measured_tracks import MeasuredTracks
 from stereo_slam_env.envs.arguments import DriveOptions, StereoOptions
 from stereo_slam_env.envs.core_rows import CoreRows
 from stereo_slam_env.envs.stereo_env import StereoEnv
 from stereo_slam_env.files.package_versions import version_of
 from stereo_slam_env.frontend.settings import TrackerSettings
+from stereo_slam_env.frontend.track_recorder import TYPICAL_NOISE
 from stereo_slam_env.recording.recording import SIMULATION, Frame, LandmarkTruth, Recording, Reference, StereoPair
 from stereo_slam_env.rendering.pinhole import grey
 from stereo_slam_env.rendering.renderers import renderer_identity
@@ -86,6 +88,47 @@ def _drives(
         if not active.any():
             break
     return collected
+
+
+def record_measurements(
+    env_kwargs: Mapping[str, Any] | None,
+    seed: int,
+    measured: MeasuredTracks,
+    frames: int | None = None,
+    progress: Callable[[int, int | None], None] | None = None,
+) -> Recording:
+    """Recording of the measurements of another program in the pairs of `RenderedDrive`, up to its last one.
+
+    The truth of a landmark is the point behind its left pixel where it was first measured, as for the front ends that
+    an environment has itself. Neither the number of measurements nor their ids are limited.
+
+    Raises
+    ------
+    ValueError
+        An argument is not allowed, or the measurements cannot be of these pairs: beyond the drive or the image.
+    """
+    drive = RenderedDrive(env_kwargs, seed, frames)
+    if measured.pairs > len(drive):
+        raise ValueError(
+            f"{measured.path} has a measurement in frame {measured.pairs - 1}, but the drive has frames 0 to "
+            f"{len(drive) - 1}: give the route, and the number of frames, that the pairs were recorded with"
+        )
+    measured.require_inside(drive.camera)
+    measured.reset()
+    options = replace(drive.options, render_images=True)
+    active, taken = np.ones(1, dtype=np.bool_), []
+    with closing(CoreRows(options, 1)) as rows:
+        rows.reset(active, [seed], {})
+        sensor = rows.new_image_sensor(0, measured)
+        for number in range(1, measured.pairs + 1):
+            frame = rows.frame(0)
+            taken.append(replace(frame, observation=sensor.observe(rows.simulator.pose(0))))
+            if progress is not None:
+                progress(number, measured.pairs)
+            if number < measured.pairs:
+                rows.step(np.zeros((1, 2)), active)
+    images = replace(options, sensor="images")
+    return _recording(images, seed, taken, drive.camera, TYPICAL_NOISE, drive.start, sensor.landmarks, drive.source)
 
 
 def recording_of(

@@ -13,7 +13,7 @@ from filters.contract.stereo_filter import LONGEST_STEP
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from stereo_slam_env.frontend.camera_motion import require_gyro_units, with_moving_start
 from stereo_slam_env.frontend.ego_motion import Step
-from stereo_slam_env.frontend.front_ends import make_front_end
+from stereo_slam_env.frontend.front_ends import FrontEnd, make_front_end
 from stereo_slam_env.frontend.settings import DRIFT_SHARE, TrackerSettings, settings_for
 from stereo_slam_env.frontend.track_noise import with_measured_noise
 from stereo_slam_env.frontend.tracks import TrackedPair
@@ -167,12 +167,12 @@ class ImageSensor(Kept):
         self,
         camera: StereoCamera,
         take_pair: Callable[[], StereoImages],
-        settings: TrackerSettings,
+        front_end: FrontEnd,
         moves: Callable[[FloatArray], BoolArray] | None = None,
     ) -> None:
         self.camera = camera
         self._take_pair, self._moves = take_pair, moves
-        self._tracker = make_front_end(camera, settings)
+        self._tracker = front_end
         self._ids: list[IntArray] = [np.zeros(0, dtype=np.int64)]
         self._points: list[FloatArray] = [np.zeros((0, 3))]
         self._moving_ids: list[IntArray] = [np.zeros(0, dtype=np.int64)]

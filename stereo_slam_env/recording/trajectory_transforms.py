@@ -243,6 +243,11 @@ def about_fixed_axes(orientations: FloatArray, covariances: FloatArray) -> Float
     return transformed(J, covariances)
 
 
+def in_fixed_axes(orientations: FloatArray, covariances: FloatArray) -> FloatArray:
+    """Covariances (K, 6, 6) whose rotation is in the body, for that about the axes of the world, as ROS has it."""
+    return about_fixed_axes(orientations * [-1.0, -1.0, -1.0, 1.0], covariances)
+
+
 def claim_of_ros(orientations: FloatArray, covariances: FloatArray) -> dict[str, Any]:
     """Claim of 36 covariances of ROS (K, 6, 6): `covariances`, `plane` and `notes` of the trajectory.
 

@@ -16,8 +16,10 @@ from stereo_slam_env.benchmark.scenarios.recording_description import (
     LAGS,
     OUTLIER,
     MeasurementErrors,
+    NoiseOfRange,
     error_correlation,
     noise_by_range,
+    noise_remarks,
     recording_words,
 )
 from stereo_slam_env.benchmark.scenarios.scenario import FilterChoice, PolicyChoice, Scenario
@@ -99,27 +101,48 @@ def show_recording(console: Console, recording: Recording) -> None:
 
 
 def show_noise(console: Console, name: str, found: MeasurementErrors) -> None:
-    """Print the errors of measurements, a block a range, a line a coordinate; then how they last."""
+    """Print the errors of measurements, a block a range, a line a coordinate; then how they last, and remarks."""
     rows = noise_by_range(found)
-    console.print(f"errors of the measurements of {name}, px", highlight=False)
+    console.print(f"errors of the measurements of {escape(name)}, px", highlight=False)
     if not rows:
         console.print("none of them has a known truth")
-        return
-    headings = ("count", "", "bias", "sigma (MAD)", "claimed sigma", f"beyond {OUTLIER:g} px")
+    else:
+        show_table(console, _noise_table(rows, claims=found.R is not None))
+        if found.R is not None:
+            console.print(_CLAIMS_READ, highlight=False)
+        console.print("correlation of two errors of a landmark (u, v, d)", highlight=False)
+        for lag in LAGS:
+            correlations = ", ".join(_shown(value, "+.2f") for value in error_correlation(found, lag))
+            console.print(f"  {'1 frame' if lag == 1 else f'{lag} frames'} apart: {correlations}", highlight=False)
+    for remark in noise_remarks(found):
+        console.print(f"[yellow]note[/yellow]: {remark}", highlight=False)
+
+
+_CLAIMS_READ = (
+    "over claim: errors over what is claimed of each; NEES: its median over that of χ²; 1 is ideal, more is too sure"
+)
+
+
+def _noise_table(rows: Sequence[NoiseOfRange], *, claims: bool) -> Table:
+    """Table of three rows a range, one a coordinate."""
+    claimed = ("claimed", "over claim", "NEES") if claims else ()
     cells = []
     for row in rows:
-        depths = f"{row.low:g}–{row.high:g}" if math.isfinite(row.high) else f"{row.low:g} and more"
+        depths = f"{row.low:g}–{row.high:g}" if math.isfinite(row.high) else f"over {row.low:g}"
         about = ("all" if row is rows[-1] else depths, str(row.count))
         for axis, coordinate in enumerate("uvd"):
-            errors = (f"{row.bias[axis]:+.3f}", f"{row.sigma[axis]:.3f}", f"{row.claimed[axis]:.3f}")
+            errors = [_shown(row.bias[axis], "+.3f"), _shown(row.sigma[axis], ".3f")]
+            if claims:
+                errors += [_shown(row.claimed[axis], ".3f"), _shown(row.over_claim[axis], ".2f")]
+                errors.append(_shown(row.nees, ".2f") if axis == 0 else "")
             start = about if axis == 0 else ("", "")
-            cells.append([*start, coordinate, *errors, f"{row.outliers[axis]:.1%}"])
-    show_table(console, Table([Column("depth", "m", kind="words"), *map(Column, headings)], cells, block=3))
-    console.print("correlation of two errors of a landmark (u, v, d)", highlight=False)
-    for lag in LAGS:
-        correlations = ["–" if math.isnan(value) else f"{value:+.2f}" for value in error_correlation(found, lag)]
-        frames = "1 frame" if lag == 1 else f"{lag} frames"
-        console.print(f"  {frames} apart: {', '.join(correlations)}", highlight=False)
+            cells.append([*start, coordinate, *errors, _shown(row.outliers[axis], ".1%")])
+    headings = ("count", "", "bias", "sigma", *claimed, f"beyond {OUTLIER:g} px")
+    return Table([Column("depth", "m", kind="words"), *map(Column, headings)], cells, block=3)
+
+
+def _shown(value: float, form: str) -> str:
+    return "–" if math.isnan(value) else format(value, form)
 
 
 @contextmanager

@@ -52,7 +52,7 @@ WRITERS = {
 """Public names whose paths are only written."""
 NO_FILES = {
     *("stereo-slam filters list", "stereo-slam filters check", "stereo-slam policies list", "stereo-slam warm-up"),
-    *("stereo-slam scenes list", "stereo-slam scenes render", "stereo-slam scenes record", "stereo-slam scenes noise"),
+    *("stereo-slam scenes list", "stereo-slam scenes render", "stereo-slam scenes record"),
 }
 """Commands that read no file but one that `--rig` names, as `rigs` does."""
 

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
-from filters import ColouredNoise, StereoCamera, StereoNoise
-from filters.geometry.arrays import FloatArray, IntArray
+from filters import ColouredNoise, StereoCamera, StereoNoise, nees
+from filters.checks.consistency import chi_square_quantile
+from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from stereo_slam_env.evaluation.audits import rig_errors
 from stereo_slam_env.frontend.settings import TrackerSettings
 from stereo_slam_env.recording.recording import Recording
@@ -23,6 +25,8 @@ OUTLIER = 1.5
 LAGS = (1, 5, 10)
 """Frames between two errors of a landmark whose correlation is stated."""
 _MAD_TO_SIGMA = 1.4826
+_EXACT = 1e-9
+"""Errors below it are rounding, px."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,76 +37,152 @@ class MeasurementErrors:
     frames: IntArray  # (N,): number of the frame
     depths: FloatArray  # (N,): z, m
     errors: FloatArray  # (N, 3): of (u, v, d), px
-    R: FloatArray  # (N, 3, 3): claimed covariances, px^2
+    R: FloatArray | None  # (N, 3, 3): claimed covariances, px^2; None where nothing is claimed
+    measured: int  # measurements with and without a known truth
 
     def __len__(self) -> int:
         return len(self.ids)
 
+    @property
+    def defines_truth(self) -> BoolArray:
+        """Mask (N,) of the measurements whose pixel defines the true point, so that u and v have no error at all."""
+        return np.asarray((np.abs(self.errors[:, :2]) < _EXACT).all(axis=1))
+
+    @property
+    def judged(self) -> FloatArray:
+        """Errors (N, 3), px, with NaN for the u and v of those that define the truth."""
+        errors = self.errors.copy()
+        errors[self.defines_truth, :2] = np.nan
+        return errors
+
 
 @dataclass(frozen=True)
 class NoiseOfRange:
-    """Errors of the measurements of landmarks in one range of depths; each triple is for u, v, d."""
+    """Errors of the measurements of landmarks in one range of depths; each triple is for u, v, d.
+
+    Errors of u and v are of the measurements that do not define the true point; NaN where there are none, or where
+    nothing is claimed.
+    """
 
     # Depths z, m.
     low: float
     high: float
     count: int
+    nees: float  # median NEES of the errors over the median of chi2 with 3 degrees of freedom; 1 is ideal
     bias: tuple[float, float, float]  # median error, px
     sigma: tuple[float, float, float]  # 1.4826 x median absolute deviation, px
     outliers: tuple[float, float, float]  # share of errors beyond `OUTLIER` px
     claimed: tuple[float, float, float]  # median of the standard deviations that the measurements claim, px
+    over_claim: tuple[float, float, float]  # 1.4826 x median of |error| / claimed standard deviation
 
 
-def measurement_errors(recording: Recording) -> MeasurementErrors:
-    """Errors of a recording with known landmarks; a `ValueError` for one without."""
+def measurement_errors(recording: Recording, *, claims: bool = True) -> MeasurementErrors:
+    """Errors of a recording with known landmarks; a `ValueError` for one without.
+
+    `claims`: whether the covariances of its measurements, or its noise, are to be judged with them.
+    """
     truth = recording.landmarks
     if truth is None:
         raise ValueError(f"recording {recording.name!r} has no true landmarks: its errors cannot be known")
     none = np.zeros(0, dtype=np.int64)
     parts = [(none, none, np.zeros(0), np.zeros((0, 3)), np.zeros((0, 3, 3)))]
+    measured = 0
     for number, frame in enumerate(recording.frames):
         if frame.truth is None:
             continue
         observation = frame.observation
+        measured += len(observation)
         ids, i, j = np.intersect1d(observation.ids, truth.ids, assume_unique=True, return_indices=True)
         p_c = frame.truth.to_camera(truth.positions[j])
         errors = observation.uvd[i] - recording.camera.project(p_c)
         R = observation.covariances(recording.noise)[i]
         parts.append((ids, np.full(len(ids), number), p_c[:, 2], errors, R))
-    return MeasurementErrors(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+    ids, frames, depths, errors, R = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return MeasurementErrors(ids, frames, depths, errors, R if claims else None, measured)
 
 
 def noise_by_range(found: MeasurementErrors) -> tuple[NoiseOfRange, ...]:
-    """Bias, spread and outliers in each range that has measurements, then over all."""
-    rows = []
+    """Bias, spread, outliers and claims in each range that has measurements, then over all."""
+    rows, errors = [], found.judged
+    sigmas, of_chi2 = np.full((len(found), 3), np.nan), np.full((len(found), 1), np.nan)
+    if found.R is not None:
+        sigmas = np.sqrt(np.einsum("nii->ni", found.R))
+        of_chi2 = nees(errors, found.R)[:, None] / chi_square_quantile(0.5, 3)
     for low, high in [*pairwise(RANGES), (RANGES[0], RANGES[-1])]:
         inside = (found.depths >= low) & (found.depths < high)
         if not inside.any():
             continue
-        error = found.errors[inside]
-        bias = np.median(error, axis=0)
-        sigma = _MAD_TO_SIGMA * np.median(np.abs(error - bias), axis=0)
-        outliers = (np.abs(error) > OUTLIER).mean(axis=0)
-        claimed = np.median(np.sqrt(np.einsum("nii->ni", found.R[inside])), axis=0)
-        triples = (tuple(values.tolist()) for values in (bias, sigma, outliers, claimed))
-        rows.append(NoiseOfRange(low, high, int(inside.sum()), *triples))
+        error = errors[inside]
+        bias = _each(np.median, error)
+        sigma = _MAD_TO_SIGMA * _each(np.median, np.abs(error - bias))
+        outliers = _each(np.mean, np.where(np.isnan(error), np.nan, np.abs(error) > OUTLIER))
+        claimed = _each(np.median, sigmas[inside])
+        over_claim = _MAD_TO_SIGMA * _each(np.median, np.abs(error) / sigmas[inside])
+        triples = (tuple(values.tolist()) for values in (bias, sigma, outliers, claimed, over_claim))
+        ratio = float(_each(np.median, of_chi2[inside])[0])
+        rows.append(NoiseOfRange(low, high, int(inside.sum()), ratio, *triples))
     return tuple(rows)
+
+
+def _each(statistic: Callable[[FloatArray], Any], values: FloatArray) -> FloatArray:
+    """Statistic of each column of (N, C), NaN left out; NaN where nothing is left."""
+    columns = (column[np.isfinite(column)] for column in values.T)
+    return np.array([statistic(column) if len(column) else np.nan for column in columns])
 
 
 def error_correlation(found: MeasurementErrors, lag: int) -> FloatArray:
     """Correlation of two errors of a landmark, `lag` frames apart, of u, v and d (3,); NaN where there are none.
 
-    Errors of `OUTLIER` px and more are left out. White noise has 0; errors that last have up to 1.
+    Errors of `OUTLIER` px and more are left out, and those of u and v where they define the truth. White noise has 0;
+    errors that last have up to 1.
     """
     span = int(found.frames.max(initial=0)) + lag + 1
     inlier = (np.abs(found.errors) < OUTLIER).all(axis=1)
-    key = (found.ids * span + found.frames)[inlier]
+    landmark = np.unique(found.ids, return_inverse=True)[1]  # ids of others may be large
+    key = (landmark * span + found.frames)[inlier]
     _, first, later = np.intersect1d(key + lag, key, assume_unique=True, return_indices=True)
-    if len(first) == 0:
-        return np.full(3, np.nan)
-    a, b = found.errors[inlier][first], found.errors[inlier][later]
-    energy = np.sqrt((a**2).mean(axis=0) * (b**2).mean(axis=0))
-    return np.asarray((a * b).mean(axis=0) / np.where(energy > 0.0, energy, np.nan))
+    judged = found.judged[inlier]
+    a, b = judged[first], judged[later]
+    both = np.isfinite(a) & np.isfinite(b)
+    a, b = np.where(both, a, np.nan), np.where(both, b, np.nan)
+    energy = np.sqrt(_each(np.mean, a**2) * _each(np.mean, b**2))
+    return np.asarray(_each(np.mean, a * b) / np.where(energy > 0.0, energy, np.nan))
+
+
+def noise_remarks(found: MeasurementErrors) -> tuple[str, ...]:
+    """Sentences on measurements that are left out of the errors, and on a scene that may be another one."""
+    remarks = []
+    unknown, defining = found.measured - len(found), int(found.defines_truth.sum())
+    if unknown:
+        remarks.append(
+            f"{unknown} of {found.measured} measurements have no known truth: first measured at the edge of a thing or "
+            "of the image, in the sky, or on a body that moves"
+        )
+    if defining:
+        remarks.append(
+            f"{defining} of {len(found)} are the first of their landmark, and their pixel defines the true point: "
+            "their u and v are left out"
+        )
+    middle = float(np.median(np.abs(found.errors[:, 2]))) if len(found) else np.nan
+    if not middle <= OUTLIER:
+        remarks.append(
+            "are these tracks of this scene and seed? "
+            + ("no left pixel hits a surface" if np.isnan(middle) else f"the median error of d is {middle:.1f} px")
+        )
+    return tuple(remarks)
+
+
+def noise_figures(name: str, found: MeasurementErrors) -> dict[str, Any]:
+    """All figures of errors as plain data for JSON; lags in frames."""
+    return {
+        "recording": name,
+        "measurements": found.measured,
+        "with_truth": len(found),
+        "defining_truth": int(found.defines_truth.sum()),
+        "ranges": [dataclasses.asdict(row) for row in noise_by_range(found)],
+        "correlation": {str(lag): error_correlation(found, lag).tolist() for lag in LAGS},
+        "remarks": list(noise_remarks(found)),
+    }
 
 
 _FAR_FROM_PRIOR = 3.0

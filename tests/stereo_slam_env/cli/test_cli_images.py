@@ -1,5 +1,6 @@
 """The command on images, as a user meets it. About 15 s."""
 
+import dataclasses
 import json
 import shutil
 
@@ -10,6 +11,8 @@ import pytest
 from stereo_slam_env import datasets
 from stereo_slam_env.benchmark.recordings import sources
 from stereo_slam_env.cli import app as cli
+from stereo_slam_env.envs.recorder import RenderedDrive
+from stereo_slam_env.frontend import make_front_end
 
 from ..datasets.small_image_folders import FRAMES, kitti_odometry
 from ..rendering.planes import skip_where_missing
@@ -247,9 +250,75 @@ def test_the_noise_of_a_scene_is_a_table_that_fits(command):
     assert code == 0, err
     assert max(map(len, out.splitlines())) <= 80
     (everything,) = [line.split() for line in out.splitlines() if line.startswith(" all") or line.startswith("all")]
-    count, coordinate, bias, sigma, claimed, outliers = everything[1:]
+    count, coordinate, *figures, outliers = everything[1:]
     assert (int(count) > 20, coordinate, outliers[-1]) == (True, "u", "%")
-    assert np.isfinite([float(bias), float(sigma), float(claimed)]).all()
+    assert len(figures) == 5
+    assert np.isfinite([float(figure) for figure in figures]).all()
+
+
+@pytest.fixture
+def klt_tracks(tmp_path):
+    """What `klt` measures in rendered pairs, as a program that has only the pictures would write it."""
+    drive = RenderedDrive({"route": "right-turn", "rig": "qvga"}, seed=1, frames=4)
+    front_end = make_front_end(drive.camera, dataclasses.replace(drive.front_end, method="klt"))
+    rows = []
+    for number, pair in enumerate(drive.pairs()):
+        tracked = front_end.track(pair.left, pair.right, 0.1 if number else None)
+        for landmark, uvd, R in zip(tracked.ids, tracked.uvd, tracked.R, strict=True):
+            rows.append(" ".join(repr(float(x)) for x in (number, landmark, *uvd, *R[np.triu_indices(3)])))
+    (tmp_path / "tracks.txt").write_text("\n".join(rows))
+    return tmp_path / "tracks.txt"
+
+
+def test_tracks_of_another_program_are_judged_as_ours_to_the_last_digit(command, klt_tracks):
+    ours = command("scenes", "noise", *DRIVE, "--frames", 4, "--seed", 1, "--front-end", "klt")
+    theirs = command("scenes", "noise", *DRIVE, "--seed", 1, "--tracks", klt_tracks)
+    assert (ours[0], theirs[0]) == (0, 0), theirs[2]
+    assert theirs[1] == ours[1]
+    figures = json.loads(command("scenes", "noise", *DRIVE, "--seed", 1, "--tracks", klt_tracks, "--json")[1])
+    assert figures["measurements"] == len(klt_tracks.read_text().splitlines())
+    assert figures["remarks"]
+    assert f" {figures['ranges'][-1]['sigma'][0]:.3f} " in ours[1]
+
+
+def test_tracks_of_another_seed_are_doubted(command, klt_tracks):
+    code, out, err = command(
+        "scenes", "noise", *DRIVE, "--seed", 2, "--surroundings", "corridor", "--tracks", klt_tracks
+    )
+    assert code == 0, err
+    assert "are these tracks of this scene and seed? the median error of d is" in " ".join(out.split())
+
+
+def test_a_disparity_image_is_measured_without_tracks_and_claims(command, tmp_path):
+    """OpenCV's semi-global matching at corners: each is a match by itself, so only d has an error."""
+    rows = []
+    for number, pair in enumerate(RenderedDrive({"route": "right-turn", "rig": "qvga"}, seed=1, frames=2).pairs()):
+        disparity = cv2.StereoSGBM_create(0, 64, 5).compute(pair.left, pair.right) / 16.0
+        for u, v in cv2.goodFeaturesToTrack(pair.left, 300, 0.01, 5)[:, 0]:
+            if (d := disparity[round(v), round(u)]) > 0:
+                rows.append(f"{number},{len(rows)},{u},{v},{d}")
+    (tmp_path / "sgbm.csv").write_text("\n".join(rows))
+    code, out, err = command("scenes", "noise", *DRIVE, "--seed", 1, "--tracks", tmp_path / "sgbm.csv", "--json")
+    assert code == 0, err
+    everything = json.loads(out)["ranges"][-1]
+    assert everything["count"] > 50
+    assert everything["sigma"][:2] == [None, None]
+    assert everything["sigma"][2] < 0.5
+    assert abs(everything["bias"][2]) < 0.25
+    assert everything["claimed"] == [None, None, None]
+
+
+def test_tracks_that_cannot_be_of_the_drive_are_refused(command, tmp_path):
+    def refusal(text, *options):
+        (tmp_path / "t.txt").write_text(text)
+        return command("scenes", "noise", *DRIVE, "--tracks", tmp_path / "t.txt", *options)
+
+    assert refused(
+        refusal("0 1 9 9 3\n5 1 9 9 3\n", "--frames", 5), "a measurement in frame 5, but the drive has frames 0 to 4"
+    )
+    assert refused(refusal("0 1 400 9 3\n"), "u of id 1 in frame 0 is 400, outside the image of 320x240 px")
+    assert refused(refusal("0 1 9 9 3\n", "--front-end", "klt"), "leave --front-end out")
+    assert refused(refusal("0 1 9 9\n"), "has 4 columns")
 
 
 def test_scenes_render_draws_with_the_options_given(command, tmp_path):

@@ -12,6 +12,7 @@ from stereo_slam_env.benchmark.scenarios.recording_description import (
     error_correlation,
     measurement_errors,
     noise_by_range,
+    noise_remarks,
 )
 from stereo_slam_env.report.console import show_noise
 
@@ -44,6 +45,55 @@ def test_bias_spread_and_claim_are_found():
     assert (np.abs(everything.sigma - SIGMA) < 5 * standard_error).all()
     np.testing.assert_allclose(everything.claimed, np.diag(CLAIMED))
     assert everything.outliers[:2] == (0.0, 0.0)
+
+
+def test_claims_are_compared_with_errors():
+    """Of errors without a bias: over claim is the ratio of deviations, NEES that of a mixture of chi2."""
+    recording = noisy_recording()
+    errors = measurement_errors(recording)
+    centred = replace(errors, errors=errors.errors - BIAS)
+    everything = noise_by_range(centred)[-1]
+    np.testing.assert_allclose(everything.over_claim, SIGMA / np.sqrt(np.diag(CLAIMED**2)), rtol=0.1)
+    true = replace(centred, R=np.tile(np.diag(SIGMA**2), (len(errors), 1, 1)))
+    assert noise_by_range(true)[-1].nees == pytest.approx(1.0, abs=0.08)
+    sure = replace(centred, R=true.R / 4.0)
+    assert noise_by_range(sure)[-1].nees == pytest.approx(4.0 * noise_by_range(true)[-1].nees)
+    nothing = noise_by_range(replace(centred, R=None))[-1]
+    assert np.isnan([*nothing.claimed, *nothing.over_claim, nothing.nees]).all()
+    assert nothing.sigma == everything.sigma
+
+
+def test_pixels_that_define_the_truth_are_no_small_errors():
+    """Half of the measurements have no error of u and v: the spread is that of the others, d is of all."""
+    errors = measurement_errors(noisy_recording())
+    defining = np.arange(len(errors)) % 2 == 0
+    some = np.where(defining[:, None], errors.errors * [0.0, 0.0, 1.0], errors.errors)
+    with_some = replace(errors, errors=some)
+    np.testing.assert_array_equal(with_some.defines_truth, defining)
+    without = replace(
+        errors, **{name: getattr(errors, name)[~defining] for name in ("ids", "frames", "depths", "errors", "R")}
+    )
+    mixed, pure, before = (noise_by_range(one)[-1] for one in (with_some, without, errors))
+    assert (mixed.bias[:2], mixed.sigma[:2], mixed.outliers[:2]) == (pure.bias[:2], pure.sigma[:2], pure.outliers[:2])
+    assert (mixed.count, mixed.sigma[2]) == (before.count, before.sigma[2])
+    assert any(
+        f"{defining.sum()} of {len(errors)} are the first of their landmark" in line
+        for line in noise_remarks(with_some)
+    )
+    matches = replace(errors, errors=errors.errors * [0.0, 0.0, 1.0])
+    assert np.isnan(noise_by_range(matches)[-1].sigma[:2]).all()
+    assert np.isnan(error_correlation(matches, 1)[:2]).all()
+    assert np.isfinite(error_correlation(matches, 1)[2])
+
+
+def test_a_gross_disparity_asks_for_the_scene():
+    errors = measurement_errors(noisy_recording())
+    assert noise_remarks(errors) == ()
+    (remark,) = noise_remarks(replace(errors, errors=errors.errors + np.array([0.0, 0.0, 4.0])))
+    assert remark.startswith("are these tracks of this scene and seed? the median error of d is 4.")
+    unknown, doubt = noise_remarks(replace(measurement_errors(small_recording(frames=0)), measured=7))
+    assert unknown.startswith("7 of 7 measurements have no known truth")
+    assert doubt.endswith("no left pixel hits a surface")
 
 
 def test_outliers_are_counted_and_do_not_spoil_the_spread():
