@@ -34,7 +34,7 @@ POINTS, MOST, NEAREST, FARTHEST = 4000, 40, 2.0, 40.0
 FILTERS: dict[str, tuple[str, dict[str, Any]]] = {
     "inertial, white noise of 1 px": ("inertial", {}),
     "inertial, images": ("inertial", {}),
-    "msckf, images": ("msckf", {}),
+    "msckf with strapdown, images": ("msckf", {"motion": "strapdown"}),
     "coloured-noise with strapdown, images": ("coloured-noise", {"motion": "strapdown"}),
 }
 
