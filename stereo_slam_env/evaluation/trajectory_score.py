@@ -17,7 +17,7 @@ from filters import Pose
 from filters.contract.validation import finite_number, positive
 from filters.geometry.arrays import BoolArray, FloatArray
 from stereo_slam_env.evaluation import trajectory_metrics as metrics
-from stereo_slam_env.evaluation.bands import MeanInterval, block_length, mean_interval, stationary_rows
+from stereo_slam_env.evaluation.bands import block_length, mean_interval, stationary_rows
 from stereo_slam_env.evaluation.body_frames import find_body_offset
 from stereo_slam_env.evaluation.claims import ClaimScore, GaugeScore, claims_differ, score_claims, score_gauges
 from stereo_slam_env.evaluation.comparability import explanation, find_obstacles, gauge_of, without_fillers
@@ -29,12 +29,14 @@ from stereo_slam_env.evaluation.gauges import (
     find_alignment,
     is_zero_at_start,
 )
+from stereo_slam_env.evaluation.paired_verdict import PairedVerdict
+from stereo_slam_env.evaluation.state_claims import score_states
 from stereo_slam_env.evaluation.synchronisation import FEWEST, MAX_GAP, find_time_offset, paired, shifted
 from stereo_slam_env.evaluation.windows import LENGTHS, WindowScore, score_windows
 from stereo_slam_env.recording.trajectory import Trajectory
 from stereo_slam_env.recording.trajectory_files import load_trajectory
 
-SCHEMA = 4
+SCHEMA = 5
 """Version of what `TrajectoryScore.as_dict` gives."""
 
 
@@ -75,7 +77,10 @@ class TrajectoryScore:
     diverged_at_s: float | None
     """Time from the first pair after which the estimate is no trajectory of this drive, s; None where it is one."""
     claims: Mapping[str, ClaimScore]
-    """"pose", "position", "rotation", or "position" alone; empty where nothing is claimed."""
+    """"pose", "position", "rotation", or "position" alone; "velocity", "gyro-bias" and "accelerometer-bias" where they
+    are claimed and the reference has them; empty where nothing is claimed."""
+    state_rmse: Mapping[str, float]
+    """Root mean square of the error of each of these three, m/s, rad/s and m/s^2; empty where there are none."""
     gauges: tuple[GaugeScore, ...]
     """The claim on the pose under each alignment that the poses determine; empty where nothing is claimed."""
     gauge_is_open: bool
@@ -179,45 +184,6 @@ class TrajectoryScore:
         if all(judged) and name in other.claims and self.claims[name].dof == other.claims[name].dof:
             scores = mean_interval(self.log_scores[name][mine] - other.log_scores[name][theirs])
         return PairedVerdict(self.estimate, other.estimate, len(mine), (ratio, float(low), float(high)), scores)
-
-
-@dataclass(frozen=True)
-class PairedVerdict:
-    """One estimate against another one on the same frames of one drive."""
-
-    estimate: str
-    """Name of the first."""
-    other: str
-    """Name of the second."""
-    frames: int
-    """That both have."""
-    error_ratio: tuple[float, float, float]
-    """Of the position RMSE, with its 95 % interval; < 1: the first is better."""
-    log_score_difference: MeanInterval | None
-    """Nats a frame; < 0: the first is better; None: no claim to score."""
-
-    @property
-    def words(self) -> str:
-        """The verdict in two sentences."""
-        ratio, low, high = self.error_ratio
-        better = self._better(high < 1.0, low > 1.0)
-        text = f"The position error of {self.estimate} is {ratio:.3g} times that of {self.other}"
-        text += f" (95 %: {low:.3g} to {high:.3g}): {better}."
-        if (difference := self.log_score_difference) is None:
-            return text
-        better = self._better(difference.high < 0.0, difference.low > 0.0)
-        interval = f"{difference.low:+.3g} to {difference.high:+.3g}".replace("-", "−")
-        by = f"{difference.mean:+.3g}".replace("-", "−")
-        return f"{text} Its log score of the pose differs by {by} nats (95 %: {interval}): {better}."
-
-    def _better(self, first: bool, second: bool) -> str:
-        return (
-            f"{self.estimate} is better"
-            if first
-            else f"{self.other} is better"
-            if second
-            else "the difference is not significant"
-        )
 
 
 def evaluate_trajectory(
@@ -337,6 +303,7 @@ def evaluate_trajectory(
     if not doubted and (why := explanation(bands, scored)):
         claims = score_claims(scored, dict.fromkeys(obstacles, f"calibration, frames or truth: {why}"), pair)
         notes.append(why)
+    states = score_states(scored, obstacles["pose"], pair)
     path = metrics.path_length(truth.positions)
     return TrajectoryScore(
         estimate=estimate.name,
@@ -355,16 +322,17 @@ def evaluate_trajectory(
         ate_rigid_m=metrics.ate_rigid(aligned.positions, truth.positions),
         end_drift_percent=metrics.end_drift_percent(aligned.positions, truth.positions) if path > 0 else None,
         diverged_at_s=findings.diverged_at_s,
-        claims=claims.claims,
+        claims={**claims.claims, **states.claims},
+        state_rmse=states.rmse,
         gauges=score_gauges(matched, pairs.reference, in_world),
         gauge_is_open=align is None and not pair and matched.gauge is None and not is_zero_at_start(matched),
         windows=tuple(window for window in windows if window is not None),
-        notes=(*notes, *findings.notes),
+        notes=(*notes, *findings.notes, *states.notes),
         times=times[in_world.scored],
         poses=replace(aligned, covariances=scored.covariances),
         reference_poses=truth,
-        nees=claims.nees,
-        log_scores=claims.log_scores,
+        nees={**claims.nees, **states.nees},
+        log_scores={**claims.log_scores, **states.log_scores},
     )
 
 

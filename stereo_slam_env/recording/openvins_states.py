@@ -7,8 +7,8 @@ numbers as there are cameras. A row of `state_deviation.txt`: the time, and the 
 position, velocity and biases, three each.
 
 A JPL quaternion of R_GtoI has the numbers of the Hamilton quaternion of its inverse, R_wb, which is what we have. The
-error is q = [theta / 2; 1] (x) q^, R_GtoI ~ Exp(-theta) R^_GtoI (`JPLQuat.h`): so R_wb ~ R^_wb Exp(theta), and twice the
-vector part over the scalar part of the quaternion is theta: "position-quaternion" of `Tangent`. All others add.
+error is q = [theta / 2; 1] (x) q^, R_GtoI ~ Exp(-theta) R^_GtoI (`JPLQuat.h`): so R_wb ~ R^_wb Exp(theta), and theta is
+twice the vector part over the scalar part: "position-quaternion" of `Tangent`. The errors of all others add.
 
 OpenVINS turns its world along gravity and starts at a heading of its own: the gauge of an estimate is "gravity_yaw".
 """
