@@ -81,7 +81,9 @@ def _together(runs: RunsScore) -> Section:
     """What runs of one estimator show together."""
     caption = f"Mean over {len(runs.runs)} runs, which are independent: the more, the narrower the band."
     guide = "Many runs together show what none of them shows alone."
-    claims: list[Content] = [Drawing("runs", caption, trajectories.plot_runs(runs)), runs_table(runs)] if runs.claims else []
+    claims: list[Content] = (
+        [Drawing("runs", caption, trajectories.plot_runs(runs)), runs_table(runs)] if runs.claims else []
+    )
     return Section("All runs together", [*claims, runs_errors_table(runs)], guide)
 
 
