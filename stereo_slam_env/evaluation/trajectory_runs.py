@@ -14,6 +14,9 @@ from stereo_slam_env.evaluation.claims import ClaimScore, fit_of, verdict_of
 from stereo_slam_env.evaluation.figures import readable
 from stereo_slam_env.evaluation.trajectory_score import TrajectoryScore
 
+_WHOLE = 0.9
+"""A run that lasted a smaller share of the longest ended early."""
+
 
 @dataclass(frozen=True, eq=False)
 class RunsClaim:
@@ -70,6 +73,8 @@ class RunsScore:
     """Names of those without a trajectory that can be scored, and why."""
     diverged: Mapping[str, float]
     """Names of those that diverged, and when: s after the first pose."""
+    ended_early: Mapping[str, float]
+    """Names of those that ended before the others, and the share of the longest that they lasted; they count."""
     errors: Mapping[str, RunsError]
     """"position", m; "rotation", degrees; "velocity", m/s; "gyro-bias", rad/s; "accelerometer-bias", m/s^2."""
     alignment: str
@@ -100,9 +105,11 @@ class RunsScore:
             parts.append(f"{len(when)} diverged, {readable(float(np.median(when)))} s after the start (median)")
         if self.failed:
             parts.append(f"{len(self.failed)} left nothing to score")
-        if not parts:
-            return ""
-        return f"Of {self.total} runs, {' and '.join(parts)}: figures are of the others, and flatter the system."
+        lost = f"Of {self.total} runs, {' and '.join(parts)}: figures are of the others, and flatter the system."
+        if not self.ended_early:
+            return lost if parts else ""
+        early = ", ".join(f"{name} ({100.0 * share:.0f} %)" for name, share in self.ended_early.items())
+        return f"{lost if parts else ''} These ended early, and count as far as they went: {early}.".lstrip()
 
     @property
     def words(self) -> str:
@@ -147,6 +154,7 @@ class RunsScore:
             for name, claim in self.claims.items()
         }
         lost = {"left_out": dict(self.left_out), "failed": dict(self.failed), "diverged": dict(self.diverged)}
+        lost["ended_early"] = dict(self.ended_early)
         errors = {name: asdict(error) for name, error in self.errors.items()}
         gauges = {"alignment": self.alignment, "other_gauges": dict(self.other_gauges)}
         return {"runs": list(self.runs)} | lost | gauges | {"errors": errors, "claims": claims, "words": self.words}
@@ -198,12 +206,20 @@ def score_runs(scores: Sequence[TrajectoryScore], failed: Mapping[str, str] | No
         left_out=unfit,
         failed=dict(failed or {}),
         diverged=diverged,
+        ended_early=_ended_early(names, scores),
         errors=_errors_of(scores),
         alignment=" or ".join(dict.fromkeys(score.alignment for score in scores)),
         other_gauges=_other_gauges(judged),
         claims=claims,
         times=times,
     )
+
+
+def _ended_early(names: Sequence[str], scores: Sequence[TrajectoryScore]) -> dict[str, float]:
+    """Runs that lasted a smaller part of their drive than the longest one, and how much smaller."""
+    shares = {name: score.covered for name, score in zip(names, scores, strict=True) if score.covered is not None}
+    longest = max(shares.values(), default=1.0)
+    return {name: share / longest for name, share in shares.items() if share < _WHOLE * longest}
 
 
 def _other_gauges(scores: Sequence[TrajectoryScore]) -> dict[str, float]:

@@ -64,6 +64,8 @@ class TrajectoryScore:
     """Poses of the estimate without one of the reference."""
     unusable: int
     """Scored poses whose covariance is not positive definite."""
+    covered: float | None
+    """Share of the reference's time from the first to the last pair; None where it has no times."""
     path_m: float
     """Length of the reference's path, m."""
     position_rmse_m: float
@@ -316,6 +318,7 @@ def evaluate_trajectory(
         frames=len(aligned),
         unmatched=len(estimate) - len(pairs.rows),
         unusable=next((claim.unusable for claim in claims.claims.values()), 0),
+        covered=_covered(pairs.reference, reference),
         path_m=path,
         position_rmse_m=metrics.ate_unaligned(aligned.positions, truth.positions),
         rotation_rmse_deg=_rotation_rmse_deg(aligned.orientations, truth.orientations) if aligned.is_oriented else None,
@@ -347,6 +350,12 @@ def _other_clock(estimate: Trajectory, reference: Trajectory) -> str:
     except ValueError:
         return ""
     return f"; the paths fit with {offset:+.3f} s added to the times of the estimate: --time-offset auto does that"
+
+
+def _covered(common: Trajectory, whole: Trajectory) -> float | None:
+    if common.timestamps is None or whole.timestamps is None:
+        return None
+    return float(np.ptp(common.timestamps) / np.ptp(whole.timestamps))
 
 
 def _rows_within(reference: Trajectory, seconds: float | None) -> BoolArray:

@@ -88,6 +88,10 @@ def runs_errors_table(score: RunsScore) -> Table:
         rows.append(["diverged, s after the start (median, first)", median, readable(when[0]), f"{len(when)}"])
     else:
         rows.append(["diverged", UNKNOWN, UNKNOWN, "0"])
+    if score.ended_early:
+        shares = list(score.ended_early.values())
+        mean, worst = (f"{100.0 * share:.0f}" for share in (np.mean(shares), min(shares)))
+        rows.append(["ended early, % of the longest (mean, first)", mean, worst, f"{len(shares)}"])
     rows.append(["left nothing to score", UNKNOWN, UNKNOWN, f"{len(score.failed)}"])
     return Table(columns, rows)
 
