@@ -12,13 +12,18 @@ from filters.geometry import rotations
 from filters.geometry.arrays import BoolArray, FloatArray
 from stereo_slam_env.evaluation import trajectory_metrics as metrics
 from stereo_slam_env.evaluation.claims import ClaimScore, score_of
-from stereo_slam_env.evaluation.gauges import AlignedPair, is_zero_at_start
+from stereo_slam_env.evaluation.gauges import AlignedPair
 from stereo_slam_env.recording.state_beliefs import UNITS_OF, StateBelief
 from stereo_slam_env.recording.trajectory import Trajectory
 
 _OFF, _FITS = 0.5, 0.2
 """Shares of the speed: a velocity that differs by more from the motion of the positions, and in the body by less, is
 given in the body."""
+
+_NOT_CARRIED = (
+    "the covariance of the velocity is turned with the world, but not carried through the alignment '{}': that needs "
+    "its correlation with the poses, which no file has; its NEES is exact without an alignment ('none')"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,10 +42,11 @@ class ScoredStates:
     """What is to be known beside the figures."""
 
 
-def score_states(pair: AlignedPair, obstacle: str, of_a_pair: bool = False) -> ScoredStates:
+def score_states(pair: AlignedPair, obstacle: str, *, is_exact: bool, of_a_pair: bool = False) -> ScoredStates:
     """Score velocity and biases of a pair of trajectories in one world.
 
-    `obstacle` says why the pose is not judged, which holds for them, too; `of_a_pair` as of `ClaimScore`.
+    `obstacle` says why the pose is not judged, which holds for them, too; `is_exact` whether the alignment takes
+    nothing off what is claimed; `of_a_pair` as of `ClaimScore`.
     """
     estimate, reference = pair.estimate, pair.reference
     names = [name for name in UNITS_OF if name in estimate.states and name in reference.states]
@@ -60,7 +66,8 @@ def score_states(pair: AlignedPair, obstacle: str, of_a_pair: bool = False) -> S
         why = obstacle
         if name == "velocity":
             why = why or _in_body(estimate) or _in_body(reference)
-            notes += _note_on_alignment(pair)
+            if not is_exact:
+                notes.append(_NOT_CARRIED.format(pair.alignment.kind))
         usable = np.array(finite)
         usable[finite] = are_definite(covariances[finite])
         if usable.any():
@@ -81,17 +88,6 @@ def _together(mine: StateBelief, truth: StateBelief) -> FloatArray | None:
     if mine.covariances is None or truth.covariances is None:
         return mine.covariances
     return mine.covariances + truth.covariances
-
-
-def _note_on_alignment(pair: AlignedPair) -> list[str]:
-    """The note that an alignment changes errors of a velocity in a way that no file says; none where it does not."""
-    kind = pair.alignment.kind
-    if kind == "none" or (kind == "start" and is_zero_at_start(pair.estimate)):
-        return []
-    return [
-        f"the covariance of the velocity is turned with the world, but not carried through the alignment {kind!r}: "
-        "that needs its correlation with the poses, which no file has; its NEES is exact without an alignment ('none')"
-    ]
 
 
 def _in_body(trajectory: Trajectory) -> str:

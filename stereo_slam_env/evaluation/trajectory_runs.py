@@ -10,7 +10,7 @@ import numpy as np
 
 from filters.geometry.arrays import FloatArray
 from stereo_slam_env.evaluation.bands import mean_band, mean_bands
-from stereo_slam_env.evaluation.claims import ClaimScore, fit_of, verdict_of
+from stereo_slam_env.evaluation.claims import ClaimScore, claims_differ, fit_of, verdict_of
 from stereo_slam_env.evaluation.figures import readable
 from stereo_slam_env.evaluation.trajectory_score import TrajectoryScore
 
@@ -80,7 +80,8 @@ class RunsScore:
     alignment: str
     """How their worlds were brought to those of the references."""
     other_gauges: Mapping[str, float]
-    """ANEES / dof of the verdict's claim under each alignment, where it hangs on that and no header says it."""
+    """ANEES / dof of the verdict's claim under each alignment, where it hangs on that, and no header says it or many
+    poses determined it; by all poses but for "start"."""
     claims: Mapping[str, RunsClaim]
     """"pose", "position", "rotation", or "position" alone, and what else is claimed; empty where fewer than two do."""
     times: FloatArray = field(repr=False)
@@ -123,11 +124,14 @@ class RunsScore:
                 f"band {low:.2f} to {high:.2f}: {pose.verdict}. One by one they have {min(pose.each) / pose.dof:.3g} "
                 f"to {max(pose.each) / pose.dof:.3g}, and {pose.alone} of {len(self.runs)} would pass for consistent."
             )
-            if others := self._otherwise():
-                sentences.append(others)
+            if contradiction := self._otherwise():
+                sentences.append(contradiction)
             if self.other_gauges:
                 ratios = ", ".join(f"{value:.3g} ({kind})" for kind, value in self.other_gauges.items())
-                sentences.append(f"It depends on the alignment, which no header says: it is {ratios}.")
+                sentences.append(
+                    f"It depends on the alignment: it is {ratios}. Where many poses determine it, how their errors are "
+                    "correlated is assumed, as no file says it; less hangs on that by one pose (--align-seconds 0)."
+                )
         else:
             sentences.append(f"{len(self.runs)} of {self.total} runs have a claim that can be judged: two are needed.")
         lost = {**self.left_out, **self.failed}
@@ -138,12 +142,12 @@ class RunsScore:
     def _otherwise(self) -> str:
         """Claims with another verdict than that of the words, in a sentence; empty where there are none."""
         fits = {name: fit_of(claim.mean, claim.band) for name, claim in self.claims.items()}
-        others = [
+        unlike = [
             f"{name} is {fit} ({claim.mean / claim.dof:.3g})"
             for (name, claim), fit in zip(self.claims.items(), fits.values(), strict=True)
             if fit is not fits[self.judged]
         ]
-        return f"But by itself {', '.join(others)}." if others else ""
+        return f"But by itself {', '.join(unlike)}." if unlike else ""
 
     def as_dict(self) -> dict[str, Any]:
         """All figures as plain data for JSON, without the series."""
@@ -223,8 +227,9 @@ def _ended_early(names: Sequence[str], scores: Sequence[TrajectoryScore]) -> dic
 
 
 def _other_gauges(scores: Sequence[TrajectoryScore]) -> dict[str, float]:
-    """ANEES / dof under each alignment, where the verdict of a run hangs on it; empty where it does on none."""
-    if not any(score.depends_on_the_gauge for score in scores):
+    """ANEES / dof under each alignment, where the verdict of a run hangs on a doubtful one; else empty."""
+    doubtful = (score for score in scores if score.gauge_is_open or score.aligned_by > 1)
+    if not any(claims_differ(score.gauges) for score in doubtful):
         return {}
     each: dict[str, list[float]] = {}
     for one in (one for score in scores for one in score.gauges if np.isfinite(one.nees)):

@@ -27,6 +27,7 @@ from stereo_slam_env.evaluation.gauges import (
     Correlation,
     aligned_pair,
     find_alignment,
+    is_fixed_at_start,
     is_zero_at_start,
 )
 from stereo_slam_env.evaluation.paired_verdict import PairedVerdict
@@ -289,7 +290,15 @@ def evaluate_trajectory(
     rows = _rows_within(truth, align_seconds)
     if not matched.is_oriented and np.count_nonzero(rows) < FEWEST and (align or usual) != "none":
         raise ValueError(f"align_seconds leaves {np.count_nonzero(rows)} positions to align by: give more seconds")
+    is_fixed = is_fixed_at_start(matched)
+    if align is None and align_seconds is None and usual == "gravity-yaw" and is_fixed:
+        rows = np.arange(len(matched)) == 0
+        notes.append("aligned by the first pose, whose position is claimed to be known, and with it the heading")
     alignment = find_alignment(align or usual, matched, truth, rows, UP[up])
+    by_one = alignment.rows.sum() == 1
+    is_exact = alignment.kind == "none" or bool(
+        by_one and (is_zero_at_start(matched) or (alignment.kind == "gravity-yaw" and is_fixed))
+    )
     in_world = aligned_pair(matched, truth, alignment)
     findings = find_obstacles(pairs, (estimate, reference), in_world)
     stamps = truth.timestamps if truth.timestamps is not None else matched.timestamps
@@ -305,7 +314,7 @@ def evaluate_trajectory(
     if not doubted and (why := explanation(bands, scored)):
         claims = score_claims(scored, dict.fromkeys(obstacles, f"calibration, frames or truth: {why}"), pair)
         notes.append(why)
-    states = score_states(scored, obstacles["pose"], pair)
+    states = score_states(scored, obstacles["pose"], is_exact=is_exact, of_a_pair=pair)
     path = metrics.path_length(truth.positions)
     return TrajectoryScore(
         estimate=estimate.name,

@@ -56,8 +56,8 @@ def read_total_state(path: Path, text: str) -> Trajectory:
     times, notes = seconds_of(table[:, 0], str(path), "s")
     values = dict(zip(STATE_COLUMNS, table[:, 8:].T, strict=True))
     covariances = None
-    if (found := _beside(path)) is not None:
-        deviations, more = _at_times(*found, table[:, 0])
+    if (beside := _beside(path)) is not None:
+        deviations, more = _at_times(*beside, table[:, 0])
         notes += more
         covariances = deviations[:, [3, 4, 5, 0, 1, 2], None] ** 2 * np.eye(6)
         values |= {f"sigma_{name}": column for name, column in zip(STATE_COLUMNS, deviations[:, 6:].T, strict=True)}
@@ -94,11 +94,11 @@ def _at_times(path: Path, text: str, times: FloatArray) -> tuple[FloatArray, lis
     table = parse_table(path, text, _DEVIATION, only=range(_DEVIATION), finite=False)
     if (bad := np.flatnonzero((table[:, 1:] < 0.0).any(axis=1))).size:
         raise ValueError(f"{path} has a negative deviation in row {bad[0]}: it is no file of deviations")
-    _, mine, others = np.intersect1d(times, table[:, 0], return_indices=True)
+    _, mine, rows = np.intersect1d(times, table[:, 0], return_indices=True)
     if not mine.size:
         raise ValueError(f"{path} has no time of the estimate beside it: give the deviations of the same run")
     deviations = np.full((len(times), _DEVIATION - 1), np.nan)
-    deviations[mine] = table[others, 1:]
+    deviations[mine] = table[rows, 1:]
     notes = [
         f"its covariances are diagonal, of the deviations in {path.name}: what is claimed of the whole pose lacks "
         "correlations; position, rotation, velocity and biases are judged one by one, too"

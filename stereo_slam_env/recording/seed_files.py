@@ -47,7 +47,7 @@ def seed_files(estimate: Path, truth: Path | None = None) -> SeedFiles:
     """
     if not has_seed(estimate):
         raise ValueError(f"{estimate} is one estimate: write {SEED} for what differs between the runs")
-    found, folders = _matches(estimate)
+    estimates, folders = _matches(estimate)
     if truth is None:
         truths = {seed: at for seed in folders if (at := truth_beside(_filled(estimate, seed))) is not None}
         where = f"none of {', '.join(TRUTHS)} is in the folder"
@@ -55,12 +55,12 @@ def seed_files(estimate: Path, truth: Path | None = None) -> SeedFiles:
         truths, where = _matches(truth)[0], f"{truth} is not there"
     else:
         truths, where = dict.fromkeys(folders, truth), ""
-    if not found:
+    if not estimates:
         raise ValueError(f"{estimate} matches no file: is {SEED} in the right place?")
-    if lonely := [seed for seed in found if seed not in truths]:
+    if lonely := [seed for seed in estimates if seed not in truths]:
         raise ValueError(f"no truth for {SEED} = {_listed(lonely)}: {where}; every run needs one")
-    missing = {s: f"no estimate: {_filled(estimate, s)} is not there" for s in truths if s not in found}
-    return SeedFiles({seed: (path, truths[seed]) for seed, path in found.items()}, missing)
+    missing = {s: f"no estimate: {_filled(estimate, s)} is not there" for s in truths if s not in estimates}
+    return SeedFiles({seed: (path, truths[seed]) for seed, path in estimates.items()}, missing)
 
 
 def truth_beside(estimate: Path) -> Path | None:

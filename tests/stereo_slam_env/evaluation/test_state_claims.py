@@ -77,6 +77,27 @@ def test_a_turned_world_leaves_claims_as_they_are_and_says_what_it_cannot_carry(
     assert not any("not carried" in note for note in sse.evaluate_trajectory(estimate, truth, align="none").notes)
 
 
+def test_an_inertial_odometry_is_aligned_by_its_first_pose_where_it_claims_to_know_that():
+    """Its roll and pitch at the start are claimed to be off by 10 mrad, and are: gravity says them, not the truth."""
+    estimate, truth = odometry()
+    P = estimate.covariances.copy()
+    P[0] = np.diag([0.0, 0.0, 0.0, 1e-4, 1e-4, 0.0]) + 1e-12 * np.eye(6)
+    tilt = Rotation.from_rotvec([0.01, 0.01, 0.0])
+    first = Trajectory(truth.positions[:1], (Rotation.from_quat(truth.orientations[:1]) * tilt).as_quat())
+    positions, orientations = estimate.positions.copy(), estimate.orientations.copy()
+    positions[0], orientations[0] = first.positions[0], first.orientations[0]
+    there = replace(estimate, positions=positions, orientations=orientations, covariances=P, gauge="gravity_yaw").moved(
+        Pose([3.0, 2.0, 1.0], Rotation.from_rotvec([0.0, 0.0, 2.0]).as_quat())
+    )
+    score = sse.evaluate_trajectory(there, truth)
+    assert (score.alignment, score.aligned_by) == ("gravity-yaw", 1)
+    assert any(note.startswith("aligned by the first pose, whose position is") for note in score.notes)
+    assert not any("not carried" in note for note in score.notes)
+    assert score.claims["pose"].nees.mean == pytest.approx(6.0, rel=0.15)
+    assert sse.evaluate_trajectory(replace(there, covariances=estimate.covariances), truth).aligned_by == 1000
+    assert sse.evaluate_trajectory(there, truth, align_seconds=5.0).aligned_by == 101
+
+
 def test_a_velocity_along_the_axes_of_the_body_is_named_and_not_judged():
     estimate, truth = odometry()
     R = rotations.matrix(truth.orientations)
