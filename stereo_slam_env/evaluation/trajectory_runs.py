@@ -10,7 +10,7 @@ import numpy as np
 
 from filters.geometry.arrays import FloatArray
 from stereo_slam_env.evaluation.bands import mean_band, mean_bands
-from stereo_slam_env.evaluation.claims import ClaimScore, claims_differ, fit_of, verdict_of
+from stereo_slam_env.evaluation.claims import ClaimScore, Fit, claims_differ, error_ratio, fit_of, verdict_of
 from stereo_slam_env.evaluation.figures import readable
 from stereo_slam_env.evaluation.trajectory_score import TrajectoryScore
 
@@ -41,6 +41,12 @@ class RunsClaim:
     def verdict(self) -> str:
         """Verdict of the runs on the claim, in words."""
         return verdict_of(self.mean, self.dof, self.band, f"{len(self.each)} runs")
+
+    @property
+    def short_verdict(self) -> str:
+        """The verdict in a few words: whether it fits, and by how much errors exceed or miss the claim."""
+        fit = fit_of(self.mean, self.band)
+        return f"{fit}, {readable(error_ratio(self.mean, self.dof))} σ" if fit in (Fit.TIGHT, Fit.LOOSE) else f"{fit}"
 
     @property
     def alone(self) -> int:
@@ -121,7 +127,8 @@ class RunsScore:
             low, high = (end / pose.dof for end in pose.band)
             sentences.append(
                 f"{len(self.runs)} runs together: {self.judged} ANEES / {pose.dof} is {pose.mean / pose.dof:.3g}, "
-                f"band {low:.2f} to {high:.2f}: {pose.verdict}. One by one they have {min(pose.each) / pose.dof:.3g} "
+                f"band {low:.2f} to {high:.2f}: {pose.verdict}. {100.0 * pose.inside:.0f} % of the frames are in their "
+                f"own bands, where 95 % are expected. One by one they have {min(pose.each) / pose.dof:.3g} "
                 f"to {max(pose.each) / pose.dof:.3g}, and {pose.alone} of {len(self.runs)} would pass for consistent."
             )
             if contradiction := self._otherwise():

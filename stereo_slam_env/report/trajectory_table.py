@@ -57,8 +57,11 @@ def notes_of_runs(scores: Sequence[TrajectoryScore]) -> list[str]:
 
 
 def runs_table(score: RunsScore) -> Table:
-    """Claims of several runs together, on the pose, its parts, velocity and biases, a row each."""
-    numbers = (Column("ANEES / dof"), Column("95 % band"), Column("frames in band", "%"), Column("one by one"))
+    """Claims of several runs together, on the pose, its parts, velocity and biases, a row each.
+
+    The verdict has the errors in claimed standard deviations.
+    """
+    numbers = (Column("ANEES / dof"), Column("95 % band"), Column("frames in it", "%"), Column("one by one"))
     columns = [Column("claim on", kind="text"), Column("runs"), *numbers, Column("verdict", kind="words")]
     rows = []
     for name, claim in score.claims.items():
@@ -66,7 +69,7 @@ def runs_table(score: RunsScore) -> Table:
             readable(value / claim.dof) for value in (claim.mean, *claim.band, min(claim.each), max(claim.each))
         )
         share, runs = f"{100.0 * claim.inside:.0f}", f"{len(claim.each)}"
-        rows.append([name, runs, mean, f"{low} to {high}", share, f"{least} to {most}", claim.verdict])
+        rows.append([name, runs, mean, f"{low} to {high}", share, f"{least} to {most}", claim.short_verdict])
     return Table(columns, rows)
 
 
