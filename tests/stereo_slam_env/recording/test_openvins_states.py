@@ -70,6 +70,14 @@ def test_deviations_of_other_times_leave_poses_without_a_claim_out(tmp_path):
     assert "3 of 6 rows have no deviations in state_deviation.txt" in found.notes
 
 
+def test_deviations_that_six_decimals_do_not_hold_are_said_to_be_rough(tmp_path):
+    path = written(tmp_path)
+    assert not any("rounded" in note for note in load_trajectory(path).notes)
+    deviations = tmp_path / "state_deviation.txt"
+    deviations.write_text(deviations.read_text().replace("0.120000", "0.000009"))
+    assert any("deviations below 1e-05 in state_deviation.txt are rounded" in n for n in load_trajectory(path).notes)
+
+
 def test_without_deviations_nothing_is_claimed(tmp_path):
     path = written(tmp_path)
     (tmp_path / "state_deviation.txt").unlink()

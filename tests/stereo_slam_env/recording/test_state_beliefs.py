@@ -66,6 +66,14 @@ def test_a_world_that_turns_turns_velocities_and_no_biases():
     np.testing.assert_array_equal(there.states["gyro-bias"].values, moving().states["gyro-bias"].values)
 
 
+def test_covariances_turn_as_their_errors_do():
+    """Along an axis that is turned by 30 degrees the deviation is that of the axis before."""
+    R = Rotation.from_rotvec([0.0, 0.0, np.pi / 6])
+    there = moving().moved(Pose([0.0, 0.0, 0.0], R.as_quat())).states["velocity"].covariances[0]
+    for axis, variance in zip(R.as_matrix().T, (1.0, 4.0, 9.0), strict=True):
+        assert axis @ there @ axis == pytest.approx(variance)
+
+
 def test_another_body_turns_biases_and_loses_the_velocity_by_its_lever_arm():
     there = moving().of_body(Pose([0.0, 0.0, 0.0], TURN))
     np.testing.assert_allclose(there.states["gyro-bias"].values[0], [2.0, -1.0, 3.0], atol=1e-12)
