@@ -236,7 +236,11 @@ def layouts() -> Files:
         model.write(Path(folder) / "model.json")
         save_trajectory(Path(folder) / "claimed.square", claim(Trajectory(positions, xyzw, t), model))
         files = {name: (Path(folder) / name).read_bytes() for name in ("model.json", "claimed.square")}
+    header = b"# timestamp(s) q p v bg ba cam_imu_dt num_cam\n"
+    whole = np.column_stack([t, xyzw, positions, np.full((5, 9), 0.1), np.zeros((5, 2))])
     return files | {
+        "state_estimate.txt": header + rows(whole),
+        "state_deviation.txt": header + rows(np.column_stack([t, np.full((5, 15), 0.1), np.zeros((5, 2))])),
         "openvins.txt": rows(np.column_stack([tum, blocks])),
         "euroc.csv": b"#timestamp [ns],x [m],y [m],z [m],qw,qx,qy,qz\n" + rows(euroc).replace(b" ", b","),
         "cnspy.csv": named.encode() + rows(np.column_stack([tum, blocks])).replace(b" ", b","),

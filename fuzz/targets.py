@@ -184,7 +184,10 @@ def _layouts(folder: Path) -> object:
     """Trajectories in the layouts of others, and what a drift model claims for one of them."""
     found = [
         load_trajectory(folder / name)
-        for name in ("openvins.txt", "euroc.csv", "cnspy.csv", "numbered.txt", "ros.txt", "claimed.square")
+        for name in (
+            *("openvins.txt", "state_estimate.txt", "euroc.csv", "cnspy.csv", "numbered.txt", "ros.txt"),
+            "claimed.square",
+        )
     ]
     return found, claim(found[0], DriftModel.read(folder / "model.json"))
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -20,6 +20,9 @@ from stereo_slam_env.cli.shared_options import (
 
 if TYPE_CHECKING:
     from stereo_slam_env.evaluation.drift_model import DriftModel
+    from stereo_slam_env.evaluation.trajectory_score import TrajectoryScore
+    from stereo_slam_env.recording.seed_files import SeedFiles
+    from stereo_slam_env.recording.trajectory import Trajectory
 
 
 def evaluate(
@@ -27,7 +30,7 @@ def evaluate(
         list[Path],
         typer.Argument(
             help="Trajectories, the reference last: TUM, KITTI, EuRoC, OpenVINS, cnspy, SQUARE, ROS, or BAG:/topic. "
-            "Several estimates are runs of one estimator.",
+            "Several estimates are runs of one estimator, and so are all that match {seed}.",
             metavar="EST... [REF]",
         ),
     ],
@@ -75,31 +78,34 @@ def evaluate(
     from stereo_slam_env.evaluation.trajectory_runs import score_runs
     from stereo_slam_env.evaluation.trajectory_score import SCHEMA, evaluate_trajectory
     from stereo_slam_env.files.folders import own_files, require_writable, write_json
+    from stereo_slam_env.recording.seed_files import SeedFiles, has_seed
     from stereo_slam_env.recording.trajectory_files import load_trajectory
-    from stereo_slam_env.report.trajectory_table import show_runs_score, show_trajectory_scores
+    from stereo_slam_env.report.trajectory_table import notes_of_runs, show_runs_score, show_trajectory_scores
 
     *estimates, last = files
-    references = truth or [last]
-    if truth:
+    references = list(truth)
+    if references or any(map(has_seed, files)) or not estimates:
         estimates.append(last)
-    if not estimates:
-        raise ValueError(f"evaluate needs an estimate and a reference, got {last} alone")
-    if len(references) not in (1, len(estimates)):
-        raise ValueError(f"--truth must name one reference, or one for each of {len(estimates)}, got {len(references)}")
+    else:
+        references = [last]
+    by_seed = any(map(has_seed, [*estimates, *references]))
+    if by_seed:
+        seeds = _seeds(estimates, references)
+    else:
+        seeds = SeedFiles({f"{k}": files for k, files in enumerate(_pairs(estimates, references))})
     if out is not None:
         if out.suffix == ".json":
             raise ValueError(f"--out must be a folder, got {out}: for the figures alone, --json prints them")
         require_writable(out)
-    if len(estimates) > 1 and against is not None:
+    if (len(seeds.pairs) > 1 or by_seed) and against is not None:
         raise ValueError("--against compares one estimate with another: give one estimate, not runs")
     how = None if align is None else checked("--align", align, AlignmentKind)
     T_bc = body_from(body, body_estimated)
-    truths = [load_trajectory(path) for path in references]
-    estimates += [] if against is None else [against]
-    scores = [
-        evaluate_trajectory(
+
+    def score(path: Trajectory | Path, truth: Trajectory) -> TrajectoryScore:
+        return evaluate_trajectory(
             path,
-            truths[k % len(truths)],
+            truth,
             align=how,
             align_seconds=align_seconds,
             up=up,
@@ -109,11 +115,28 @@ def evaluate(
             max_gap=max_gap,
             pair=pair,
         )
-        for k, path in enumerate(estimates)
-    ]
+
+    truths = {at: load_trajectory(at) for at in dict.fromkeys(at for _, at in seeds.pairs.values())}
+    scores: list[TrajectoryScore] = []
+    failed = dict(seeds.missing)
+    for seed, (path, at) in seeds.pairs.items():
+        try:
+            scores.append(score(replace(load_trajectory(path), name=seed) if by_seed else path, truths[at]))
+        except ValueError as error:
+            if not by_seed:
+                raise
+            failed[seed] = str(error)  # a run that left nothing to score counts, as one that failed
+    if not scores:
+        raise ValueError(
+            f"none of {len(failed)} runs can be scored, {next(iter(failed))}: {next(iter(failed.values()))}"
+        )
+    if against is not None:
+        scores.append(score(against, next(iter(truths.values()))))
     verdict = scores[0].against(scores[1]) if against is not None else None
     runs, by_itself = None, ""
-    if len(scores) > 1 and against is None:
+    if by_seed:
+        runs = score_runs(scores, failed)
+    elif len(scores) > 1 and against is None:
         try:
             runs = score_runs(scores)
         except ValueError as error:  # errors stand side by side without a claim, too
@@ -127,7 +150,7 @@ def evaluate(
     if as_json:
         show_json(figures)
     elif runs is not None:
-        show_runs_score(console(), runs)
+        show_runs_score(console(), runs, notes_of_runs(scores))
     else:
         show_trajectory_scores(console(), scores)
         for words in filter(None, (verdict and verdict.words, by_itself)):
@@ -139,6 +162,33 @@ def evaluate(
 
         page = write_trajectory_report(out, scores, verdict, runs)
         typer.echo(f"report: {page.resolve()}", err=as_json)
+
+
+def _pairs(estimates: list[Path], references: list[Path]) -> list[tuple[Path, Path]]:
+    """Each estimate with its reference: one for all, one for each, or that beside a single estimate."""
+    from stereo_slam_env.recording.seed_files import truth_beside
+
+    if not references and len(estimates) == 1 and (beside := truth_beside(estimates[0])) is not None:
+        references = [beside]
+    if not references:
+        raise ValueError(f"evaluate needs an estimate and a reference, got {estimates[-1]} alone")
+    if len(references) not in (1, len(estimates)):
+        raise ValueError(f"--truth must name one reference, or one for each of {len(estimates)}, got {len(references)}")
+    return [(estimate, references[k % len(references)]) for k, estimate in enumerate(estimates)]
+
+
+def _seeds(estimates: list[Path], references: list[Path]) -> SeedFiles:
+    """Runs by the pattern of the estimates and that of the truths."""
+    from stereo_slam_env.recording.seed_files import seed_files
+
+    if len(estimates) == 2 and not references:
+        estimates, references = estimates[:1], estimates[1:]
+    if len(estimates) != 1 or len(references) > 1:
+        raise ValueError(
+            f"a pattern with {{seed}} names all runs of one system, got {len(estimates)} estimates and "
+            f"{len(references)} truths: give one of each"
+        )
+    return seed_files(estimates[0], references[0] if references else None)
 
 
 def _seconds(text: str) -> float:

@@ -13,7 +13,7 @@ from scipy.special import ndtr, ndtri
 from filters import nees
 from filters.checks.consistency import are_definite, chi_square_quantile
 from filters.geometry import rotations
-from filters.geometry.arrays import FloatArray
+from filters.geometry.arrays import BoolArray, FloatArray
 from filters.motions.motion_model import POSE_SIZE, POSITION, ROTATION
 from stereo_slam_env.evaluation import trajectory_metrics as metrics
 from stereo_slam_env.evaluation.bands import MeanInterval, mean_band, mean_interval
@@ -37,7 +37,7 @@ _PIECE = 2000
 class ClaimScore:
     """A claimed covariance against the errors: of the pose (6 numbers), the position or the rotation (3 each).
 
-    Of a robot in a plane they are 3, 2 and 1.
+    Velocity and biases have 3, too. Of a robot in a plane they are 3, 2 and 1.
     """
 
     dof: int
@@ -207,32 +207,68 @@ def score_claims(pair: AlignedPair, obstacles: Mapping[str, str], of_a_pair: boo
     series: dict[str, FloatArray] = {}
     scores: dict[str, FloatArray] = {}
     for name, numbers in claimed_numbers(estimate.rows(usable)).items():
-        dof = numbers.shape[-2]
         own_errors, variances = rotations.turned(numbers, errors), transformed(numbers, covariances)
-        values, ideal = nees(own_errors, variances), chi_square_quantile(0.5, dof)
-        sharpness = 0.5 * (np.linalg.slogdet(variances)[1] + dof * np.log(2.0 * np.pi))
-        series[name], scores[name] = np.full((2, len(usable)), np.nan)
-        series[name][usable], scores[name][usable] = values, 0.5 * values + sharpness
-        median, is_position = float(np.median(values)), name == "position"
-        claims[name] = ClaimScore(
-            dof=dof,
-            frames=len(values),
-            unusable=int(np.count_nonzero(~usable)),
-            nees=mean_interval(values),
-            median_nees=median,
-            band=mean_band(dof, 1),
-            scale_gap=median / ideal,
-            claimed_scale_gap=float(np.median(nees_of(numbers, errors, as_claimed))) / ideal,
-            coverage={p: float(np.mean(values <= chi_square_quantile(p, dof))) for p in COVERED},
-            log_score=mean_interval(0.5 * values + sharpness),
-            calibration=0.5 * float(values.mean()),
-            sharpness=float(sharpness.mean()),
-            crps=float(crps(own_errors, variances).mean()) if is_position else None,
-            energy_score=float(energy_scores(own_errors, variances).mean()) if is_position else None,
-            obstacle=obstacles[name],
-            of_a_pair=of_a_pair,
+        nees_as_claimed = nees_of(numbers, errors, as_claimed)
+        everything, rows = np.ones(len(usable), dtype=bool), np.full((len(usable), *variances.shape[1:]), np.nan)
+        all_errors = np.full((len(usable), own_errors.shape[1]), np.nan)
+        rows[usable], all_errors[usable] = variances, own_errors
+        claims[name], series[name], scores[name] = score_of(
+            name, all_errors, rows, usable, everything, obstacles[name], of_a_pair, nees_as_claimed
         )
     return ScoredClaims(claims, series, scores)
+
+
+def score_of(
+    name: str,
+    errors: FloatArray,
+    covariances: FloatArray,
+    usable: BoolArray,
+    claimed: BoolArray,
+    obstacle: str,
+    of_a_pair: bool,
+    nees_as_claimed: FloatArray | None = None,
+) -> tuple[ClaimScore, FloatArray, FloatArray]:
+    """Score of a claim, and its NEES and log scores (K,), NaN but where it is usable.
+
+    Parameters
+    ----------
+    name : str
+        What it is of.
+    errors, covariances : (K, n) and (K, n, n) arrays
+        The errors, and what is claimed of them.
+    usable, claimed : (K,) masks
+        Where a covariance is positive definite, and where there should be one.
+    obstacle, of_a_pair
+        As of `ClaimScore`.
+    nees_as_claimed : (number of usable,) array, optional
+        NEES of the covariances that were not carried through an alignment; None: they are the same.
+    """
+    dof, own_errors, variances = errors.shape[1], errors[usable], covariances[usable]
+    values, ideal = nees(own_errors, variances), chi_square_quantile(0.5, dof)
+    sharpness = 0.5 * (np.linalg.slogdet(variances)[1] + dof * np.log(2.0 * np.pi))
+    series, scores = np.full((2, len(usable)), np.nan)
+    series[usable], scores[usable] = values, 0.5 * values + sharpness
+    median, is_position = float(np.median(values)), name == "position"
+    as_claimed = median if nees_as_claimed is None else float(np.median(nees_as_claimed))
+    claim = ClaimScore(
+        dof=dof,
+        frames=len(values),
+        unusable=int(np.count_nonzero(claimed & ~usable)),
+        nees=mean_interval(values),
+        median_nees=median,
+        band=mean_band(dof, 1),
+        scale_gap=median / ideal,
+        claimed_scale_gap=as_claimed / ideal,
+        coverage={p: float(np.mean(values <= chi_square_quantile(p, dof))) for p in COVERED},
+        log_score=mean_interval(0.5 * values + sharpness),
+        calibration=0.5 * float(values.mean()),
+        sharpness=float(sharpness.mean()),
+        crps=float(crps(own_errors, variances).mean()) if is_position else None,
+        energy_score=float(energy_scores(own_errors, variances).mean()) if is_position else None,
+        obstacle=obstacle,
+        of_a_pair=of_a_pair,
+    )
+    return claim, series, scores
 
 
 @dataclass(frozen=True)

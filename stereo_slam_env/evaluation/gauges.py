@@ -37,6 +37,8 @@ _LINE = 1e-3
 """A path whose width is a smaller share of its length is a line."""
 _ZERO = 1e-4
 """A variance that is a smaller share of the usual one is known."""
+_SMALL = 0.01
+"""A variance that is a smaller share of the usual one is so small that little hangs on it."""
 _SHRINKS = 0.1
 """A claim that loses a larger share of a variance anywhere, or gains less in its second half, does not grow by
 increments."""
@@ -161,6 +163,18 @@ def is_zero_at_start(trajectory: Trajectory) -> bool:
         return False
     variances = np.diagonal(claimed, axis1=1, axis2=2)
     return bool((variances[0] <= _ZERO * np.median(variances[1:], axis=0)).all())
+
+
+def is_fixed_at_start(trajectory: Trajectory) -> bool:
+    """Whether the position of the first pose is claimed to be known, against those of the others.
+
+    An inertial odometry, which measures gravity, may choose position and heading of its start: the first tells of both,
+    while deviations along the axes of a tilted body do not say how well a heading is known.
+    """
+    if (claimed := trajectory.pose_covariances) is None or len(claimed) < 2 or not trajectory.is_oriented:
+        return False
+    variances = np.diagonal(claimed, axis1=1, axis2=2)[:, POSITION]
+    return bool((variances[0] <= _SMALL * np.median(variances[1:], axis=0)).all())
 
 
 def correlation_of(trajectory: Trajectory) -> Correlation:

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from filters.geometry.arrays import FloatArray, IntArray
 from stereo_slam_env.evaluation import trajectory_metrics as metrics
+from stereo_slam_env.recording.state_beliefs import StateBelief
 from stereo_slam_env.recording.trajectory import Trajectory
 
 MAX_GAP = 0.01
@@ -245,6 +246,10 @@ def _interpolated(estimate: Trajectory, reference: Trajectory) -> PosePairs:
 
     orientations = Slerp(b, Rotation.from_quat(reference.orientations))(at).as_quat()
     doubt = reference.covariances
+    states = {
+        name: StateBelief(between(belief.values), None if belief.covariances is None else between(belief.covariances))
+        for name, belief in reference.states.items()
+    }
     truth = Trajectory(
         between(reference.positions),
         orientations,
@@ -254,6 +259,7 @@ def _interpolated(estimate: Trajectory, reference: Trajectory) -> PosePairs:
         reference.name,
         reference.gauge,
         reference.body,
+        states=states,
     )
     return PosePairs(estimate.rows(ours), truth, ours, np.zeros(len(ours)))
 

@@ -1,4 +1,4 @@
-"""Several runs of one estimator against one reference: a mean NEES (ANEES) whose band narrows with their number."""
+"""Several runs of one estimator: a mean NEES (ANEES) whose band narrows with their number, errors, and runs lost."""
 
 from __future__ import annotations
 
@@ -10,8 +10,12 @@ import numpy as np
 
 from filters.geometry.arrays import FloatArray
 from stereo_slam_env.evaluation.bands import mean_band, mean_bands
-from stereo_slam_env.evaluation.claims import verdict_of
+from stereo_slam_env.evaluation.claims import ClaimScore, Fit, claims_differ, error_ratio, fit_of, verdict_of
+from stereo_slam_env.evaluation.figures import readable
 from stereo_slam_env.evaluation.trajectory_score import TrajectoryScore
+
+_WHOLE = 0.9
+"""A run that lasted a smaller share of the longest ended early."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,10 +43,28 @@ class RunsClaim:
         return verdict_of(self.mean, self.dof, self.band, f"{len(self.each)} runs")
 
     @property
+    def short_verdict(self) -> str:
+        """The verdict in a few words: whether it fits, and by how much errors exceed or miss the claim."""
+        fit = fit_of(self.mean, self.band)
+        return f"{fit}, {readable(error_ratio(self.mean, self.dof))} σ" if fit in (Fit.TIGHT, Fit.LOOSE) else f"{fit}"
+
+    @property
     def alone(self) -> int:
         """Runs that one by one would be inside the band of one run."""
         low, high = mean_band(self.dof, 1)
         return sum(low <= value <= high for value in self.each)
+
+
+@dataclass(frozen=True)
+class RunsError:
+    """An error of several runs, root mean square over each."""
+
+    mean: float
+    """Over the runs that did not diverge, in the unit of the error."""
+    worst: float
+    """The largest of these."""
+    runs: int
+    """How many they are."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,32 +72,89 @@ class RunsScore:
     """Runs of one estimator, taken together."""
 
     runs: tuple[str, ...]
-    """Names of those that count."""
+    """Names of those whose claim counts."""
     left_out: Mapping[str, str]
-    """Names of the others, and why: diverged, no claim, or not comparable."""
+    """Names of the others that left a trajectory, and why: diverged, no claim, or not comparable."""
+    failed: Mapping[str, str]
+    """Names of those without a trajectory that can be scored, and why."""
+    diverged: Mapping[str, float]
+    """Names of those that diverged, and when: s after the first pose."""
+    ended_early: Mapping[str, float]
+    """Names of those that ended before the others, and the share of the longest that they lasted; they count."""
+    errors: Mapping[str, RunsError]
+    """"position", m; "rotation", degrees; "velocity", m/s; "gyro-bias", rad/s; "accelerometer-bias", m/s^2."""
+    alignment: str
+    """How their worlds were brought to those of the references."""
+    other_gauges: Mapping[str, float]
+    """ANEES / dof of the verdict's claim under each alignment, where it hangs on that, and no header says it or many
+    poses determined it; by all poses but for "start"."""
     claims: Mapping[str, RunsClaim]
-    """"pose", "position", "rotation", or "position" alone."""
+    """"pose", "position", "rotation", or "position" alone, and what else is claimed; empty where fewer than two do."""
     times: FloatArray = field(repr=False)
     """(T,), s."""
 
     @property
+    def total(self) -> int:
+        """All runs, with those that failed."""
+        return len(self.runs) + len(self.left_out) + len(self.failed)
+
+    @property
     def judged(self) -> str:
         """The claim that the verdict is on: "pose", or "position" where that is all there is."""
-        return next(iter(self.claims))
+        return next(iter(self.claims), "")
+
+    @property
+    def losses(self) -> str:
+        """Runs that diverged or failed, in a sentence; empty where none did."""
+        parts = []
+        if self.diverged:
+            when = sorted(self.diverged.values())
+            parts.append(f"{len(when)} diverged, {readable(float(np.median(when)))} s after the start (median)")
+        if self.failed:
+            parts.append(f"{len(self.failed)} left nothing to score")
+        lost = f"Of {self.total} runs, {' and '.join(parts)}: figures are of the others, and flatter the system."
+        if not self.ended_early:
+            return lost if parts else ""
+        early = ", ".join(f"{name} ({100.0 * share:.0f} %)" for name, share in self.ended_early.items())
+        return f"{lost if parts else ''} These ended early, and count as far as they went: {early}.".lstrip()
 
     @property
     def words(self) -> str:
-        """The verdict, and how it differs from what each run shows alone, in two sentences."""
-        pose = self.claims[self.judged]
-        low, high = (end / pose.dof for end in pose.band)
-        text = (
-            f"{len(self.runs)} runs together: {self.judged} ANEES / {pose.dof} is {pose.mean / pose.dof:.3g}, "
-            f"band {low:.2f} to {high:.2f}: {pose.verdict}. One by one they have {min(pose.each) / pose.dof:.3g} to "
-            f"{max(pose.each) / pose.dof:.3g}, and {pose.alone} of {len(self.runs)} would pass for consistent."
-        )
-        if not self.left_out:
-            return text
-        return text + " Left out: " + "; ".join(f"{name} ({why})" for name, why in self.left_out.items()) + "."
+        """Losses, the verdict, and how it differs from what each run shows alone, in a few sentences."""
+        sentences = [self.losses] if self.losses else []
+        if self.claims:
+            pose = self.claims[self.judged]
+            low, high = (end / pose.dof for end in pose.band)
+            sentences.append(
+                f"{len(self.runs)} runs together: {self.judged} ANEES / {pose.dof} is {pose.mean / pose.dof:.3g}, "
+                f"band {low:.2f} to {high:.2f}: {pose.verdict}. {100.0 * pose.inside:.0f} % of the frames are in their "
+                f"own bands, where 95 % are expected. One by one they have {min(pose.each) / pose.dof:.3g} "
+                f"to {max(pose.each) / pose.dof:.3g}, and {pose.alone} of {len(self.runs)} would pass for consistent."
+            )
+            if contradiction := self._otherwise():
+                sentences.append(contradiction)
+            if self.other_gauges:
+                ratios = ", ".join(f"{value:.3g} ({kind})" for kind, value in self.other_gauges.items())
+                sentences.append(
+                    f"It depends on the alignment: it is {ratios}. Where many poses determine it, how their errors are "
+                    "correlated is assumed, as no file says it; less hangs on that by one pose (--align-seconds 0)."
+                )
+        else:
+            sentences.append(f"{len(self.runs)} of {self.total} runs have a claim that can be judged: two are needed.")
+        lost = {**self.left_out, **self.failed}
+        if lost:
+            sentences.append("Left out: " + "; ".join(f"{name} ({why})" for name, why in lost.items()) + ".")
+        return " ".join(sentences)
+
+    def _otherwise(self) -> str:
+        """Claims with another verdict than that of the words, in a sentence; empty where there are none."""
+        fits = {name: fit_of(claim.mean, claim.band) for name, claim in self.claims.items()}
+        unlike = [
+            f"{name} is {fit} ({claim.mean / claim.dof:.3g})"
+            for (name, claim), fit in zip(self.claims.items(), fits.values(), strict=True)
+            if fit is not fits[self.judged]
+        ]
+        return f"But by itself {', '.join(unlike)}." if unlike else ""
 
     def as_dict(self) -> dict[str, Any]:
         """All figures as plain data for JSON, without the series."""
@@ -85,64 +164,136 @@ class RunsScore:
             | {"verdict": claim.verdict, "alone": claim.alone}
             for name, claim in self.claims.items()
         }
-        return {"runs": list(self.runs), "left_out": dict(self.left_out), "claims": claims, "words": self.words}
+        lost = {"left_out": dict(self.left_out), "failed": dict(self.failed), "diverged": dict(self.diverged)}
+        lost["ended_early"] = dict(self.ended_early)
+        errors = {name: asdict(error) for name, error in self.errors.items()}
+        gauges = {"alignment": self.alignment, "other_gauges": dict(self.other_gauges)}
+        return {"runs": list(self.runs)} | lost | gauges | {"errors": errors, "claims": claims, "words": self.words}
 
 
-def score_runs(scores: Sequence[TrajectoryScore]) -> RunsScore:
+def score_runs(scores: Sequence[TrajectoryScore], failed: Mapping[str, str] | None = None) -> RunsScore:
     """Judge runs of one estimator together.
 
     Parameters
     ----------
     scores : sequence of TrajectoryScore
         One a run, of independent runs, against references at the same times.
+    failed : mapping, optional
+        Names of runs that left no trajectory, and why. Given, even empty, runs of which fewer than two can be judged
+        are scored by their errors alone.
 
     Returns
     -------
     RunsScore
-        Their ANEES, over time and as a whole.
+        Their errors and losses, and their ANEES, over time and as a whole.
 
     Raises
     ------
     ValueError
         Fewer than two runs can be judged.
     """
-    left_out = {score.estimate: why for score in scores if (why := _unfit(score))}
-    judged = [score for score in scores if not _unfit(score)]
+    names = labels_of(scores)
+    unfit = {name: why for name, score in zip(names, scores, strict=True) if (why := _unfit(score))}
+    fit = {name: score for name, score in zip(names, scores, strict=True) if name not in unfit}
+    judged = list(fit.values())
     if len({(score.claim and score.claim.dof) for score in judged}) > 1:
         raise ValueError(
             "runs must be of one estimator: some claim the whole pose, some its position or motion in a plane alone"
         )
-    if len(judged) < 2:
-        why = "; ".join(f"{name}: {reason}" for name, reason in left_out.items())
+    if len(judged) < 2 and failed is None:
+        why = "; ".join(f"{name}: {reason}" for name, reason in unfit.items())
         raise ValueError(f"runs are judged together from two on, {len(judged)} of {len(scores)} can be ({why})")
-    times = np.unique(np.concatenate([score.times for score in judged]))
+    times = np.unique(np.concatenate([score.times for score in judged])) if judged else np.empty(0)
     claims = {}
-    for name, one in judged[0].claims.items():
-        dof = one.dof
-        values = np.full((len(judged), len(times)), np.nan)
-        for row, score in zip(values, judged, strict=True):
-            row[np.searchsorted(times, score.times)] = score.nees[name]
-        finite = np.isfinite(values)
-        some = finite.any(axis=0)
-        by_frame = np.full(len(times), np.nan)
-        by_frame[some] = np.nanmean(values[:, some], axis=0)
-        low, high = mean_bands(dof, np.maximum(finite.sum(axis=0), 1))
-        claims[name] = RunsClaim(
-            dof=dof,
-            mean=float(np.nanmean(values)),
-            band=mean_band(dof, len(judged)),
-            inside=float(np.mean((by_frame[some] >= low[some]) & (by_frame[some] <= high[some]))),
-            each=tuple(float(np.nanmean(row)) for row in values),
-            by_frame=by_frame,
-            bands=(low, high),
-        )
-    return RunsScore(tuple(score.estimate for score in judged), left_out, claims, times)
+    for name in dict.fromkeys(name for score in judged for name in score.claims):
+        claiming = [score for score in judged if name in score.claims and not _doubt(score.claims[name])]
+        if len(claiming) > 1:
+            claims[name] = _claim_of(name, claiming, times)
+    diverged = {
+        name: score.diverged_at_s for name, score in zip(names, scores, strict=True) if score.diverged_at_s is not None
+    }
+    return RunsScore(
+        runs=tuple(fit),
+        left_out=unfit,
+        failed=dict(failed or {}),
+        diverged=diverged,
+        ended_early=_ended_early(names, scores),
+        errors=_errors_of(scores),
+        alignment=" or ".join(dict.fromkeys(score.alignment for score in scores)),
+        other_gauges=_other_gauges(judged),
+        claims=claims,
+        times=times,
+    )
+
+
+def _ended_early(names: Sequence[str], scores: Sequence[TrajectoryScore]) -> dict[str, float]:
+    """Runs that lasted a smaller part of their drive than the longest one, and how much smaller."""
+    shares = {name: score.covered for name, score in zip(names, scores, strict=True) if score.covered is not None}
+    longest = max(shares.values(), default=1.0)
+    return {name: share / longest for name, share in shares.items() if share < _WHOLE * longest}
+
+
+def _other_gauges(scores: Sequence[TrajectoryScore]) -> dict[str, float]:
+    """ANEES / dof under each alignment, where the verdict of a run hangs on a doubtful one; else empty."""
+    doubtful = (score for score in scores if score.gauge_is_open or score.aligned_by > 1)
+    if not any(claims_differ(score.gauges) for score in doubtful):
+        return {}
+    each: dict[str, list[float]] = {}
+    for one in (one for score in scores for one in score.gauges if np.isfinite(one.nees)):
+        each.setdefault(one.alignment, []).append(one.nees / one.dof)
+    return {kind: float(np.mean(ratios)) for kind, ratios in each.items()}
+
+
+def _claim_of(name: str, scores: Sequence[TrajectoryScore], times: FloatArray) -> RunsClaim:
+    """A claim of several runs together; `times` (T,) are those of all."""
+    dof = scores[0].claims[name].dof
+    values = np.full((len(scores), len(times)), np.nan)
+    for row, score in zip(values, scores, strict=True):
+        row[np.searchsorted(times, score.times)] = score.nees[name]
+    finite = np.isfinite(values)
+    some = finite.any(axis=0)
+    by_frame = np.full(len(times), np.nan)
+    by_frame[some] = np.nanmean(values[:, some], axis=0)
+    low, high = mean_bands(dof, np.maximum(finite.sum(axis=0), 1))
+    return RunsClaim(
+        dof=dof,
+        mean=float(np.nanmean(values)),
+        band=mean_band(dof, len(scores)),
+        inside=float(np.mean((by_frame[some] >= low[some]) & (by_frame[some] <= high[some]))),
+        each=tuple(float(np.nanmean(row)) for row in values),
+        by_frame=by_frame,
+        bands=(low, high),
+    )
+
+
+def _errors_of(scores: Sequence[TrajectoryScore]) -> dict[str, RunsError]:
+    """Errors over the runs that did not diverge."""
+    each: dict[str, list[float]] = {}
+    for score in scores:
+        if score.diverged_at_s is not None:
+            continue
+        of_pose = {"position": score.position_rmse_m, "rotation": score.rotation_rmse_deg}
+        for name, error in (of_pose | dict(score.state_rmse)).items():
+            if error is not None:
+                each.setdefault(name, []).append(error)
+    return {name: RunsError(float(np.mean(some)), max(some), len(some)) for name, some in each.items()}
+
+
+def labels_of(scores: Sequence[TrajectoryScore]) -> list[str]:
+    """Names of the estimates, numbered where two have the same."""
+    names = [score.estimate for score in scores]
+    return [f"{name} ({i + 1})" if names.count(name) > 1 else name for i, name in enumerate(names)]
 
 
 def _unfit(score: TrajectoryScore) -> str:
     """Reason why a run has no part in the mean; empty where it has."""
     if score.claim is None:
         return "it claims no covariance"
-    if score.unusable:
-        return f"{score.unusable} covariances are not positive definite"
-    return score.claim.obstacle
+    return _doubt(score.claim)
+
+
+def _doubt(claim: ClaimScore) -> str:
+    """Reason why a claim is not to be counted; empty where it is."""
+    if claim.unusable:
+        return f"{claim.unusable} covariances are not positive definite"
+    return claim.obstacle

@@ -17,7 +17,7 @@ from filters import Pose
 from filters.contract.validation import finite_number, positive
 from filters.geometry.arrays import BoolArray, FloatArray
 from stereo_slam_env.evaluation import trajectory_metrics as metrics
-from stereo_slam_env.evaluation.bands import MeanInterval, block_length, mean_interval, stationary_rows
+from stereo_slam_env.evaluation.bands import block_length, mean_interval, stationary_rows
 from stereo_slam_env.evaluation.body_frames import find_body_offset
 from stereo_slam_env.evaluation.claims import ClaimScore, GaugeScore, claims_differ, score_claims, score_gauges
 from stereo_slam_env.evaluation.comparability import explanation, find_obstacles, gauge_of, without_fillers
@@ -27,14 +27,17 @@ from stereo_slam_env.evaluation.gauges import (
     Correlation,
     aligned_pair,
     find_alignment,
+    is_fixed_at_start,
     is_zero_at_start,
 )
+from stereo_slam_env.evaluation.paired_verdict import PairedVerdict
+from stereo_slam_env.evaluation.state_claims import score_states
 from stereo_slam_env.evaluation.synchronisation import FEWEST, MAX_GAP, find_time_offset, paired, shifted
 from stereo_slam_env.evaluation.windows import LENGTHS, WindowScore, score_windows
 from stereo_slam_env.recording.trajectory import Trajectory
 from stereo_slam_env.recording.trajectory_files import load_trajectory
 
-SCHEMA = 4
+SCHEMA = 5
 """Version of what `TrajectoryScore.as_dict` gives."""
 
 
@@ -62,6 +65,8 @@ class TrajectoryScore:
     """Poses of the estimate without one of the reference."""
     unusable: int
     """Scored poses whose covariance is not positive definite."""
+    covered: float | None
+    """Share of the reference's time from the first to the last pair; None where it has no times."""
     path_m: float
     """Length of the reference's path, m."""
     position_rmse_m: float
@@ -75,7 +80,10 @@ class TrajectoryScore:
     diverged_at_s: float | None
     """Time from the first pair after which the estimate is no trajectory of this drive, s; None where it is one."""
     claims: Mapping[str, ClaimScore]
-    """"pose", "position", "rotation", or "position" alone; empty where nothing is claimed."""
+    """"pose", "position", "rotation", or "position" alone; "velocity", "gyro-bias" and "accelerometer-bias" where they
+    are claimed and the reference has them; empty where nothing is claimed."""
+    state_rmse: Mapping[str, float]
+    """Root mean square of the error of each of these three, m/s, rad/s and m/s^2; empty where there are none."""
     gauges: tuple[GaugeScore, ...]
     """The claim on the pose under each alignment that the poses determine; empty where nothing is claimed."""
     gauge_is_open: bool
@@ -181,45 +189,6 @@ class TrajectoryScore:
         return PairedVerdict(self.estimate, other.estimate, len(mine), (ratio, float(low), float(high)), scores)
 
 
-@dataclass(frozen=True)
-class PairedVerdict:
-    """One estimate against another one on the same frames of one drive."""
-
-    estimate: str
-    """Name of the first."""
-    other: str
-    """Name of the second."""
-    frames: int
-    """That both have."""
-    error_ratio: tuple[float, float, float]
-    """Of the position RMSE, with its 95 % interval; < 1: the first is better."""
-    log_score_difference: MeanInterval | None
-    """Nats a frame; < 0: the first is better; None: no claim to score."""
-
-    @property
-    def words(self) -> str:
-        """The verdict in two sentences."""
-        ratio, low, high = self.error_ratio
-        better = self._better(high < 1.0, low > 1.0)
-        text = f"The position error of {self.estimate} is {ratio:.3g} times that of {self.other}"
-        text += f" (95 %: {low:.3g} to {high:.3g}): {better}."
-        if (difference := self.log_score_difference) is None:
-            return text
-        better = self._better(difference.high < 0.0, difference.low > 0.0)
-        interval = f"{difference.low:+.3g} to {difference.high:+.3g}".replace("-", "−")
-        by = f"{difference.mean:+.3g}".replace("-", "−")
-        return f"{text} Its log score of the pose differs by {by} nats (95 %: {interval}): {better}."
-
-    def _better(self, first: bool, second: bool) -> str:
-        return (
-            f"{self.estimate} is better"
-            if first
-            else f"{self.other} is better"
-            if second
-            else "the difference is not significant"
-        )
-
-
 def evaluate_trajectory(
     estimate: Trajectory | str | Path,
     reference: Trajectory | str | Path,
@@ -321,7 +290,15 @@ def evaluate_trajectory(
     rows = _rows_within(truth, align_seconds)
     if not matched.is_oriented and np.count_nonzero(rows) < FEWEST and (align or usual) != "none":
         raise ValueError(f"align_seconds leaves {np.count_nonzero(rows)} positions to align by: give more seconds")
+    is_fixed = is_fixed_at_start(matched)
+    if align is None and align_seconds is None and usual == "gravity-yaw" and is_fixed:
+        rows = np.arange(len(matched)) == 0
+        notes.append("aligned by the first pose, whose position is claimed to be known, and with it the heading")
     alignment = find_alignment(align or usual, matched, truth, rows, UP[up])
+    by_one = alignment.rows.sum() == 1
+    is_exact = alignment.kind == "none" or bool(
+        by_one and (is_zero_at_start(matched) or (alignment.kind == "gravity-yaw" and is_fixed))
+    )
     in_world = aligned_pair(matched, truth, alignment)
     findings = find_obstacles(pairs, (estimate, reference), in_world)
     stamps = truth.timestamps if truth.timestamps is not None else matched.timestamps
@@ -337,6 +314,7 @@ def evaluate_trajectory(
     if not doubted and (why := explanation(bands, scored)):
         claims = score_claims(scored, dict.fromkeys(obstacles, f"calibration, frames or truth: {why}"), pair)
         notes.append(why)
+    states = score_states(scored, obstacles["pose"], is_exact=is_exact, of_a_pair=pair)
     path = metrics.path_length(truth.positions)
     return TrajectoryScore(
         estimate=estimate.name,
@@ -349,22 +327,24 @@ def evaluate_trajectory(
         frames=len(aligned),
         unmatched=len(estimate) - len(pairs.rows),
         unusable=next((claim.unusable for claim in claims.claims.values()), 0),
+        covered=_covered(pairs.reference, reference),
         path_m=path,
         position_rmse_m=metrics.ate_unaligned(aligned.positions, truth.positions),
         rotation_rmse_deg=_rotation_rmse_deg(aligned.orientations, truth.orientations) if aligned.is_oriented else None,
         ate_rigid_m=metrics.ate_rigid(aligned.positions, truth.positions),
         end_drift_percent=metrics.end_drift_percent(aligned.positions, truth.positions) if path > 0 else None,
         diverged_at_s=findings.diverged_at_s,
-        claims=claims.claims,
+        claims={**claims.claims, **states.claims},
+        state_rmse=states.rmse,
         gauges=score_gauges(matched, pairs.reference, in_world),
         gauge_is_open=align is None and not pair and matched.gauge is None and not is_zero_at_start(matched),
         windows=tuple(window for window in windows if window is not None),
-        notes=(*notes, *findings.notes),
+        notes=(*notes, *findings.notes, *states.notes),
         times=times[in_world.scored],
         poses=replace(aligned, covariances=scored.covariances),
         reference_poses=truth,
-        nees=claims.nees,
-        log_scores=claims.log_scores,
+        nees={**claims.nees, **states.nees},
+        log_scores={**claims.log_scores, **states.log_scores},
     )
 
 
@@ -379,6 +359,12 @@ def _other_clock(estimate: Trajectory, reference: Trajectory) -> str:
     except ValueError:
         return ""
     return f"; the paths fit with {offset:+.3f} s added to the times of the estimate: --time-offset auto does that"
+
+
+def _covered(common: Trajectory, whole: Trajectory) -> float | None:
+    if common.timestamps is None or whole.timestamps is None:
+        return None
+    return float(np.ptp(common.timestamps) / np.ptp(whole.timestamps))
 
 
 def _rows_within(reference: Trajectory, seconds: float | None) -> BoolArray:

@@ -6,7 +6,8 @@ to first order, but a NEES is to be computed in the one that the covariance is k
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -17,6 +18,7 @@ from filters.geometry import rotations
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.motions.motion_model import POSE_SIZE, POSITION, ROTATION
 from stereo_slam_env.recording.recording import Drift
+from stereo_slam_env.recording.state_beliefs import StateBelief, require_states
 
 Tangent = Literal["position-rotation", "position-quaternion", "right", "left"]
 """Definition of a pose error, position part first; hats are estimates.
@@ -73,6 +75,8 @@ class Trajectory:
     """What the claimed errors of two poses have in common, if they are those of an odometry. None: not said."""
     is_oriented: bool = True
     """Whether the orientations are data. False: only the positions are, and the orientations fill their place."""
+    states: Mapping[str, StateBelief] = field(default_factory=dict)
+    """What an inertial odometry estimates beside the pose, by the names of `state_beliefs.UNITS_OF`."""
 
     def __post_init__(self) -> None:
         positions = finite_array("positions", self.positions, ("K", 3))
@@ -120,6 +124,7 @@ class Trajectory:
             if covariances.shape != (count, 6, 6):
                 raise ValueError(f"covariances must have the shape ({count}, 6, 6), got {covariances.shape}")
             object.__setattr__(self, "covariances", covariances)
+        require_states(self.states, count)
 
     def __len__(self) -> int:
         return len(self.positions)
@@ -132,7 +137,8 @@ class Trajectory:
         """The trajectory of some rows, by number or mask."""
         names = ("positions", "orientations", "timestamps", "covariances", "frame_numbers", "tracks")
         parts = {name: part[index] for name in names if (part := getattr(self, name)) is not None}
-        return replace(self, **parts, drift=None if self.drift is None else self.drift.rows(index))
+        drift = None if self.drift is None else self.drift.rows(index)
+        return replace(self, **parts, drift=drift, states={name: s.rows(index) for name, s in self.states.items()})
 
     def errors(self, positions: FloatArray, orientations: FloatArray) -> FloatArray:
         """Errors (K, 6) against true poses, in the definition of `tangent`."""
@@ -153,13 +159,15 @@ class Trajectory:
         turn = np.eye(POSE_SIZE)
         turn[POSITION, POSITION] = scale * T.R_wc
         plane = None if self.plane is None else self.plane @ T.R_wc.T
-        return replace(self._carried(positions, orientations, turn), plane=plane)
+        states = {name: s.turned(scale * T.R_wc) if name == "velocity" else s for name, s in self.states.items()}
+        return replace(self._carried(positions, orientations, turn), plane=plane, states=states)
 
     def of_body(self, T_bc: Pose) -> Trajectory:
         """The trajectory of another frame C of the same rigid body: each pose times T_bc, covariances with them.
 
         An error of rotation moves the new origin by its lever arm: the adjoint of SE(3), in the coordinates of
-        `PoseBelief`.
+        `PoseBelief`. Biases are turned to its axes; the velocity, which a lever arm changes by the angular rate, is
+        dropped where there is one.
         """
         R_wb = rotations.matrix(self.orientations)
         positions = self.positions + R_wb @ T_bc.position
@@ -167,7 +175,12 @@ class Trajectory:
         J = np.tile(np.eye(POSE_SIZE), (len(self), 1, 1))
         J[:, POSITION, ROTATION] = -R_wb @ rotations.skew(T_bc.position)
         J[:, ROTATION, ROTATION] = T_bc.R_wc.T
-        return self._carried(positions, orientations, J)
+        states = {name: s if name == "velocity" else s.turned(T_bc.R_wc.T) for name, s in self.states.items()}
+        notes = self.notes
+        if "velocity" in states and np.any(T_bc.position):
+            del states["velocity"]
+            notes = (*notes, "its velocity is that of another point of the body, and is not judged")
+        return replace(self._carried(positions, orientations, J), states=states, notes=notes)
 
     def _carried(self, positions: FloatArray, orientations: FloatArray, J: FloatArray) -> Trajectory:
         """At other poses, with J (6, 6) or (K, 6, 6) from the errors of `PoseBelief` here to those there."""

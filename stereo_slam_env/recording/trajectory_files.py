@@ -24,6 +24,7 @@ from filters.geometry import rotations
 from filters.motions.motion_model import POSE_SIZE
 from stereo_slam_env.files.folders import write_atomically
 from stereo_slam_env.files.readers import read_text
+from stereo_slam_env.recording.openvins_states import is_total_state, read_total_state
 from stereo_slam_env.recording.recording import DriftParts, drift_of
 from stereo_slam_env.recording.trajectory import Gauge, Tangent, Trajectory, tangent_jacobian, transformed
 from stereo_slam_env.recording.trajectory_bags import bag_and_topic, read_bag
@@ -71,6 +72,8 @@ def load_trajectory(path: str | Path) -> Trajectory:
         text = read_text(path)
     except FileNotFoundError as error:
         raise ValueError(f"{path} does not exist: give a trajectory ({KNOWN}) or a bag") from error
+    if is_total_state(text):
+        return read_total_state(path, text)
     header = _header(path, text)
     if not header:
         return trajectory_of(split_columns(path, text), {"name": path.stem, "gauge": None})

@@ -20,6 +20,7 @@ from scipy.ndimage import median_filter
 from filters.geometry.arrays import BoolArray, FloatArray, IntArray
 from filters.motions.motion_model import POSE_SIZE, POSITION, ROTATION
 from stereo_slam_env.files.readers import parse_table, split_poses
+from stereo_slam_env.recording.state_beliefs import STATE_COLUMNS, STATE_NAMES, states_of
 from stereo_slam_env.recording.trajectory import Tangent, Trajectory
 from stereo_slam_env.recording.trajectory_transforms import about_fixed_axes, assembled
 
@@ -136,10 +137,10 @@ UNNAMED: Mapping[int, Sequence[str]] = {
     4: _POSE[:4],
     7: _POSE[1:],
     8: _POSE,
-    11: ["t", "tx", "ty", "tz", "qw", "qx", "qy", "qz", "vx", "vy", "vz"],
+    11: ["t", "tx", "ty", "tz", "qw", "qx", "qy", "qz", *STATE_COLUMNS[:3]],
     12: _MATRIX,
     13: ["number", *_MATRIX],
-    17: ["t", "tx", "ty", "tz", "qw", "qx", "qy", "qz", *(f"other{i}" for i in range(9))],
+    17: ["t", "tx", "ty", "tz", "qw", "qx", "qy", "qz", *STATE_COLUMNS],
     20: [*_POSE, *_BLOCKS],
     44: [*_POSE, *(f"covariance{i}" for i in range(36))],
 }
@@ -164,6 +165,7 @@ _NAMES = {
     **{f"Pt{i}{j}": rf"pt{i}{j}|p{a}{b}" for i, a in enumerate("xyz", 1) for j, b in enumerate("xyz", 1)},
     **{f"Pr{i}{j}": rf"pr{i}{j}|q{a}{b}" for i, a in enumerate("rpy", 1) for j, b in enumerate("rpy", 1)},
     "tracks": r"(n_?|num_?)?(tracks|inliers)",
+    **STATE_NAMES,
     **{f"covariance{i}": rf"(?!.*twist).*cov(ariance)?[._\[]?{i}\]?" for i in range(36)},
 }
 """Names that columns are known by, as patterns, in small letters and without units."""
@@ -271,9 +273,10 @@ def trajectory_of(columns: Columns, about: Mapping[str, Any]) -> Trajectory:
     if times is not None:
         times, notes = seconds_of(times, str(path), columns.unit)
     covariances, how = _covariances(columns, orientations)
-    notes += how.pop("notes", [])
+    states, about_states = states_of(values)
+    notes += [*how.pop("notes", []), *about_states]
     about = {
-        **{"timestamps": times, "covariances": covariances, "tracks": values.get("tracks")},
+        **{"timestamps": times, "covariances": covariances, "tracks": values.get("tracks"), "states": states},
         "frame_numbers": None if times is not None or numbers is None else numbers.astype(np.int64),
         **how,
         **about,
@@ -342,8 +345,8 @@ def _ends_in_0001(cells: Sequence[str]) -> bool:
 
 def _name_and_unit(title: str) -> tuple[str, str]:
     """A column's name in small letters, and its unit in brackets, where it has one."""
-    unit = re.search(r"[\[(]\s*([^\[\]()\d]*?)\s*[\])]\s*$", title)
-    name = re.sub(r"\s*[\[(][^\[\]()\d]*[\])]\s*$", "", title.strip().lstrip("#%"))
+    unit = re.search(r"\s*[\[(]\s*((?!\d)[^\[\]()]*?)\s*[\])]\s*$", title)
+    name = title[: unit.start() if unit else None].strip().lstrip("#%")
     return name.strip().lower(), unit[1].lower() if unit else ""
 
 

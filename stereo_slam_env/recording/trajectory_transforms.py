@@ -194,6 +194,7 @@ def assembled(
             f"it has {'no' if orientations is None else 'only zero'} quaternions: its positions alone are read"
         )
         orientations = np.tile([0.0, 0.0, 0.0, 1.0], (len(positions), 1))
+    states = about.pop("states", {})
     covariances = about.get("covariances")
     if covariances is not None and (np.isnan(covariances).any(axis=(1, 2)) | _is_unknown(covariances)).all():
         about["covariances"] = covariances = None
@@ -209,6 +210,7 @@ def assembled(
         notes.append(f"{lost} of {len(nothing)} rows claim nothing (NaN, a zero quaternion, or no variance): left out")
     about |= {name: about[name][~nothing] for name in _SERIES if about.get(name) is not None}
     positions, orientations = positions[~nothing], orientations[~nothing]
+    states = {name: belief.rows(~nothing) for name, belief in states.items()}
     if about.get("covariances") is not None:
         claim: dict[str, Any] = {"covariances": about["covariances"]}
         try:
@@ -230,8 +232,9 @@ def assembled(
             notes.append(f"{repeated} of {len(first)} rows repeat the {series} of the row before: the first counts")
         about |= {name: about[name][first] for name in _SERIES if about.get(name) is not None}
         positions, orientations = positions[first], orientations[first]
+        states = {name: belief.rows(first) for name, belief in states.items()}
     try:
-        return Trajectory(positions, orientations, **about, notes=tuple(notes))
+        return Trajectory(positions, orientations, **about, states=states, notes=tuple(notes))
     except ValueError as error:
         raise ValueError(f"{what}: {error}") from error
 

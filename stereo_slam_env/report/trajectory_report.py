@@ -6,16 +6,18 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from stereo_slam_env.evaluation.figures import readable
-from stereo_slam_env.evaluation.trajectory_runs import RunsScore
-from stereo_slam_env.evaluation.trajectory_score import PairedVerdict, TrajectoryScore
+from stereo_slam_env.evaluation.paired_verdict import PairedVerdict
+from stereo_slam_env.evaluation.trajectory_runs import RunsScore, labels_of
+from stereo_slam_env.evaluation.trajectory_score import TrajectoryScore
 from stereo_slam_env.report.charts import trajectories
 from stereo_slam_env.report.page import Content, Drawing, Section, clean_figures, data_section, part, write_page
 from stereo_slam_env.report.trajectory_table import (
     alignment_text,
     gauge_table,
     headline,
-    labels_of,
     notes_of,
+    notes_of_runs,
+    runs_errors_table,
     runs_table,
     score_table,
 )
@@ -57,13 +59,13 @@ def write_trajectory_report(
         raise ValueError("scores must not be empty: there is nothing to report")
     out = Path(out)
     clean_figures(out)
-    names = f"{len(scores)} runs" if runs is not None else " and ".join(labels_of(scores))
+    names = f"{runs.total} runs" if runs is not None else " and ".join(labels_of(scores))
     reference = scores[0].reference
     contents: list[Content] = [
         *([part("paragraph", runs.words, "headline")] if runs is not None else []),
         part("items", [headline(score) for score in scores], "headline" if runs is None else ""),
         *([part("paragraph", verdict.words, "headline")] if verdict is not None else []),
-        part("items", notes_of(scores), "failures fair"),
+        part("items", notes_of(scores) if runs is None else notes_of_runs(scores), "failures fair"),
     ]
     if runs is not None:
         contents.append(_together(runs))
@@ -79,9 +81,10 @@ def _together(runs: RunsScore) -> Section:
     """What runs of one estimator show together."""
     caption = f"Mean over {len(runs.runs)} runs, which are independent: the more, the narrower the band."
     guide = "Many runs together show what none of them shows alone."
-    return Section(
-        "All runs together", [Drawing("runs", caption, trajectories.plot_runs(runs)), runs_table(runs)], guide
+    claims: list[Content] = (
+        [Drawing("runs", caption, trajectories.plot_runs(runs)), runs_table(runs)] if runs.claims else []
     )
+    return Section("All runs together", [*claims, runs_errors_table(runs)], guide)
 
 
 def _path(scores: Sequence[TrajectoryScore]) -> Section:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from functools import partial
 
+import numpy as np
 from rich.console import Console
 from rich.markup import escape
 
@@ -12,11 +14,14 @@ from filters.checks.consistency import chi_square_quantile
 from stereo_slam_env.evaluation.bands import mean_band
 from stereo_slam_env.evaluation.claims import COVERED, ClaimScore
 from stereo_slam_env.evaluation.figures import FIGURES, UNKNOWN, readable
-from stereo_slam_env.evaluation.trajectory_runs import RunsScore
+from stereo_slam_env.evaluation.trajectory_runs import RunsScore, labels_of
 from stereo_slam_env.evaluation.trajectory_score import TrajectoryScore
 from stereo_slam_env.evaluation.windows import WindowScore
+from stereo_slam_env.recording.state_beliefs import UNITS_OF
 from stereo_slam_env.report.table import Column, Table, show_table
 
+_NOTES = 5
+"""Notes on runs that are printed."""
 _Row = tuple[str, Callable[[TrajectoryScore], str]]
 
 
@@ -29,23 +34,68 @@ def show_trajectory_scores(console: Console, scores: Sequence[TrajectoryScore]) 
         console.print(escape(headline(score)), highlight=False, soft_wrap=True)
 
 
-def show_runs_score(console: Console, score: RunsScore) -> None:
-    """Print what the runs of one estimator show together."""
-    show_table(console, runs_table(score))
+def show_runs_score(console: Console, score: RunsScore, notes: Sequence[str] = ()) -> None:
+    """Print what the runs of one estimator show together, and the first few of the notes on them."""
+    if score.claims:
+        show_table(console, runs_table(score))
+    show_table(console, runs_errors_table(score))
+    for note in notes[:_NOTES]:
+        console.print(f"[yellow]note[/yellow], {escape(note)}", highlight=False, soft_wrap=True)
+    if len(notes) > _NOTES:
+        console.print(f"and {len(notes) - _NOTES} more notes: --out writes them", highlight=False)
     console.print(escape(score.words), highlight=False, soft_wrap=True)
 
 
+def notes_of_runs(scores: Sequence[TrajectoryScore]) -> list[str]:
+    """Notes on runs, the most frequent first, with how many runs have them; those that diverged say so elsewhere."""
+    counts: Counter[str] = Counter()
+    for score in scores:
+        if score.diverged_at_s is None:
+            heads = (f"{score.estimate}: ", f"{score.reference}: ")
+            counts.update({next((n.removeprefix(h) for h in heads if n.startswith(h)), n) for n in score.notes})
+    return [f"{count} of {len(scores)} runs: {note}" for note, count in counts.most_common()]
+
+
 def runs_table(score: RunsScore) -> Table:
-    """Claims on the pose, the position and the rotation of several runs together, a row each."""
-    numbers = (Column("ANEES / dof"), Column("95 % band"), Column("frames in band", "%"), Column("one by one"))
-    columns = [Column("claim on", kind="text"), *numbers, Column("verdict", kind="words")]
+    """Claims of several runs together, on the pose, its parts, velocity and biases, a row each.
+
+    The verdict has the errors in claimed standard deviations.
+    """
+    numbers = (Column("ANEES / dof"), Column("95 % band"), Column("frames in it", "%"), Column("one by one"))
+    columns = [Column("claim on", kind="text"), Column("runs"), *numbers, Column("verdict", kind="words")]
     rows = []
     for name, claim in score.claims.items():
         mean, low, high, least, most = (
             readable(value / claim.dof) for value in (claim.mean, *claim.band, min(claim.each), max(claim.each))
         )
-        share = f"{100.0 * claim.inside:.0f}"
-        rows.append([name, mean, f"{low} to {high}", share, f"{least} to {most}", claim.verdict])
+        share, runs = f"{100.0 * claim.inside:.0f}", f"{len(claim.each)}"
+        rows.append([name, runs, mean, f"{low} to {high}", share, f"{least} to {most}", claim.short_verdict])
+    return Table(columns, rows)
+
+
+def runs_errors_table(score: RunsScore) -> Table:
+    """Errors of several runs that did not diverge, and how many did and failed, a row each."""
+    units = {"position": "m", "rotation": "degrees"} | UNITS_OF
+    columns = [
+        Column(f"{score.total} runs, aligned: {score.alignment}", kind="text"),
+        Column("mean"),
+        Column("worst"),
+        Column("runs"),
+    ]
+    rows = [
+        [f"{name} RMSE, {units[name]}", readable(error.mean), readable(error.worst), f"{error.runs}"]
+        for name, error in score.errors.items()
+    ]
+    if when := sorted(score.diverged.values()):
+        median = readable(float(np.median(when)))
+        rows.append(["diverged, s after the start (median, first)", median, readable(when[0]), f"{len(when)}"])
+    else:
+        rows.append(["diverged", UNKNOWN, UNKNOWN, "0"])
+    if score.ended_early:
+        shares = list(score.ended_early.values())
+        mean, worst = (f"{100.0 * share:.0f}" for share in (np.mean(shares), min(shares)))
+        rows.append(["ended early, % of the longest (mean, first)", mean, worst, f"{len(shares)}"])
+    rows.append(["left nothing to score", UNKNOWN, UNKNOWN, f"{len(score.failed)}"])
     return Table(columns, rows)
 
 
@@ -56,18 +106,13 @@ def notes_of(scores: Sequence[TrajectoryScore]) -> list[str]:
     return list(dict.fromkeys(named))
 
 
-def labels_of(scores: Sequence[TrajectoryScore]) -> list[str]:
-    """Names of the estimates, numbered where two have the same."""
-    names = [score.estimate for score in scores]
-    return [f"{name} ({i + 1})" if names.count(name) > 1 else name for i, name in enumerate(names)]
-
-
 def score_table(scores: Sequence[TrajectoryScore]) -> Table:
     """Errors, claims and windows, a column an estimate; rows that none of them has are left out."""
     columns = [Column(f"against {scores[0].reference}", kind="text"), *map(Column, labels_of(scores))]
     kinds = {(name, claim.dof): None for score in scores for name, claim in score.claims.items()}
     claims = [row for kind in kinds for row in _claim_rows(*kind)]
-    rows = [(title, [text(score) for score in scores]) for title, text in [*_ERRORS, *claims, *_windows(scores)]]
+    figures = [*_ERRORS, *map(_state_row, UNITS_OF), *claims, *_windows(scores)]
+    rows = [(title, [text(score) for score in scores]) for title, text in figures]
     return Table(columns, [[title, *cells] for title, cells in rows if set(cells) != {UNKNOWN}])
 
 
@@ -106,6 +151,12 @@ def _figure(name: str) -> _Row:
     """A figure that runs of filters have, too."""
     figure = FIGURES[name]
     return figure.title, lambda score: UNKNOWN if (value := getattr(score, name)) is None else figure.text(value)
+
+
+def _state_row(name: str) -> _Row:
+    """The error of a state beside the pose."""
+    title = f"{name} RMSE, {UNITS_OF[name]}"
+    return title, lambda score: readable(score.state_rmse[name]) if name in score.state_rmse else UNKNOWN
 
 
 def _of(name: str, dof: int, text: Callable[[ClaimScore], str]) -> Callable[[TrajectoryScore], str]:

@@ -9,7 +9,7 @@ from scipy.special import chdtr
 
 from filters.geometry.arrays import FloatArray
 from stereo_slam_env.evaluation.bands import mean_band
-from stereo_slam_env.evaluation.trajectory_runs import RunsScore
+from stereo_slam_env.evaluation.trajectory_runs import RunsScore, labels_of
 from stereo_slam_env.evaluation.trajectory_score import TrajectoryScore
 from stereo_slam_env.recording.trajectory import pose_errors
 from stereo_slam_env.report.charts.accuracy import TRUTH, map_panel
@@ -26,7 +26,6 @@ from stereo_slam_env.report.charts.axes import (
 )
 from stereo_slam_env.report.charts.drawing import DASHED, Chart, Curve, Panel, figure
 from stereo_slam_env.report.charts.nees import band_chart, pose_error_chart, shared_error_limits
-from stereo_slam_env.report.trajectory_table import labels_of
 
 SIGMAS = 3.0
 """Half width of a tube."""
