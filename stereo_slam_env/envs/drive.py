@@ -129,6 +129,7 @@ class StereoDriveEnv(StereoEnv, gym.Env[Observation, NDArray[np.float32]]):
     | `vehicle` | `"kinematic"` | `"smooth"`: continuous accelerations, springs, uneven road; no head |
     | `roughness` | `1.0` | scale of the unevenness of the road of a smooth vehicle |
     | `imu` | `None` | inertial unit of a smooth vehicle: `"adis16448"`, `"bmi088"`, `"car"` |
+    | `imu_calibrated` | `False` | whether its scales and orientation are exactly as stated |
     | `rig` | `"reference"` | `"reference"` 1344x391, f = 721.5 px; `"vga"` 640x480; `"qvga"` 320x240 |
     | `sensor` | `"landmarks"` | `"landmarks"`: projection, occlusion and noise; `"images"`: rendered, front end |
     | `renderer` | `"tiny"` | `"tiny"`, everywhere; `"gl"`, fast, needs the extra gl and EGL |
