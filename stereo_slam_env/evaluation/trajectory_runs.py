@@ -193,7 +193,8 @@ def score_runs(scores: Sequence[TrajectoryScore], failed: Mapping[str, str] | No
         Fewer than two runs can be judged.
     """
     names = labels_of(scores)
-    unfit = {name: why for name, score in zip(names, scores, strict=True) if (why := _unfit(score))}
+    reasons = _doubts(scores, [score.claim for score in scores])
+    unfit = {name: why for name, why in zip(names, reasons, strict=True) if why}
     fit = {name: score for name, score in zip(names, scores, strict=True) if name not in unfit}
     judged = list(fit.values())
     if len({(score.claim and score.claim.dof) for score in judged}) > 1:
@@ -206,7 +207,8 @@ def score_runs(scores: Sequence[TrajectoryScore], failed: Mapping[str, str] | No
     times = np.unique(np.concatenate([score.times for score in judged])) if judged else np.empty(0)
     claims = {}
     for name in dict.fromkeys(name for score in judged for name in score.claims):
-        claiming = [score for score in judged if name in score.claims and not _doubt(score.claims[name])]
+        doubts = _doubts(judged, [score.claims.get(name) for score in judged])
+        claiming = [score for score, why in zip(judged, doubts, strict=True) if not why]
         if len(claiming) > 1:
             claims[name] = _claim_of(name, claiming, times)
     diverged = {
@@ -285,15 +287,20 @@ def labels_of(scores: Sequence[TrajectoryScore]) -> list[str]:
     return [f"{name} ({i + 1})" if names.count(name) > 1 else name for i, name in enumerate(names)]
 
 
-def _unfit(score: TrajectoryScore) -> str:
-    """Reason why a run has no part in the mean; empty where it has."""
-    if score.claim is None:
-        return "it claims no covariance"
-    return _doubt(score.claim)
+def _doubts(scores: Sequence[TrajectoryScore], claims: Sequence[ClaimScore | None]) -> list[str]:
+    """Reasons why runs have no part in the mean of a claim, empty where they have.
 
-
-def _doubt(claim: ClaimScore) -> str:
-    """Reason why a claim is not to be counted; empty where it is."""
-    if claim.unusable:
-        return f"{claim.unusable} covariances are not positive definite"
-    return claim.obstacle
+    A clock, a frame or a scale that would explain the errors of a few runs is none of the input, which all have in
+    common, but what these runs drew: to leave out the worst would flatter the system.
+    """
+    stayed = [claim for score, claim in zip(scores, claims, strict=True) if claim and score.diverged_at_s is None]
+    is_common = 2 * sum(bool(claim.obstacle) for claim in stayed) >= len(stayed)
+    reasons = []
+    for score, claim in zip(scores, claims, strict=True):
+        if claim is None:
+            reasons.append("it claims no covariance")
+        elif claim.unusable:
+            reasons.append(f"{claim.unusable} covariances are not positive definite")
+        else:
+            reasons.append(claim.obstacle if is_common or score.diverged_at_s is not None else "")
+    return reasons

@@ -88,6 +88,22 @@ def test_a_run_that_ends_early_is_named_beside_the_figures_that_it_counts_in():
     assert score_runs(scored(longer)).ended_early == {}  # the truth goes on after all of them
 
 
+def test_what_would_explain_one_run_is_no_reason_to_leave_it_out_and_what_explains_all_is():
+    """A scale of 3 %, which the errors of a run may look like by chance, and an input has in every run."""
+
+    def scaled(pair):
+        return replace(pair[0], positions=1.03 * pair[0].positions), pair[1]
+
+    pairs = runs(5)
+    scores = scored([scaled(pairs[0]), *pairs[1:]])
+    assert "has a scale of its own" in scores[0].claim.obstacle
+    found = score_runs(scores)
+    assert (len(found.runs), found.left_out) == (5, {})
+    assert found.claims["position"].mean > 3.0 * score_runs(scores[1:]).claims["position"].mean
+    with pytest.raises(ValueError, match="0 of 5 can be"):
+        score_runs(scored(map(scaled, pairs)))
+
+
 def test_runs_of_the_same_name_are_told_apart():
     pairs = [(replace(estimate, name="est", covariances=None), truth) for estimate, truth in runs(2)]
     assert set(score_runs(scored(pairs), {}).left_out) == {"est (1)", "est (2)"}
