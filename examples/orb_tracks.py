@@ -10,12 +10,13 @@ import cv2
 import numpy as np
 
 import stereo_slam_env as sse
-from stereo_slam_env.datasets import write_kitti_sequence
+from stereo_slam_env.datasets import write_recording
 
 folder = Path(sys.argv[1] if len(sys.argv) > 1 else "pairs")
 file = Path(sys.argv[2] if len(sys.argv) > 2 else "tracks.txt")
 if not folder.exists():  # as `stereo-slam scenes record right-turn --rig vga --seed 3 --frames 20 --out pairs`
-    write_kitti_sequence(sse.RenderedDrive({"route": "right-turn", "rig": "vga"}, seed=3, frames=20), folder, "00")
+    drive = sse.RenderedDrive({"route": "right-turn", "rig": "vga"}, seed=3, frames=20)
+    write_recording(drive, folder, "kitti", may_lose={"odometry"})
 
 orb, matcher = cv2.ORB_create(1500), cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True)
 rows, next_id, before = [], 0, None

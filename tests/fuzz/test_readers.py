@@ -35,6 +35,7 @@ NOT_ON_IT = {
     "benchmark/scenarios/study.py _presets": "a file of the package",
     "cli/shared_options.py _table": "the command line",
     "cli/shared_options.py settings_from": "the command line",
+    "datasets/writing.py _is_of": "what a writing of its own left, which another one is held against",
     "paper/__init__.py _kept": "its own results: what is wrong with one is that it is computed again",
     "policies/ppo.py _load_state": "needs a network, see tests/stereo_slam_env/policies/test_ppo.py",
     "benchmark/storage/code_identity.py _digest_of_files": "trajectories that are read before, as `layouts`",
