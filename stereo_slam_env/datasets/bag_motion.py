@@ -43,7 +43,7 @@ NOISE = "noise"
 
 @dataclass(frozen=True, eq=False)
 class Clock:
-    """Times of pairs."""
+    """Times of the pairs of a bag."""
 
     origin: int
     """Stamp that times count from, ns."""

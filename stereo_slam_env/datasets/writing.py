@@ -161,11 +161,11 @@ def write_recording(
     if not ahead:
         raise ValueError(f"sequence {sequence.name!r} has no pairs: nothing was written")
     suite = _suite(sequence, ahead, time_offset)
-    kept = form.keeps | set(may_lose)
+    writable = form.keeps | set(may_lose)
     if unread := set(getattr(sequence, "not_read", ())) - set(may_lose):
         what = " and ".join(sorted(unread))
         raise ValueError(f"the {what} of the recording are not read, so they would be lost: leave them out (--lossy)")
-    _require_kept(ahead, kept, format_name)
+    _require_kept(ahead, writable, format_name)
     is_file = place.suffix in (".mcap", ".bag")
     target = unfinished / place.name if is_file else unfinished
     unfinished.mkdir(parents=True, exist_ok=True)
@@ -174,7 +174,7 @@ def write_recording(
     writer = form.writer(target if form.file is None or is_file else target / form.file, suite, **options)
     truths = None if is_file else TrueTrajectories(unfinished)
     for frame in frames_of(chain(ahead, every), suite, epoch):
-        _require_kept([frame.pair], kept, format_name)
+        _require_kept([frame.pair], writable, format_name)
         writer.write(frame)
         if truths is not None:
             truths.write(frame)
@@ -237,13 +237,13 @@ def _data_of(pair: StereoPair) -> set[str]:
     return {kind for kind, value in data.items() if value is not None}
 
 
-def _require_kept(pairs: Sequence[StereoPair], kept: Collection[str], format_name: str) -> None:
-    lost = set().union(*map(_data_of, pairs)) - set(kept)
+def _require_kept(pairs: Sequence[StereoPair], writable: Collection[str], format_name: str) -> None:
+    lost = set().union(*map(_data_of, pairs)) - set(writable)
     if lost:
-        others = ", ".join(name for name, form in FORMATS.items() if lost <= form.keeps)
+        formats = ", ".join(name for name, form in FORMATS.items() if lost <= form.keeps)
         raise ValueError(
             f"the format {format_name} has no place for {' and '.join(sorted(lost))}, which the recording has: choose "
-            f"{others}, or leave them out (convert --lossy)"
+            f"{formats}, or leave them out (convert --lossy)"
         )
 
 

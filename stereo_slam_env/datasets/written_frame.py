@@ -116,7 +116,7 @@ class TrueTrajectories:
                 file.write(f"{seconds(frame.stamp)} {numbers([*pose.position, *pose.orientation])}\n")
 
     def close(self) -> None:
-        """Finish the files."""
+        """Close the files; remove them where there was no pose."""
         self._stack.close()
         for path in self._paths:
             if path.stat().st_size == 0:

@@ -102,18 +102,17 @@ class RenderedFlight:
         with closing(Pictures(self.options, self.camera)) as pictures:
             pictures.build(scene.scene, np.random.default_rng([self._seed, 2]))
             for number, (t, (samples, biases)) in enumerate(zip(times.tolist(), measured, strict=True)):
-                left = right = NOT_DRAWN
+                grey_images = NOT_DRAWN, NOT_DRAWN
                 (position,), (turn,) = self._path()(np.array([t]))
                 if is_drawn(number, t):
                     pictures.set_frame(number)
                     images = pictures.images(Pose(position, turn.as_quat()))
-                    left, right = grey(images.left), grey(images.right)
+                    grey_images = grey(images.left), grey(images.right)
                 (position,), (turn,) = self._in_w(np.array([t]))
                 velocity = velocity_on(self._in_w, t)
                 yield StereoPair(
                     t,
-                    left,
-                    right,
+                    *grey_images,
                     truth=Pose(position, turn.as_quat()),
                     inertial=samples,
                     velocity=Velocity(velocity[:3], velocity[3:]),

@@ -143,7 +143,10 @@ class RunsScore:
             sentences.append(f"{len(self.runs)} of {self.total} runs have a claim that can be judged: two are needed.")
         lost = {**self.left_out, **self.failed}
         if lost:
-            sentences.append("Left out: " + "; ".join(f"{name} ({why})" for name, why in lost.items()) + ".")
+            by_reason: dict[str, list[str]] = {}
+            for name, why in lost.items():
+                by_reason.setdefault(why, []).append(name)
+            sentences.append("Left out: " + "; ".join(f"{', '.join(n)} ({why})" for why, n in by_reason.items()) + ".")
         return " ".join(sentences)
 
     def _otherwise(self) -> str:

@@ -59,7 +59,7 @@ def seed_files(estimate: Path, truth: Path | None = None) -> SeedFiles:
         raise ValueError(f"{estimate} matches no file: is {SEED} in the right place?")
     if lonely := [seed for seed in estimates if seed not in truths]:
         raise ValueError(f"no truth for {SEED} = {_listed(lonely)}: {where}; every run needs one")
-    missing = {s: f"no estimate: {_filled(estimate, s)} is not there" for s in truths if s not in estimates}
+    missing = {seed: f"no estimate: {estimate} is not there" for seed in truths if seed not in estimates}
     return SeedFiles({seed: (path, truths[seed]) for seed, path in estimates.items()}, missing)
 
 

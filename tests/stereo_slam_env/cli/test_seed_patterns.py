@@ -54,7 +54,7 @@ def test_all_seeds_are_judged_together_and_a_missing_one_is_a_failed_one(evaluat
         assert (code, "report: " in out) == (0, True), err
         assert "Of 4 runs, 1 diverged, " in out
         assert "1 left nothing to score" in out
-        assert "b (no estimate: run_b" in out
+        assert "b (no estimate: run_{seed}" in out
         assert "2 runs together: pose ANEES / 6" in out
     page = (tmp_path / "scores" / "report.html").read_text(encoding="utf-8")
     assert "Of 4 runs, 1 diverged" in page
