@@ -34,6 +34,8 @@ log = logging.getLogger(__name__)
 
 _SAME = 1e-6
 """Of two times, s."""
+_SAME_NOISE = 0.01
+"""By how much densities and the variances of messages may differ that say the same: stamps are not all as far apart."""
 _NUMBERS = "std_msgs/msg/Float64MultiArray"
 TRUTH = "/ground_truth"
 """Topic of an odometry of true poses."""
@@ -179,10 +181,9 @@ def _inertial(
     walks, assumed = (sheet.gyro_walk, sheet.accelerometer_walk), f"densities and walks of {ASSUMED}"
     if has_variances:
         assumed = f"walks of the biases of {ASSUMED}"
-    if (noise := _noise_beside(reader, topic)) is not None:
-        gyro, accelerometer, *rest = noise
-        walks = rest[0], rest[1]
-        assumed = "nothing"
+        noise = _noise_beside(reader, topic)
+        if noise is not None and np.allclose(noise[:2], [gyro, accelerometer], rtol=_SAME_NOISE):
+            (gyro, accelerometer), walks, assumed = noise[:2], (noise[2], noise[3]), "nothing"
     unit = InertialUnit(T_ci.position, T_ci.orientation, gyro, accelerometer, *walks)
     samples = samples_of_steps(mounting.path, times, rows[order], clock.seconds, unit)
     return samples, {"imu": topic, "imu_assumed": assumed}

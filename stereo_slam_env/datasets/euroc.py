@@ -136,7 +136,10 @@ def _odometry(path: Path, ns: IntArray, turned: FloatArray) -> list[BodyVelocity
         P = np.zeros((6, 6))
         P[_LOWER] = row[6:]
         P = turn @ (P + np.tril(P, -1).T) @ turn.T
-        steps.append(BodyVelocity(turned @ row[:3], turned @ row[3:6], P))
+        try:
+            steps.append(BodyVelocity(turned @ row[:3], turned @ row[3:6], P))
+        except ValueError as error:
+            raise ValueError(f"{path}: the row of {stamp} is no velocity with a covariance: {error}") from error
     return steps
 
 

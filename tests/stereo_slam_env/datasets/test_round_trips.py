@@ -299,3 +299,30 @@ def test_rosbags_reads_what_stands_on_the_topics(tmp_path, format_name):
         **dict.fromkeys(("/ground_truth", "/ground_truth/imu_bias", "/wheel/odometry"), FRAMES),
         **{"/imu/data": samples, "/imu/noise": 1, "/tf_static": 1},
     }
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        (lambda cells: [*cells[:3], "nan", *cells[4:]], r"odom0/data\.csv: the row of \d+ is no velocity with a cov"),
+        (lambda cells: [*cells[:7], "-1.0", *cells[8:]], r"odom0/data\.csv: the row of \d+ is no velocity with a cov"),
+        (lambda cells: cells[:12], r"odom0/data\.csv: line 2 is not a timestamp in ns and 27 numbers"),
+        (lambda cells: ["17e17", *cells[1:]], r"odom0/data\.csv: line 2 is not a timestamp in ns and 27 numbers"),
+    ],
+)
+def test_an_odometry_that_is_none_is_named(tmp_path, change, complaint):
+    place = place_of(tmp_path, "euroc", full_drive())
+    table = place / "mav0" / "odom0" / "data.csv"
+    header, *lines = table.read_text().splitlines()
+    table.write_text("\n".join([header, *(",".join(change(line.split(","))) for line in lines)]) + "\n")
+    with pytest.raises(ValueError, match=complaint):
+        open_image_sequence(place)
+
+
+def test_rows_of_an_odometry_that_belong_to_no_image_give_no_step(tmp_path):
+    place = place_of(tmp_path, "euroc", full_drive())
+    table = place / "mav0" / "odom0" / "data.csv"
+    header, *lines = table.read_text().splitlines()
+    table.write_text("\n".join([header, "1" + lines[0][1:].replace(",", "1,", 1)[1:], *lines[1:]]) + "\n")
+    steps = [pair.odometry for pair in open_image_sequence(place).pairs()]
+    assert [step is None for step in steps] == [True, True] + [False] * (FRAMES - 2)
