@@ -19,20 +19,19 @@ def altered(tmp_path, topic, change):
 
     types = get_typestore(Stores.ROS2_HUMBLE)
     drive = place_of(tmp_path, "mcap", full_drive()) / "drive.mcap"
-    with Writer(tmp_path / "altered", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        with AnyReader([drive]) as reader:
-            connections = {}
-            for connection, stamp, raw in reader.messages():
-                data = bytes(raw)
-                if connection.topic == topic:
-                    message = change(reader.deserialize(raw, connection.msgtype))
-                    if message is None:
-                        continue
-                    data = types.serialize_cdr(message, connection.msgtype)
-                if connection.topic not in connections:
-                    added = writer.add_connection(connection.topic, connection.msgtype, typestore=types)
-                    connections[connection.topic] = added
-                writer.write(connections[connection.topic], stamp, data)
+    plugin, connections = StoragePlugin.MCAP, {}
+    with Writer(tmp_path / "altered", version=9, storage_plugin=plugin) as writer, AnyReader([drive]) as reader:
+        for connection, stamp, raw in reader.messages():
+            data = bytes(raw)
+            if connection.topic == topic:
+                message = change(reader.deserialize(raw, connection.msgtype))
+                if message is None:
+                    continue
+                data = types.serialize_cdr(message, connection.msgtype)
+            if connection.topic not in connections:
+                added = writer.add_connection(connection.topic, connection.msgtype, typestore=types)
+                connections[connection.topic] = added
+            writer.write(connections[connection.topic], stamp, data)
     return tmp_path / "altered"
 
 
