@@ -151,6 +151,21 @@ def test_an_argument_has_the_type_of_its_default(
     assert {name: given[name] for name in expected} == expected
 
 
+def test_a_drive_through_files_is_the_drive_in_memory_and_its_covariance_is_true(tmp_path: Path) -> None:
+    """80 small pairs: the mean NEES / 6 of a run lies in 0.3 to 2.5, files and memory differ by rounding."""
+    written = script("written_drives")
+    (nees, error, apart), *by_images = written.judged(0, tmp_path, "right-turn", 80, "qvga", "tiny")
+    assert 0.3 < np.nanmean(nees) < 2.5
+    assert error < 0.5
+    assert apart < 1e-9
+    assert max(apart for _, _, apart in by_images) < 1e-9
+    score = evaluate_trajectory(
+        tmp_path / "000" / written.ESTIMATE, tmp_path / "000/mav0/state_groundtruth_estimate0/data.csv"
+    )
+    assert score.position_rmse_m == pytest.approx(error, rel=0.05)  # of the body, a lever arm away
+    assert score.claims["pose"].nees.mean / 6.0 == pytest.approx(np.nanmean(nees), rel=0.05)
+
+
 def test_a_filter_and_an_environment_stay_sound_while_they_run(monkeypatch: pytest.MonkeyPatch) -> None:
     """500 updates and 100 steps; the benchmark has 1,000,000 and 100,000."""
     long_run = script("soak")
