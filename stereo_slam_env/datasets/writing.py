@@ -8,7 +8,6 @@ of, which readers that take them for instants, or join them by straight lines, r
 from __future__ import annotations
 
 import json
-import shutil
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -25,7 +24,7 @@ from stereo_slam_env.datasets.bag_writer import IMU, LEFT_IMAGES, ODOMETRY, RIGH
 from stereo_slam_env.datasets.kitti_odometry import KittiWriter, poses_file
 from stereo_slam_env.datasets.settings_files import Topics, readme, settings_files
 from stereo_slam_env.datasets.written_frame import TrueTrajectories, WrittenFrame, frames_of
-from stereo_slam_env.files.folders import json_text, write_text
+from stereo_slam_env.files.folders import CLAIM, claimed_folder, json_text, write_text
 from stereo_slam_env.files.readers import read_json
 from stereo_slam_env.recording.recording import ImageSequence, StereoPair
 from stereo_slam_env.sensing.sensor_suite import SensorSuite
@@ -35,6 +34,8 @@ EPOCH_NS = 1_700_000_000 * 10**9
 PARTIAL = ".partial"
 """Ending of a folder or file that is not yet complete."""
 _SOURCE = "source.json"
+_FILES = (".mcap", ".bag")
+"""Endings of drives that are one file."""
 INERTIAL, STEPS, POSES, STATES = "inertial samples", "odometry", "true poses", "true velocities and biases"
 TOPICS = Topics(
     f"{LEFT_IMAGES}/image_rect",
@@ -137,20 +138,22 @@ def write_recording(
     """
     out = Path(out)
     if format_name is None:
-        format_name = out.suffix[1:] if out.suffix in (".mcap", ".bag") else "kitti"
+        format_name = out.suffix[1:] if out.suffix in _FILES else "kitti"
     require_known("there is no format", [format_name], FORMATS)
     form = FORMATS[format_name]
     if compressed and form.file is None:
         raise ValueError(f"compressed must be left out of the format {format_name}: its images are PNG")
+    if out.suffix in _FILES and out.suffix != f".{format_name}":
+        raise ValueError(f"out must end in .{format_name}, or be a folder, for the format {format_name}, got {out}")
     place = _place(out, format_name, name)
-    source = {"name": sequence.name, "format": format_name, "time_offset": time_offset, **sequence.source}
+    source = {"name": sequence.name, "format": format_name, "time_offset": time_offset, "compressed": compressed}
+    source |= sequence.source
     if keep_same and _is_of(place, source):
         return place
     unfinished = place.with_name(place.name + PARTIAL)
     _require_free(place, unfinished, source)
-    writer: FrameWriter | None = None
-
     epoch = round(1e9 * float(sequence.source["epoch_s"])) if "epoch_s" in sequence.source else EPOCH_NS
+    writer: FrameWriter | None = None
 
     def is_drawn(number: int, time: float) -> bool:
         return writer is None or not writer.has_images(number, epoch + round(1e9 * time))
@@ -160,36 +163,34 @@ def write_recording(
     ahead = list(islice(every, 2))
     if not ahead:
         raise ValueError(f"sequence {sequence.name!r} has no pairs: nothing was written")
-    suite = _suite(sequence, ahead, time_offset)
     writable = form.keeps | set(may_lose)
     if unread := set(getattr(sequence, "not_read", ())) - set(may_lose):
         what = " and ".join(sorted(unread))
         raise ValueError(f"the {what} of the recording are not read, so they would be lost: leave them out (--lossy)")
     _require_kept(ahead, writable, format_name)
-    is_file = place.suffix in (".mcap", ".bag")
-    target = unfinished / place.name if is_file else unfinished
-    unfinished.mkdir(parents=True, exist_ok=True)
-    (unfinished / _SOURCE).write_text(json_text(source))
-    options = {"compressed": True} if compressed else {}
-    writer = form.writer(target if form.file is None or is_file else target / form.file, suite, **options)
-    truths = None if is_file else TrueTrajectories(unfinished)
-    for frame in frames_of(chain(ahead, every), suite, epoch):
-        _require_kept([frame.pair], writable, format_name)
-        writer.write(frame)
+    suite = _suite(sequence, ahead, time_offset)
+    with claimed_folder(unfinished):
+        write_text(unfinished / _SOURCE, json_text(source))
+        file = place.name if place.suffix in _FILES else form.file
+        options = {"compressed": True} if compressed else {}
+        writer = form.writer(unfinished if file is None else unfinished / file, suite, **options)
+        truths = None if place.suffix in _FILES else TrueTrajectories(unfinished)
+        for frame in frames_of(chain(ahead, every), suite, epoch):
+            _require_kept([frame.pair], writable, format_name)
+            writer.write(frame)
+            if truths is not None:
+                truths.write(frame)
+            if on_pair is not None:
+                on_pair(frame.number + 1, len(sequence))
+        writer.close()
         if truths is not None:
-            truths.write(frame)
-        if on_pair is not None:
-            on_pair(frame.number + 1, len(sequence))
-    writer.close()
-    if truths is not None:
-        truths.close()
-        texts = {f"settings/{file}": text for file, text in settings_files(suite, sequence.name, TOPICS).items()}
-        for file, text in {
-            **texts,
-            **({} if about is None else {"README.md": readme(suite, sequence.name, about)}),
-        }.items():
-            write_text(unfinished / file, text)
-    return _completed(place, unfinished, is_file=is_file)
+            truths.close()
+            texts = {f"settings/{one}": text for one, text in settings_files(suite, sequence.name, TOPICS).items()}
+            texts |= {} if about is None else {"README.md": readme(suite, sequence.name, about)}
+            for one, text in texts.items():
+                write_text(unfinished / one, text)
+    (unfinished / CLAIM).unlink(missing_ok=True)
+    return _completed(place, unfinished)
 
 
 def _place(out: Path, format_name: str, name: str) -> Path:
@@ -217,18 +218,19 @@ def _require_free(place: Path, partial: Path, source: Mapping[str, Any]) -> None
         raise ValueError(f"{poses_file(place)} is there already: {remove}")
 
 
-def _completed(place: Path, partial: Path, *, is_file: bool) -> Path:
+def _completed(place: Path, unfinished: Path) -> Path:
     """Give what was written its name."""
-    if is_file:
-        (partial / place.name).replace(place)
-        shutil.rmtree(partial)
+    if place.suffix in _FILES:
+        (unfinished / place.name).replace(place)
+        (unfinished / _SOURCE).unlink()
+        unfinished.rmdir()
         return place
-    if (poses := partial / KittiWriter.POSES).exists():
+    if (poses := unfinished / KittiWriter.POSES).exists():
         poses_file(place).parent.mkdir(exist_ok=True)
         poses.replace(poses_file(place))
     if place.exists():
         place.rmdir()
-    partial.rename(place)
+    unfinished.rename(place)
     return place
 
 

@@ -229,6 +229,19 @@ def test_a_drive_that_is_there_is_kept_where_it_is_the_same(tmp_path):
         write_recording(full_drive(), place, "euroc", keep_same=True, time_offset=0.1)
 
 
+def test_nothing_of_others_goes_and_two_do_not_write_one_drive(tmp_path):
+    def check(done, of):
+        if done == 2:
+            with pytest.raises(ValueError, match=r"drive\.partial is in use by another process"):
+                write_recording(full_drive(), tmp_path / "drive", "euroc")
+            (tmp_path / "drive.partial" / "mine.txt").write_text("kept")
+
+    place = place_of(tmp_path, "euroc", full_drive(), on_pair=check)
+    assert (place / "mine.txt").read_text() == "kept"
+    with pytest.raises(ValueError, match=r"out must end in \.mcap, or be a folder, for the format mcap, got .*d\.bag"):
+        write_recording(full_drive(), tmp_path / "d.bag", "mcap")
+
+
 @pytest.mark.parametrize("format_name", ["mcap", "bag"])
 def test_images_in_a_bag_may_be_packed(tmp_path, format_name):
     place = place_of(tmp_path, format_name, full_drive(), compressed=True)
