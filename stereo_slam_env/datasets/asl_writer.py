@@ -18,6 +18,7 @@ from filters import Pose
 from stereo_slam_env.datasets.image_files import write_image
 from stereo_slam_env.datasets.settings_files import Topics, settings_files
 from stereo_slam_env.datasets.written_frame import IDENTITY, WrittenFrame, numbers
+from stereo_slam_env.files.folders import write_text
 from stereo_slam_env.sensing.sensor_suite import SensorSuite
 
 _POSE = "#timestamp [ns], p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y [], q_RS_z []"
@@ -108,8 +109,7 @@ class AslWriter:
             texts = {f"mav0/{name}/sensor.yaml": text for name, text in self._sensors().items()}
             texts["mav0/body.yaml"] = "comment: the body is the inertial unit; without one x is forward, z up\n"
         for name, text in texts.items():
-            (self._folder / name).parent.mkdir(exist_ok=True)
-            (self._folder / name).write_text(text)
+            write_text(self._folder / name, text)
 
     def _sensors(self) -> dict[str, str]:
         """EuRoC's descriptions of the sensors, by folder."""

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 
 from filters.contract.validation import first_line
+from stereo_slam_env.files.folders import write_atomically
 from stereo_slam_env.files.opening import NotOpened, open_regular, read_bytes
 from stereo_slam_env.recording.recording import GreyImage
 
@@ -69,9 +70,7 @@ def write_image(path: Path, image: GreyImage, size: tuple[int, int], number: int
             f"pair {number} cannot be written to {path}: its images must be uint8 of shape {size[::-1]}, got "
             f"{image.dtype} of shape {image.shape}"
         )
-    written = path.with_suffix(".part")
-    written.write_bytes(png_of(image))
-    written.replace(path)
+    write_atomically(path, lambda stream: stream.write(png_of(image)))
 
 
 def png_of(image: GreyImage) -> bytes:

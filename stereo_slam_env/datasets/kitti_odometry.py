@@ -28,6 +28,7 @@ from stereo_slam_env.datasets.sequence import (
     rig_of,
 )
 from stereo_slam_env.datasets.written_frame import WrittenFrame, numbers
+from stereo_slam_env.files.folders import write_text
 from stereo_slam_env.files.opening import require_inside
 from stereo_slam_env.files.readers import read_table
 from stereo_slam_env.recording.recording import NO_REFERENCE
@@ -134,7 +135,7 @@ class KittiWriter:
             if self._without_pose < self._count:
                 log.warning("no poses written: %d of %d pairs have no true pose", self._without_pose, self._count)
             poses.unlink()
-        (self._folder / "calib.txt").write_text(_calibration(self._suite.camera))
+        write_text(self._folder / "calib.txt", _calibration(self._suite.camera))
 
 
 def _calibration(camera: StereoCamera) -> str:

@@ -287,8 +287,11 @@ WHY = {
     "stereo_slam_env/benchmark/running/isolation.py": "an end of a pipe, by its number",
     "stereo_slam_env/viewer/watched_drive.py": "an unfinished file of ours, and the file that was asked for",
     "stereo_slam_env/world/physics.py": "a folder of our own for temporary files, which must not exist before",
-    "stereo_slam_env/datasets/kitti_odometry.py": "a new folder, and an empty one; what is there is refused",
-    "stereo_slam_env/datasets/bag_images.py": "out of a temporary folder, to a name that nothing has",
+    "stereo_slam_env/datasets/writing.py": "a new folder, claimed, and an empty one; what is there is refused",
+    **{
+        f"stereo_slam_env/datasets/{name}.py": "in the folder of an unfinished drive of ours, claimed by `writing`"
+        for name in ("kitti_odometry", "asl_writer", "bag_writer", "written_frame")
+    },
 }
 """Files of the packages that change files themselves, and why they can change none of a stranger."""
 
