@@ -73,7 +73,7 @@ class StereoGazeEnv(StereoEnv, gym.Env[Observation, NDArray[np.float32]]):
 
     ## Arguments
 
-    Those of `StereoSlam/Drive-v0` without `policy`, `lane`, `slowest`, `vehicle`, `roughness`, `imu`,
+    Those of `StereoSlam/Drive-v0` without `policy`, `lane`, `slowest`, `vehicle`, `roughness`, `imu`, `imu_calibrated`,
     `progress_weight`, `collision_weight`, `goal_weight`, `time_weight` and `jerk_weight`, but for:
 
     | Argument | Default | Meaning |

@@ -179,7 +179,7 @@ def test_images_are_followed_without_a_filter_once_and_calibrated_once(folder, t
 
 
 def test_a_long_drive_is_refused_before_it_is_driven(monkeypatch):
-    monkeypatch.setattr(recorder.StereoDriveEnv, "reset", lambda *_, **__: pytest.fail("it was driven"))
+    monkeypatch.setattr(recorder.CoreRows, "reset", lambda *_, **__: pytest.fail("it was driven"))
     with pytest.raises(ValueError, match="frames must be at most 80 on route 'right-turn', got 81"):
         make_recording(STREET.replaced(frames=81), 0)
 
