@@ -167,19 +167,23 @@ def record_scene(
         else:
             drive = RenderedDrive(arguments, number, frames)
         place = out if seeds is None else out / f"{number:03d}"
-        with progress_bar(console(stderr=True), f"frames of seed {number}") as progress:
-            folder = write_recording(
-                drive,
-                place,
-                format_name,
-                name=name,
-                time_offset=imu_offset,
-                compressed=compressed,
-                may_lose={STEPS, STATES} - FORMATS[format_name].keeps if format_name in FORMATS else (),
-                about={**about, "Seed": str(number)},
-                keep_same=seeds is not None,
-                on_pair=progress,
-            )
+        try:
+            with progress_bar(console(stderr=True), f"frames of seed {number}") as progress:
+                folder = write_recording(
+                    drive,
+                    place,
+                    format_name,
+                    name=name,
+                    time_offset=imu_offset,
+                    compressed=compressed,
+                    may_lose={STEPS, STATES} - FORMATS[format_name].keeps if format_name in FORMATS else (),
+                    about={**about, "Seed": str(number)},
+                    keep_same=seeds is not None,
+                    on_pair=progress,
+                )
+        except KeyboardInterrupt:
+            typer.echo("interrupted: the same command goes on from here", err=True)
+            raise typer.Exit(130) from None
         typer.echo(str(folder.resolve()))
 
 

@@ -101,3 +101,12 @@ def test_convert_keeps_what_was_measured_or_refuses(tmp_path, capsys):
         if other.inertial is not None:
             np.testing.assert_allclose(pair.inertial.specific_forces, other.inertial.specific_forces, atol=1e-9)
             np.testing.assert_allclose(pair.odometry.covariance, other.odometry.covariance, atol=1e-9)
+
+
+def test_who_interrupts_it_is_told_how_to_go_on(tmp_path, capsys, monkeypatch):
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("stereo_slam_env.datasets.writing.write_recording", interrupted)
+    assert record(tmp_path / "d", "--frames", 2) == 130
+    assert "interrupted: the same command goes on from here" in capsys.readouterr().err
