@@ -66,7 +66,7 @@ def settings_files(suite: SensorSuite, name: str, topics: Topics) -> dict[str, s
     return {**settings, "basalt/calibration.json": _basalt(suite)}
 
 
-def readme(suite: SensorSuite, name: str, about: Mapping[str, str]) -> str:
+def readme(suite: SensorSuite, name: str, about: Mapping[str, str], states: str = "") -> str:
     """README.md of the folder of a drive: its frames, noise, clocks, files and truth.
 
     Parameters
@@ -77,8 +77,10 @@ def readme(suite: SensorSuite, name: str, about: Mapping[str, str]) -> str:
         What the drive is called.
     about : mapping of str to str
         Further facts by title, such as errors that settings cannot state.
+    states : str
+        Where the true velocity and biases are; empty: nowhere.
     """
-    return _rendered("settings_readme.jinja", suite, name, about=about)
+    return _rendered("settings_readme.jinja", suite, name, about=about, states=states)
 
 
 def _rendered(template: str, suite: SensorSuite, name: str, **values: Any) -> str:

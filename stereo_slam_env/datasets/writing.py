@@ -20,7 +20,8 @@ import numpy as np
 from filters import StereoCamera
 from filters.contract.validation import require_known
 from stereo_slam_env.datasets.asl_writer import AslWriter
-from stereo_slam_env.datasets.bag_writer import IMU, LEFT_IMAGES, ODOMETRY, RIGHT_IMAGES, BagWriter
+from stereo_slam_env.datasets.bag_motion import TRUTH
+from stereo_slam_env.datasets.bag_writer import BIAS, IMU, LEFT_IMAGES, ODOMETRY, RIGHT_IMAGES, BagWriter
 from stereo_slam_env.datasets.kitti_odometry import KittiWriter, poses_file
 from stereo_slam_env.datasets.settings_files import Topics, readme, settings_files
 from stereo_slam_env.datasets.written_frame import TrueTrajectories, WrittenFrame, frames_of
@@ -72,17 +73,23 @@ class WrittenFormat:
     """Data beside images and calibration that it has a place for."""
     writer: Callable[..., FrameWriter]
     """Called with where it goes and the sensors."""
+    states: str = ""
+    """Where its true velocities and biases are."""
     file: str | None = None
     """Name of its only file in the folder of a drive; None: it is the folder."""
 
 
+_OF_EUROC, _OF_BAGS = "`mav0/state_groundtruth_estimate0/data.csv`", f"`{TRUTH}` and `{BIAS}` of the bag"
+_DB3, _ROS1 = (partial(BagWriter, kind=kind) for kind in ("db3", "bag"))
 FORMATS: Mapping[str, WrittenFormat] = {
-    "euroc": WrittenFormat("EuRoC's ASL folder (mav0), what most visual-inertial systems read", KINDS, AslWriter.euroc),
-    "tum-vi": WrittenFormat("TUM-VI's folder: mav0 with Kalibr's files (dso)", KINDS - {STATES}, AslWriter.tum_vi),
+    "euroc": WrittenFormat("EuRoC's ASL folder, `mav0`", KINDS, AslWriter.euroc, _OF_EUROC),
+    "tum-vi": WrittenFormat(
+        "TUM-VI's folder: `mav0`, Kalibr's files in `dso`", KINDS - {STATES}, AslWriter.tum_vi
+    ),
     "kitti": WrittenFormat("KITTI odometry: sequences/NN, poses/NN.txt", frozenset({POSES}), KittiWriter),
-    "mcap": WrittenFormat("ROS 2, one MCAP file", KINDS, partial(BagWriter, kind="mcap"), "drive.mcap"),
-    "db3": WrittenFormat("ROS 2, a folder with a database", KINDS, partial(BagWriter, kind="db3"), "drive"),
-    "bag": WrittenFormat("ROS 1, one file", KINDS, partial(BagWriter, kind="bag"), "drive.bag"),
+    "mcap": WrittenFormat("ROS 2, one MCAP file", KINDS, partial(BagWriter, kind="mcap"), _OF_BAGS, "drive.mcap"),
+    "db3": WrittenFormat("ROS 2, a folder with a database", KINDS, _DB3, _OF_BAGS, "drive"),
+    "bag": WrittenFormat("ROS 1, one file", KINDS, _ROS1, _OF_BAGS, "drive.bag"),
 }
 """Formats by name."""
 
@@ -186,7 +193,9 @@ def write_recording(
         if truths is not None:
             truths.close()
             texts = {f"settings/{one}": text for one, text in settings_files(suite, sequence.name, TOPICS).items()}
-            texts |= {} if about is None else {"README.md": readme(suite, sequence.name, about)}
+            if about is not None:
+                states = form.states if ahead[0].velocity is not None else ""
+                texts["README.md"] = readme(suite, sequence.name, {"Format": form.line, **about}, states)
             for one, text in texts.items():
                 write_text(unfinished / one, text)
     (unfinished / CLAIM).unlink(missing_ok=True)

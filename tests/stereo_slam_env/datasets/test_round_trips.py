@@ -285,7 +285,9 @@ def test_the_settings_beside_it_state_the_rig(tmp_path, format_name):
     place = place_of(tmp_path, format_name, full_drive(), about={"Seed": "7"})
     stated = read_calibration(place / "settings" / "kalibr" / "camchain.yaml")
     assert stated.camera.baseline == pytest.approx(CAMERA.baseline, abs=1e-12)
-    assert "Seed" in (place / "README.md").read_text()
+    page = (place / "README.md").read_text()
+    assert FORMATS[format_name].line in page
+    assert ("the velocity of B" in page) == (STATES in FORMATS[format_name].keeps)
 
 
 def test_evo_reads_the_truth(tmp_path):
