@@ -83,9 +83,7 @@ _OF_EUROC, _OF_BAGS = "`mav0/state_groundtruth_estimate0/data.csv`", f"`{TRUTH}`
 _DB3, _ROS1 = (partial(BagWriter, kind=kind) for kind in ("db3", "bag"))
 FORMATS: Mapping[str, WrittenFormat] = {
     "euroc": WrittenFormat("EuRoC's ASL folder, `mav0`", KINDS, AslWriter.euroc, _OF_EUROC),
-    "tum-vi": WrittenFormat(
-        "TUM-VI's folder: `mav0`, Kalibr's files in `dso`", KINDS - {STATES}, AslWriter.tum_vi
-    ),
+    "tum-vi": WrittenFormat("TUM-VI's folder: `mav0`, Kalibr's files in `dso`", KINDS - {STATES}, AslWriter.tum_vi),
     "kitti": WrittenFormat("KITTI odometry: sequences/NN, poses/NN.txt", frozenset({POSES}), KittiWriter),
     "mcap": WrittenFormat("ROS 2, one MCAP file", KINDS, partial(BagWriter, kind="mcap"), _OF_BAGS, "drive.mcap"),
     "db3": WrittenFormat("ROS 2, a folder with a database", KINDS, _DB3, _OF_BAGS, "drive"),
