@@ -149,11 +149,13 @@ class BagWriter:
         if self._suite.odometry is not None:
             covariance = self._suite.odometry
         if odometry is not None:
-            step, covariance = step_of(odometry, frame.dt), odometry.covariance
-            back, half = step.inverse(), rotations.exp(-0.5 * frame.dt * odometry.angular)
-            J = np.kron(np.eye(2), back.R_wc)
+            step, covariance, turn_c = step_of(odometry, frame.dt), odometry.covariance, frame.dt * odometry.angular
+            back, half = step.inverse(), rotations.exp(-0.5 * turn_c)
+            J, G = np.kron(np.eye(2), back.R_wc), np.zeros((6, 6))
             J[:3, 3:] = -back.R_wc @ rotations.skew(step.position)
-            G = frame.dt * np.block([[half, np.zeros((3, 3))], [np.zeros((3, 3)), half]])
+            of_turn = -0.5 * half @ rotations.skew(frame.dt * odometry.linear) @ rotations.right_jacobian(0.5 * turn_c)
+            G[:3, :3], G[:3, 3:], G[3:, 3:] = half, of_turn, rotations.right_jacobian(turn_c)
+            G *= frame.dt
             self._doubt = J @ self._doubt @ J.T + G @ covariance @ G.T
             velocity = R_bc @ odometry.linear, R_bc @ odometry.angular
         pose = T_BASE_CAMERA @ frame.driven @ T_BASE_CAMERA.inverse()
