@@ -48,7 +48,8 @@ def convert(
 ) -> None:
     """Write a recording in another format, or its tracks."""
     from stereo_slam_env.datasets import available_recordings, load, open_image_sequence
-    from stereo_slam_env.datasets.writing import KINDS, write_recording
+    from stereo_slam_env.datasets.writing import write_recording
+    from stereo_slam_env.datasets.written_frame import KINDS
     from stereo_slam_env.files.folders import require_writable
     from stereo_slam_env.recording.archive import save_recording
     from stereo_slam_env.report.console import progress_bar

@@ -144,7 +144,8 @@ def record_scene(
     beside them settings for Kalibr, OpenVINS, VINS-Fusion, ORB-SLAM3, Basalt and ROS. As ROUTE, 'flight' is a camera
     that is carried to and fro in six degrees of freedom. What was interrupted goes on with the same command.
     """
-    from stereo_slam_env.datasets.writing import FORMATS, STATES, STEPS, write_recording
+    from stereo_slam_env.datasets.writing import FORMATS, write_recording
+    from stereo_slam_env.datasets.written_frame import STATES, STEPS
     from stereo_slam_env.envs.recorder import RenderedDrive
     from stereo_slam_env.envs.rendered_flight import RenderedFlight
     from stereo_slam_env.files.folders import require_writable

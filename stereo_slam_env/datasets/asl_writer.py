@@ -17,7 +17,7 @@ import numpy as np
 from filters import Pose
 from stereo_slam_env.datasets.image_files import write_image
 from stereo_slam_env.datasets.settings_files import Topics, settings_files
-from stereo_slam_env.datasets.written_frame import IDENTITY, WrittenFrame, numbers
+from stereo_slam_env.datasets.written_frame import WrittenFrame, numbers
 from stereo_slam_env.files.folders import write_text
 from stereo_slam_env.sensing.sensor_suite import SensorSuite
 
@@ -33,7 +33,7 @@ _IMU = ", ".join(
     + [f"a_RS_S_{axis} [m s^-2]" for axis in "xyz"]
 )
 _LOWER = np.tril_indices(6)
-ODOMETRY_HEADER = ", ".join(
+_ODOMETRY = ", ".join(
     ["#timestamp [ns]", *(f"v_{axis} [m s^-1]" for axis in "xyz"), *(f"w_{axis} [rad s^-1]" for axis in "xyz")]
     + [f"P{i}{j}" for i, j in zip(*_LOWER, strict=True)]
 )
@@ -49,16 +49,6 @@ class AslWriter:
         for camera in ("cam0", "cam1"):
             (self._root / camera / "data").mkdir(parents=True, exist_ok=True)
             self._table(camera, "#timestamp [ns],filename")
-
-    @classmethod
-    def euroc(cls, folder: Path, suite: SensorSuite) -> AslWriter:
-        """Writer of EuRoC's layout."""
-        return cls(folder, suite, of_tum_vi=False)
-
-    @classmethod
-    def tum_vi(cls, folder: Path, suite: SensorSuite) -> AslWriter:
-        """Writer of TUM-VI's layout."""
-        return cls(folder, suite, of_tum_vi=True)
 
     def _table(self, name: str, header: str) -> IO[str]:
         """The open table of a sensor, with its header."""
@@ -83,7 +73,7 @@ class AslWriter:
             self._table("imu0", _IMU).write(f"{stamp},{numbers(values, ',')}\n")
         if (odometry := frame.pair.odometry) is not None:
             row = [*odometry.linear, *odometry.angular, *odometry.covariance[_LOWER]]
-            self._table("odom0", ODOMETRY_HEADER).write(f"{frame.stamp},{numbers(row, ',')}\n")
+            self._table("odom0", _ODOMETRY).write(f"{frame.stamp},{numbers(row, ',')}\n")
         if (pose := frame.T_ub) is not None:
             self._write_truth(frame, pose)
 
@@ -123,7 +113,7 @@ class AslWriter:
             for name, T_bs in (("cam0", suite.T_bc), ("cam1", suite.T_br))
         }
         if (unit := suite.unit) is not None and "imu0" in self._files:
-            sensors["imu0"] = _sensor("imu", IDENTITY) + (
+            sensors["imu0"] = _sensor("imu", Pose()) + (
                 f"rate_hz: {suite.imu_rate!r}\n"
                 f"gyroscope_noise_density: {unit.gyro_density!r}\ngyroscope_random_walk: {unit.gyro_walk!r}\n"
                 f"accelerometer_noise_density: {unit.accelerometer_density!r}\n"
@@ -132,7 +122,7 @@ class AslWriter:
         if "odom0" in self._files:
             sensors["odom0"] = _sensor("odometry", suite.T_bc)
         if "state_groundtruth_estimate0" in self._files:
-            sensors["state_groundtruth_estimate0"] = _sensor("visual-inertial", IDENTITY)
+            sensors["state_groundtruth_estimate0"] = _sensor("visual-inertial", Pose())
         return sensors
 
 

@@ -22,7 +22,7 @@ from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray
 from stereo_slam_env.datasets.bag_motion import NOISE, TRUTH
 from stereo_slam_env.datasets.image_files import png_of
-from stereo_slam_env.datasets.written_frame import IDENTITY, WrittenFrame, step_of
+from stereo_slam_env.datasets.written_frame import WrittenFrame, step_of
 from stereo_slam_env.recording.recording import GreyImage
 from stereo_slam_env.sensing.sensor_suite import T_BASE_CAMERA, SensorSuite
 
@@ -106,9 +106,7 @@ class BagWriter:
 
     def _write_rig(self, stamp: int) -> None:
         """Write static transforms and the noise of the unit."""
-        camera, unit = self._suite.camera, self._suite.unit
-        beside = Pose(np.array([camera.baseline, 0.0, 0.0]), IDENTITY.orientation)
-        links = [(BASE, LEFT, T_BASE_CAMERA), (LEFT, RIGHT, beside)]
+        unit, links = self._suite.unit, [(BASE, LEFT, T_BASE_CAMERA), (LEFT, RIGHT, self._suite.T_lr)]
         if unit is not None:
             links.append((BASE, UNIT, T_BASE_CAMERA @ Pose(unit.position, unit.orientation)))
             densities = unit.gyro_density, unit.accelerometer_density, unit.gyro_walk, unit.accelerometer_walk
@@ -219,7 +217,7 @@ class BagWriter:
         return self._new(
             "sensor_msgs/msg/Imu",
             header=self._header(stamp, UNIT),
-            orientation=self._quaternion(IDENTITY.orientation),
+            orientation=self._quaternion(Pose().orientation),
             orientation_covariance=unknown,
             angular_velocity=self._vector(values[:3]),
             angular_velocity_covariance=densities[0] ** 2 * rate * np.eye(3).reshape(-1),

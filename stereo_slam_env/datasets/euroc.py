@@ -27,13 +27,14 @@ from filters.geometry.arrays import FloatArray, IntArray
 from stereo_slam_env.datasets.layouts import reference_for
 from stereo_slam_env.datasets.restated import as_they_are, sample_of_files
 from stereo_slam_env.datasets.sequence import Choice, ImageFiles, RecordedSequence, known_poses
+from stereo_slam_env.datasets.written_frame import STATES
 from stereo_slam_env.files.opening import is_plain_name
 from stereo_slam_env.files.readers import finite_rows, read_text
 from stereo_slam_env.recording.inertial import samples_of_steps
 from stereo_slam_env.recording.recording import NO_REFERENCE
+from stereo_slam_env.sensing.imu import GRAVITY
 from stereo_slam_env.sensing.lenses import Rectification
 from stereo_slam_env.sensing.rig_files import body_of_camera, imu_shift, noise_of_unit, read_calibration
-from stereo_slam_env.sensing.sensor_suite import STANDARD_GRAVITY
 
 NAME = "euroc"
 _IN_MAV0 = tuple(f"mav0/{camera}/{name}" for camera in ("cam0", "cam1") for name in ("data.csv", "sensor.yaml"))
@@ -47,8 +48,6 @@ _INERTIAL, _UNIT, _ODOMETRY = "imu0", "dso/imu_config.yaml", "odom0"
 _LOWER = np.tril_indices(6)
 _POSE_ONLY = 7
 """Commas in a row of poses alone."""
-STATES_OF_TRUTH = frozenset({"true velocities and biases"})
-"""What the tables of truth have beside poses, which `evaluate` reads."""
 TRUTHS = ("state_groundtruth_estimate0", "mocap0")
 STATED = "The poses of {}, interpolated and carried over to the rectified left camera."
 LARGEST_TRUTH_GAP_NS = 100_000_000
@@ -112,8 +111,8 @@ def open_sequence(path: Path, choice: Choice, *, use_truth: bool = True) -> Reco
     )
     origin = None if truth is None else truth[sequence.frame_numbers[0]]
     if origin is not None:  # its world has z up
-        sequence.gravity = tuple((origin.R_wc.T @ [0.0, 0.0, -STANDARD_GRAVITY]).tolist())
-        sequence.not_read = STATES_OF_TRUTH if _has_states(table) else frozenset()
+        sequence.gravity = tuple((origin.R_wc.T @ [0.0, 0.0, -GRAVITY]).tolist())
+        sequence.not_read = frozenset({STATES}) if _has_states(table) else frozenset()
     return sequence
 
 

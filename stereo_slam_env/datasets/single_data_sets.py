@@ -30,6 +30,7 @@ from stereo_slam_env.files.opening import is_there, require_inside
 from stereo_slam_env.files.readers import finite_rows, read_archive, read_poses, read_table, split_poses
 from stereo_slam_env.recording.inertial import samples_of_steps
 from stereo_slam_env.recording.recording import LandmarkTruth, Recording, Reference
+from stereo_slam_env.recording.trajectory_transforms import OPTICAL_TO_BASE
 from stereo_slam_env.sensing.projections import projections
 
 _log = logging.getLogger(__name__)
@@ -321,7 +322,7 @@ def _calibration(path: Path) -> Path:
     return require_inside(files[0], path.parent)
 
 
-R_CI = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+R_CI = OPTICAL_TO_BASE.T.copy()
 """Takes vectors of a unit (x forward, y left, z up) to a camera aligned with it (x right, y down, z forward)."""
 P_I = np.array([1.1, -0.3, 0.7])
 """Camera of KITTI 06 in the IMU frame (m), to some centimetres and a degree: far below the noise of the odometry."""

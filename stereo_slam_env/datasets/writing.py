@@ -24,7 +24,16 @@ from stereo_slam_env.datasets.bag_motion import TRUTH
 from stereo_slam_env.datasets.bag_writer import BIAS, IMU, LEFT_IMAGES, ODOMETRY, RIGHT_IMAGES, BagWriter
 from stereo_slam_env.datasets.kitti_odometry import KittiWriter, poses_file
 from stereo_slam_env.datasets.settings_files import Topics, readme, settings_files
-from stereo_slam_env.datasets.written_frame import TrueTrajectories, WrittenFrame, frames_of
+from stereo_slam_env.datasets.written_frame import (
+    INERTIAL,
+    KINDS,
+    POSES,
+    STATES,
+    STEPS,
+    TrueTrajectories,
+    WrittenFrame,
+    frames_of,
+)
 from stereo_slam_env.files.folders import CLAIM, claimed_folder, json_text, write_text
 from stereo_slam_env.files.readers import read_json
 from stereo_slam_env.recording.recording import ImageSequence, StereoPair
@@ -37,7 +46,6 @@ PARTIAL = ".partial"
 _SOURCE = "source.json"
 _FILES = (".mcap", ".bag")
 """Endings of drives that are one file."""
-INERTIAL, STEPS, POSES, STATES = "inertial samples", "odometry", "true poses", "true velocities and biases"
 TOPICS = Topics(
     f"{LEFT_IMAGES}/image_rect",
     f"{RIGHT_IMAGES}/image_rect",
@@ -46,8 +54,6 @@ TOPICS = Topics(
     IMU,
     ODOMETRY,
 )
-KINDS = frozenset({INERTIAL, STEPS, POSES, STATES})
-"""Data that a recording may have beside images."""
 
 
 class FrameWriter(Protocol):
@@ -80,10 +86,11 @@ class WrittenFormat:
 
 
 _OF_EUROC, _OF_BAGS = "`mav0/state_groundtruth_estimate0/data.csv`", f"`{TRUTH}` and `{BIAS}` of the bag"
+_TUM_VI = partial(AslWriter, of_tum_vi=True)
 _DB3, _ROS1 = (partial(BagWriter, kind=kind) for kind in ("db3", "bag"))
 FORMATS: Mapping[str, WrittenFormat] = {
-    "euroc": WrittenFormat("EuRoC's ASL folder, `mav0`", KINDS, AslWriter.euroc, _OF_EUROC),
-    "tum-vi": WrittenFormat("TUM-VI's folder: `mav0`, Kalibr's files in `dso`", KINDS - {STATES}, AslWriter.tum_vi),
+    "euroc": WrittenFormat("EuRoC's ASL folder, `mav0`", KINDS, partial(AslWriter, of_tum_vi=False), _OF_EUROC),
+    "tum-vi": WrittenFormat("TUM-VI's folder: `mav0`, Kalibr's files in `dso`", KINDS - {STATES}, _TUM_VI),
     "kitti": WrittenFormat("KITTI odometry: sequences/NN, poses/NN.txt", frozenset({POSES}), KittiWriter),
     "mcap": WrittenFormat("ROS 2, one MCAP file", KINDS, partial(BagWriter, kind="mcap"), _OF_BAGS, "drive.mcap"),
     "db3": WrittenFormat("ROS 2, a folder with a database", KINDS, _DB3, _OF_BAGS, "drive"),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +16,9 @@ from stereo_slam_env.recording.inertial import InertialRows
 from stereo_slam_env.recording.recording import StereoPair
 from stereo_slam_env.sensing.sensor_suite import SensorSuite
 
-IDENTITY = Pose(np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]))
+INERTIAL, STEPS, POSES, STATES = "inertial samples", "odometry", "true poses", "true velocities and biases"
+KINDS = frozenset({INERTIAL, STEPS, POSES, STATES})
+"""Data that a recording may have beside images."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,27 +62,20 @@ class WrittenFrame:
 
 def frames_of(pairs: Iterable[StereoPair], suite: SensorSuite, epoch: int) -> Iterator[WrittenFrame]:
     """The pairs, whose times count from `epoch`, ns; a row whose period a frame cuts comes with the next one."""
-    rows, driven, before, shift = InertialRows(), IDENTITY, epoch, round(1e9 * suite.time_offset)
-    waiting: tuple[int, int, StereoPair, list[tuple[int, FloatArray]], float, Pose] | None = None
+    rows, driven, before, shift = InertialRows(), Pose(), epoch, round(1e9 * suite.time_offset)
+    frame: WrittenFrame | None = None
     for number, pair in enumerate(pairs):
-        if waiting is not None:
-            yield _frame(waiting, suite, shift)
+        if frame is not None:
+            yield frame
         stamp = epoch + round(1e9 * pair.timestamp)
         dt = 1e-9 * (stamp - before)
         if pair.odometry is not None:
             driven = driven @ step_of(pair.odometry, dt)
-        waiting = number, stamp, pair, rows.of_step(before, pair.inertial) if number else [], dt, driven
+        come = rows.of_step(before, pair.inertial) if number else []
+        frame = WrittenFrame(number, stamp, pair, [(t + shift, values) for t, values in come], suite, dt, driven)
         before = stamp
-    if waiting is not None:
-        waiting[3].extend(rows.rest())
-        yield _frame(waiting, suite, shift)
-
-
-def _frame(
-    waiting: tuple[int, int, StereoPair, list[tuple[int, FloatArray]], float, Pose], suite: SensorSuite, shift: int
-) -> WrittenFrame:
-    number, stamp, pair, rows, dt, driven = waiting
-    return WrittenFrame(number, stamp, pair, [(t + shift, values) for t, values in rows], suite, dt, driven)
+    if frame is not None:
+        yield replace(frame, rows=[*frame.rows, *((t + shift, values) for t, values in rows.rest())])
 
 
 def step_of(odometry: BodyVelocity, dt: float) -> Pose:

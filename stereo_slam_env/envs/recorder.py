@@ -115,10 +115,8 @@ def record_measurements(
         )
     measured.require_inside(drive.camera)
     measured.reset()
-    options = replace(drive.options, render_images=True)
-    active, taken = np.ones(1, dtype=np.bool_), []
-    with closing(CoreRows(options, 1)) as rows:
-        rows.reset(active, [seed], {})
+    taken = []
+    with closing(drive.rows(draws=True)) as rows:
         sensor = rows.new_image_sensor(0, measured)
         for number in range(1, measured.pairs + 1):
             frame = rows.frame(0)
@@ -126,8 +124,8 @@ def record_measurements(
             if progress is not None:
                 progress(number, measured.pairs)
             if number < measured.pairs:
-                rows.step(np.zeros((1, 2)), active)
-    images = replace(options, sensor="images")
+                rows.step(np.zeros((1, 2)), np.ones(1, dtype=np.bool_))
+    images = replace(drive.options, sensor="images")
     return _recording(images, seed, taken, drive.camera, TYPICAL_NOISE, drive.start, sensor.landmarks, drive.source)
 
 
@@ -197,7 +195,7 @@ class RenderedDrive:
         arguments = {**(env_kwargs or {}), "policy": "route", "sensor": "landmarks", "render_images": False}
         self.options = options = DriveOptions.checked({**arguments, "max_landmarks": 1, "refill_below": None})
         self._seed = seed
-        with closing(self._rows(draws=False)) as rows:
+        with closing(self.rows(draws=False)) as rows:
             self.start, self._count = rows.start(0), rows.route.frames
         if frames is not None and not 1 <= frames <= self._count:
             raise ValueError(f"frames must be from 1 to {self._count} on route {options.route!r}, got {frames}")
@@ -214,7 +212,7 @@ class RenderedDrive:
     def __len__(self) -> int:
         return self._count
 
-    def _rows(self, *, draws: bool) -> CoreRows:
+    def rows(self, *, draws: bool) -> CoreRows:
         """The simulator at the beginning of the drive."""
         rows = CoreRows(self.options, 1, draws=draws)
         rows.reset(np.ones(1, dtype=np.bool_), [self._seed], {})
@@ -222,7 +220,7 @@ class RenderedDrive:
 
     def pairs(self, is_drawn: Callable[[int, float], bool] = lambda number, time: True) -> Iterator[StereoPair]:
         """The pairs in time order; those whose number and time, s, are not to be drawn have images of no size."""
-        with closing(self._rows(draws=True)) as rows:
+        with closing(self.rows(draws=True)) as rows:
             one, nothing = np.ones(1, dtype=np.bool_), np.zeros((1, 2))
             for number in range(self._count):
                 if number:

@@ -68,8 +68,8 @@ class RenderedFlight:
         self.name = f"{options.surroundings}-flight-{seed}"
         self.truth_from: Reference = SIMULATION
         self.skipped: Mapping[str, int] = {}
-        level = self._path()
-        self._origin, self._R_0 = (ends[0] for ends in level(np.zeros(1)))
+        self._path = flown_path(np.random.default_rng([seed, 0]))
+        self._origin, self._R_0 = (ends[0] for ends in self._path(np.zeros(1)))
         self.gravity: FloatArray = GRAVITY * self._R_0.inv().apply(_DOWN)
         """Acceleration of a body that falls, in W, m/s^2."""
         velocity = velocity_on(self._in_w, 0.0)
@@ -77,12 +77,9 @@ class RenderedFlight:
         about = {**described(options, seed), "flight": {"rate": self.rate, "imu_rate": self.imu_rate}}
         self.source: Mapping[str, Any] = {**about, "frames": self._count}
 
-    def _path(self) -> Callable[[FloatArray], tuple[FloatArray, Rotation]]:
-        return flown_path(np.random.default_rng([self._seed, 0]))
-
     def _in_w(self, t: FloatArray) -> tuple[FloatArray, Rotation]:
         """The path in W, the first camera."""
-        positions, R = self._path()(t)
+        positions, R = self._path(t)
         return self._R_0.inv().apply(positions - self._origin), self._R_0.inv() * R
 
     def __len__(self) -> int:
@@ -103,7 +100,7 @@ class RenderedFlight:
             pictures.build(scene.scene, np.random.default_rng([self._seed, 2]))
             for number, (t, (samples, biases)) in enumerate(zip(times.tolist(), measured, strict=True)):
                 grey_images = NOT_DRAWN, NOT_DRAWN
-                (position,), (turn,) = self._path()(np.array([t]))
+                (position,), (turn,) = self._path(np.array([t]))
                 if is_drawn(number, t):
                     pictures.set_frame(number)
                     images = pictures.images(Pose(position, turn.as_quat()))

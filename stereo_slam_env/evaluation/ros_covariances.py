@@ -18,10 +18,8 @@ from stereo_slam_env.evaluation.windows import motion_covariances, motions
 from stereo_slam_env.files.folders import write_text
 from stereo_slam_env.recording.recording import adjoints, distances
 from stereo_slam_env.recording.trajectory import Trajectory, transformed
-from stereo_slam_env.recording.trajectory_transforms import in_fixed_axes
+from stereo_slam_env.recording.trajectory_transforms import OPTICAL_TO_BASE, in_fixed_axes
 
-OPTICAL_TO_BASE = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-"""R that takes vectors of x right, y down, z forward to those of x forward, y left, z up (REP 103)."""
 GROWTH_SECONDS = (1.0, 10.0, 100.0)
 """Times after the start at which the covariance of the pose is stated, beside the end, s."""
 _USUAL = 0.1

@@ -22,6 +22,8 @@ from filters.geometry.arrays import BoolArray, FloatArray
 from filters.motions.motion_model import POSE_SIZE, ROTATION
 from stereo_slam_env.recording.trajectory import Trajectory, transformed
 
+OPTICAL_TO_BASE = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+"""R that takes vectors of x right, y down, z forward to those of x forward, y left, z up (REP 103)."""
 _SHOWN = 8
 """Pairs of frames that a message lists."""
 

@@ -15,11 +15,10 @@ from filters import InertialUnit, Pose, StereoCamera
 from filters.contract.validation import finite_array, positive
 from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray
+from stereo_slam_env.recording.trajectory_transforms import OPTICAL_TO_BASE
+from stereo_slam_env.sensing.imu import GRAVITY
 
-STANDARD_GRAVITY = 9.81
-"""m/s^2, of the simulation."""
-_FORWARD_LEFT_UP = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-T_BASE_CAMERA = Pose(np.zeros(3), rotations.from_matrix(_FORWARD_LEFT_UP))
+T_BASE_CAMERA = Pose(orientation=rotations.from_matrix(OPTICAL_TO_BASE))
 """Pose of C0 in a frame at the same place with x forward, y left and z up."""
 
 
@@ -43,7 +42,7 @@ class SensorSuite:
     """Samples a second, Hz."""
     time_offset: float = 0.0
     """Stamps of the unit less those of the cameras for one instant, s (Kalibr's `timeshift_cam_imu`)."""
-    gravity: tuple[float, float, float] = (0.0, STANDARD_GRAVITY, 0.0)
+    gravity: tuple[float, float, float] = (0.0, GRAVITY, 0.0)
     """Acceleration of a body that falls, in W, m/s^2."""
     odometry: FloatArray | None = None
     """Covariance (6, 6) of mean velocities of C0 over a step, linear before angular; None: no wheels."""
@@ -61,9 +60,14 @@ class SensorSuite:
         return Pose(self.unit.position, self.unit.orientation).inverse()
 
     @property
+    def T_lr(self) -> Pose:
+        """Pose of C1 in C0."""
+        return Pose(np.array([self.camera.baseline, 0.0, 0.0]))
+
+    @property
     def T_br(self) -> Pose:
         """Pose of C1 in B."""
-        return self.T_bc @ Pose(np.array([self.camera.baseline, 0.0, 0.0]), np.array([0.0, 0.0, 0.0, 1.0]))
+        return self.T_bc @ self.T_lr
 
     @property
     def T_uw(self) -> Pose:
@@ -72,4 +76,4 @@ class SensorSuite:
         forward = np.array([0.0, 0.0, 1.0])
         x = forward - (forward @ up) * up
         x /= np.linalg.norm(x)
-        return Pose(np.zeros(3), rotations.from_matrix(np.vstack([x, np.cross(up, x), up])))
+        return Pose(orientation=rotations.from_matrix(np.vstack([x, np.cross(up, x), up])))

@@ -15,7 +15,7 @@ from stereo_slam_env.benchmark import run_benchmark
 from stereo_slam_env.benchmark.recordings.reference_problem import long_drive, short_turn
 from stereo_slam_env.benchmark.scenarios.study import study_from
 from stereo_slam_env.datasets import open_image_sequence, write_recording
-from stereo_slam_env.datasets.writing import KINDS
+from stereo_slam_env.datasets.written_frame import KINDS
 from stereo_slam_env.envs.recorder import RenderedDrive
 from stereo_slam_env.evaluation import run_filter
 from stereo_slam_env.rendering.renderers import make_renderer

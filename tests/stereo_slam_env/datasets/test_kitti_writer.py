@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from stereo_slam_env.datasets import open_image_sequence, write_recording
-from stereo_slam_env.datasets.writing import KINDS
+from stereo_slam_env.datasets.written_frame import KINDS
 from stereo_slam_env.files.readers import read_table
 
 from .small_image_folders import CAMERA, FRAMES, Drive, drive

@@ -12,7 +12,7 @@ import pytest
 from filters import BodyVelocity, InertialSamples, InertialUnit, Pose
 from filters.geometry import rotations
 from stereo_slam_env.datasets import FORMATS, open_image_sequence, write_recording
-from stereo_slam_env.datasets.writing import KINDS
+from stereo_slam_env.datasets.written_frame import KINDS
 from stereo_slam_env.recording.recording import Velocity
 from stereo_slam_env.recording.trajectory_files import load_trajectory
 from stereo_slam_env.sensing.rig_files import read_calibration

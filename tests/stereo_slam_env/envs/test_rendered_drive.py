@@ -8,7 +8,7 @@ import pytest
 
 from filters import StereoNoise, make_filter
 from stereo_slam_env.datasets import load, open_for_front_end, write_recording
-from stereo_slam_env.datasets.writing import KINDS
+from stereo_slam_env.datasets.written_frame import KINDS
 from stereo_slam_env.envs.drive import StereoDriveEnv
 from stereo_slam_env.envs.recorder import RenderedDrive
 from stereo_slam_env.frontend.settings import TrackerSettings
