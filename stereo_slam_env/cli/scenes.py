@@ -155,6 +155,9 @@ def record_scene(
     is_flight = scene["route"] == "flight"
     if rate is not None and not is_flight:
         raise ValueError(f"--rate needs the route 'flight', got {scene['route']!r}: a drive has 10 pairs a second")
+    for option, value in (("--imu-offset", imu_offset), ("--scale-errors", scale_errors)):
+        if value and imu is None:
+            raise ValueError(f"{option} is of an inertial unit: give --imu, too")
     arguments = {**scene, "imu": imu, "imu_calibrated": not scale_errors}
     arguments["vehicle"] = vehicle or ("smooth" if imu is not None else "kinematic")
     if is_flight:

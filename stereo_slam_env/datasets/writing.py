@@ -123,7 +123,7 @@ def write_recording(
     format_name : str, optional
         One of `FORMATS`; None: by the ending, else "kitti".
     name : str
-        Of a KITTI sequence, two digits in the benchmark.
+        Of a KITTI sequence, two digits in the benchmark; other formats have none.
     time_offset : float
         Added to the stamps of the inertial unit, s.
     compressed : bool
@@ -209,6 +209,8 @@ def write_recording(
 
 def _place(out: Path, format_name: str, name: str) -> Path:
     if format_name != "kitti":
+        if name != "00":
+            raise ValueError(f"name {name!r} is of a KITTI sequence: leave it out of the format {format_name}")
         return out
     if not name or Path(name).name != name or name.startswith("."):
         raise ValueError(f"name must be a plain folder name such as '00', got {name!r}")

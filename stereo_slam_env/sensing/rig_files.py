@@ -43,7 +43,7 @@ from stereo_slam_env.sensing.projections import (
 
 Calibration = StereoCamera | Rectification
 """A rig whose images are rectified, or how raw ones are."""
-_LARGEST_SHIFT = 10.0
+LARGEST_SHIFT = 10.0
 """Of the clocks of a camera and an inertial unit, s."""
 ENDINGS = (".txt", ".yaml", ".yml", ".json")
 _PARTNERS = (("cam0", "cam1"), ("left", "right"), ("Left", "Right"), ("intrinsics", "extrinsics"), ("infra1", "infra2"))
@@ -142,7 +142,7 @@ def imu_shift(path: str | Path) -> float:
     if not isinstance(camera, dict) or "timeshift_cam_imu" not in camera:
         return 0.0
     shift = float(numbers_of(file, camera, "timeshift_cam_imu", 1)[0])
-    if abs(shift) > _LARGEST_SHIFT:
+    if abs(shift) > LARGEST_SHIFT:
         raise ValueError(f"{file}: timeshift_cam_imu is {shift:g} s: seconds are expected, is it in ms or ns?")
     return shift
 

@@ -17,6 +17,7 @@ from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray
 from stereo_slam_env.recording.trajectory_transforms import OPTICAL_TO_BASE
 from stereo_slam_env.sensing.imu import GRAVITY
+from stereo_slam_env.sensing.rig_files import LARGEST_SHIFT
 
 T_BASE_CAMERA = Pose(orientation=rotations.from_matrix(OPTICAL_TO_BASE))
 """Pose of C0 in a frame at the same place with x forward, y left and z up."""
@@ -29,7 +30,7 @@ class SensorSuite:
     Raises
     ------
     ValueError
-        A rate that is not above 0, or gravity that is no vector.
+        A rate that is not above 0, gravity that is no vector, clocks that are too far apart.
     """
 
     camera: StereoCamera
@@ -51,6 +52,10 @@ class SensorSuite:
         positive("rate", self.rate)
         positive("imu_rate", self.imu_rate)
         finite_array("gravity", self.gravity, (3,))
+        if not abs(self.time_offset) <= LARGEST_SHIFT:
+            raise ValueError(
+                f"time_offset must be from -{LARGEST_SHIFT:g} to {LARGEST_SHIFT:g} s, got {self.time_offset}"
+            )
 
     @property
     def T_bc(self) -> Pose:

@@ -73,6 +73,13 @@ def test_a_unit_with_errors_of_scale_says_so(tmp_path):
         (["--imu", "mpu6050"], "imu has no data sheet 'mpu6050'"),
         (["--format", "rosbag3"], "there is no format 'rosbag3', did you mean 'bag'"),
         (["--rate", "30"], "--rate needs the route 'flight', got 'right-turn': a drive has 10 pairs a second"),
+        (["--imu-offset", "0.01"], "--imu-offset is of an inertial unit: give --imu, too"),
+        (["--scale-errors"], "--scale-errors is of an inertial unit: give --imu, too"),
+        (["--format", "euroc", "--name", "07"], "name '07' is of a KITTI sequence: leave it out of the format euroc"),
+        *(
+            (["--format", "euroc", "--imu", "car", "--imu-offset", text], "time_offset must be from -10 to 10 s, got")
+            for text in ("nan", "inf", "-11", "1e9")
+        ),
         (["--compressed"], "compressed must be left out of the format kitti"),
         (["--imu", "bmi088", "--vehicle", "kinematic"], "imu must be None with vehicle='kinematic'"),
     ],
