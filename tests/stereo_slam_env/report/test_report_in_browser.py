@@ -112,27 +112,27 @@ def test_colours_follow_the_page_from_light_to_dark(visit):
 
 
 def test_the_wheel_scrolls_the_page_and_with_ctrl_it_zooms(visit):
-    chart = visit.page.locator("#figure-velocity .chart")
-    chart.scroll_into_view_if_needed()
-    box = chart.bounding_box()
     domain = "JSON.stringify(document.querySelector('#figure-velocity').view.signal('zoom_0'))"
-    visit.page.mouse.move(box["x"] + 0.5 * box["width"], box["y"] + 40)
-    before = visit.value("scrollY")
-    turn_the_wheel_until(visit.page, 60, f"scrollY !== {before}")
+    turn_the_wheel_on_the_first_panel_until(visit, 60, "scrollY !== window.placed")
     assert visit.value(domain) == "{}"
     visit.page.keyboard.down("Control")
-    turn_the_wheel_until(visit.page, -60, f"{domain} !== '{{}}'")
+    turn_the_wheel_on_the_first_panel_until(visit, -60, f"{domain} !== '{{}}'")
     visit.page.keyboard.up("Control")
 
 
-def turn_the_wheel_until(page, step, condition):
-    """Step by step, since a browser on a busy machine loses one."""
+def turn_the_wheel_on_the_first_panel_until(visit, step, condition):
+    """Step by step, the pointer put there anew each time: a busy browser loses steps, or scrolls late."""
     from playwright.sync_api import TimeoutError as TooLate
 
+    chart = visit.page.locator("#figure-velocity .chart")
     for _ in range(30):
-        page.mouse.wheel(0, step)
+        visit.value("document.querySelector('#figure-velocity').scrollIntoView({block: 'center', behavior: 'instant'})")
+        visit.value("window.placed = scrollY")
+        box = chart.bounding_box()
+        visit.page.mouse.move(box["x"] + 0.5 * box["width"], box["y"] + 40)
+        visit.page.mouse.wheel(0, step)
         try:
-            page.wait_for_function(condition, timeout=2000)
+            visit.page.wait_for_function(condition, timeout=2000)
         except TooLate:
             continue
         return
