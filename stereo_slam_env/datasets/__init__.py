@@ -14,6 +14,7 @@ from typing import Any
 from filters.contract.noise import ColouredNoise
 from filters.contract.validation import require_known
 from stereo_slam_env.datasets.bag_images import grey_of
+from stereo_slam_env.datasets.bag_motion import TRUTH
 from stereo_slam_env.datasets.image_files import BrokenPair
 from stereo_slam_env.datasets.layouts import (
     FolderLayout,
@@ -209,7 +210,7 @@ def open_image_sequence(
     if truth is not None:
         sequence = WithTruth(sequence, str(truth), None if body is None else read_body(Path(body)))
     elif (stated := getattr(sequence, "stated_truth", None)) is not None:
-        sequence = WithTruth(sequence, *stated)
+        sequence = WithTruth(sequence, f"{folder}:{TRUTH}", stated.T_bc, (stated.trajectory, stated.motion))
     return sequence
 
 

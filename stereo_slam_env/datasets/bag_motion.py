@@ -13,12 +13,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from filters import BodyVelocity, InertialSamples, InertialUnit, Pose
 from filters.contract.validation import plain
 from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray
-from stereo_slam_env.datasets.restated import pose_at
+from stereo_slam_env.datasets.restated import TrueMotion, pose_at
+from stereo_slam_env.datasets.written_frame import INERTIAL, STEPS
 from stereo_slam_env.recording.inertial import samples_of_steps
 from stereo_slam_env.recording.trajectory import Trajectory
 from stereo_slam_env.recording.trajectory_bags import transforms_of
@@ -39,6 +41,8 @@ _SAME_NOISE = 0.01
 _NUMBERS = "std_msgs/msg/Float64MultiArray"
 TRUTH = "/ground_truth"
 """Topic of an odometry of true poses."""
+BIAS, _BIAS_KIND = f"{TRUTH}/imu_bias", "geometry_msgs/msg/AccelStamped"
+"""Topic of the true biases, gyros angular, accelerometers linear."""
 NOISE = "noise"
 """Name of a topic beside that of a unit: densities of gyros and accelerometers, their walks."""
 
@@ -65,6 +69,8 @@ class BagMotion:
     """(N, 6, 6): covariances of the camera's velocity at the poses of the odometry, linear before angular."""
     source: Mapping[str, Any]
     """Topics, and whose noise was assumed."""
+    not_read: Mapping[str, str]
+    """Topics of other units and odometries, and their kinds."""
 
     def step(self, begin: float, end: float) -> BodyVelocity | None:
         """The mean velocity of the camera between two times, s; None where the odometry does not cover them."""
@@ -113,27 +119,60 @@ def motion_of_bag(
         if topic is not None and kinds.get(topic) != kind:
             offered = ", ".join(plain(name) for name, one in sorted(kinds.items()) if one == kind) or "none"
             raise ValueError(f"{path} has no {kind} on {topic!r}: {option} must be one of its topics ({offered})")
+    known = {IMU: INERTIAL, ODOMETRY: STEPS}
+    left = {
+        topic: known[kind] for topic, kind in kinds.items() if kind in known and topic not in (imu, odometry, TRUTH)
+    }
     units = [topic for topic, kind in kinds.items() if kind == IMU] if imu is None else [imu]
     mounting = _Mounting(reader, path, images, R_left) if units or odometry is not None else None
     inertial, source = list[InertialSamples | None](), dict[str, Any]()
     if mounting is not None and (imu is not None or len(units) == 1):
         inertial, source = _inertial(reader, mounting, units[0], clock, asked=imu is not None)
+        if inertial:
+            left.pop(units[0], None)
     if mounting is None or odometry is None:
-        return BagMotion(inertial, None, np.zeros((0, 6, 6)), source)
+        return BagMotion(inertial, None, np.zeros((0, 6, 6)), source, left)
     poses, twists = _odometry(reader, mounting, odometry, clock.origin)
-    return BagMotion(inertial, poses, twists, {**source, "odometry": odometry})
+    return BagMotion(inertial, poses, twists, {**source, "odometry": odometry}, left)
 
 
-def truth_of_bag(reader: Any, path: Path, images: str) -> Pose | None:
-    """Pose of the left camera, as it is mounted, in the body whose true poses are on `TRUTH`; None without those."""
+@dataclass(frozen=True, eq=False)
+class StatedTruth:
+    """True poses, velocities and biases that a bag has on `TRUTH`, in a world with z up, at times since 1970."""
+
+    trajectory: Trajectory
+    motion: TrueMotion
+    T_bc: Pose
+    """Left camera, as it is mounted, in the body."""
+
+
+def truth_of_bag(reader: Any, path: Path, images: str) -> StatedTruth | None:
+    """Read the truth that a bag states; None without it, or where no transform links its body with the camera."""
     if TRUTH not in {c.topic for c in reader.connections if c.msgtype == ODOMETRY}:
         return None
     try:
         mounting = _Mounting(reader, path, images, np.eye(3))
-        return mounting.camera_in(_first(reader, TRUTH).child_frame_id)
+        body, table, twists, _ = _odometry_rows(reader, TRUTH)
+        T_bc = mounting.camera_in(body)
+        trajectory = Trajectory(table[:, 1:4], table[:, 4:8], table[:, 0], gauge=None)
+        linear = Rotation.from_quat(table[:, 4:8]).apply(twists[:, :3])
     except ValueError as error:
         log.warning("%s: no truth is taken from %s: %s", path, TRUTH, error)
         return None
+    if not twists.any():  # zeros throughout fill a place
+        linear = np.full_like(linear, np.nan)
+    return StatedTruth(trajectory, TrueMotion(table[:, 0], linear, twists[:, 3:], _biases(reader, table[:, 0])), T_bc)
+
+
+def _biases(reader: Any, times: FloatArray) -> FloatArray | None:
+    """True biases (K, 6) on `BIAS` at the times, s; None without, NaN where there is none."""
+    if BIAS not in {c.topic for c in reader.connections if c.msgtype == _BIAS_KIND}:
+        return None
+    at, rows = {time: k for k, time in enumerate(times.tolist())}, np.full((len(times), 6), np.nan)
+    for stamp, message in _messages(reader, BIAS):
+        if (k := at.get(1e-9 * stamp)) is not None:
+            rows[k] = *_vector(message.accel.angular), *_vector(message.accel.linear)
+    return rows
 
 
 class _Mounting:
@@ -200,20 +239,28 @@ def _noise_beside(reader: Any, topic: str) -> list[float] | None:
     return None
 
 
-def _odometry(reader: Any, mounting: _Mounting, topic: str, origin: int) -> tuple[Trajectory, FloatArray]:
-    """Poses of the camera, and covariances of its velocity: those of the twists, carried from the body to it."""
-    rows, doubts, body = [], [], ""
+def _odometry_rows(reader: Any, topic: str, origin: int = 0) -> tuple[str, FloatArray, FloatArray, FloatArray]:
+    """Frame of the body, rows (K, 8), time since `origin` and pose, twists (K, 6) and their covariances, in order."""
+    rows, twists, doubts, body = [], [], [], ""
     for stamp, message in _messages(reader, topic):
-        p, q = message.pose.pose.position, message.pose.pose.orientation
+        p, q, twist = message.pose.pose.position, message.pose.pose.orientation, message.twist.twist
         rows.append([1e-9 * (stamp - origin), p.x, p.y, p.z, q.x, q.y, q.z, q.w])
+        twists.append([*_vector(twist.linear), *_vector(twist.angular)])
         doubts.append(np.asarray(message.twist.covariance).reshape(6, 6))
         body = message.child_frame_id
     table = np.array(rows).reshape(-1, 8)
     order = np.unique(table[:, 0], return_index=True)[1]
-    table = table[order]
-    if len(table) < 2:
-        raise ValueError(f"{mounting.path}: {topic} has {len(table)} messages: record it again")
-    covariances = np.array(doubts)[order]
+    if len(order) < 2:
+        raise ValueError(f"{topic} has {len(order)} messages: record it again")
+    return body, table[order], np.array(twists)[order], np.array(doubts)[order]
+
+
+def _odometry(reader: Any, mounting: _Mounting, topic: str, origin: int) -> tuple[Trajectory, FloatArray]:
+    """Poses of the camera, and covariances of its velocity: those of the twists, carried from the body to it."""
+    try:
+        body, table, _, covariances = _odometry_rows(reader, topic, origin)
+    except ValueError as error:
+        raise ValueError(f"{mounting.path}: {error}") from error
     if not np.median(covariances, axis=0).any():
         said = f"{topic} states no covariance of its twist, so that nobody knows what it is worth"
         raise ValueError(f"{mounting.path}: {said}: have the driver state one, or leave it out")

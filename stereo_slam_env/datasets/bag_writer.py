@@ -20,14 +20,14 @@ from filters import Pose
 from filters.contract.extras import require_module
 from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray
-from stereo_slam_env.datasets.bag_motion import NOISE, TRUTH
+from stereo_slam_env.datasets.bag_motion import BIAS, NOISE, TRUTH
 from stereo_slam_env.datasets.image_files import png_of
 from stereo_slam_env.datasets.written_frame import WrittenFrame, step_of
 from stereo_slam_env.recording.recording import GreyImage
 from stereo_slam_env.sensing.sensor_suite import T_BASE_CAMERA, SensorSuite
 
 LEFT_IMAGES, RIGHT_IMAGES = "/stereo/left", "/stereo/right"
-IMU, ODOMETRY, BIAS, STATIC = "/imu/data", "/wheel/odometry", f"{TRUTH}/imu_bias", "/tf_static"
+IMU, ODOMETRY, STATIC = "/imu/data", "/wheel/odometry", "/tf_static"
 WORLD, LEFT, RIGHT, UNIT, BASE, ODOM = "world", "left_camera", "right_camera", "imu_link", "base_link", "odom"
 
 _TRANSFORMS = "tf2_msgs/msg/TFMessage"

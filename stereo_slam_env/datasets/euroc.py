@@ -4,9 +4,10 @@
 and `sensor.yaml`: T_BS, which takes points of the camera to the body, the resolution, pinhole intrinsics (fu, fv, cu,
 cv) and a distortion, radial-tangential or equidistant. TUM-VI has Kalibr's `dso/camchain.yaml` instead. Truth is
 `mav0/state_groundtruth_estimate0/data.csv`, of TUM-VI `mav0/mocap0/data.csv`: timestamp in ns, position and quaternion
-(w first) of the body in its own world, and more columns that are not used. Inertial samples are `mav0/imu0/data.csv`:
-timestamp in ns, angular rates, specific forces; the unit is that of `sensor.yaml` there (T_BS, densities of the noise),
-of TUM-VI that of `dso/imu_config.yaml`, which is the body itself. Odometry is `mav0/odom0/data.csv`, see `asl_writer`.
+(w first) of the body in its own world, of EuRoC its velocity and the biases of gyros and accelerometers. Inertial
+samples are `mav0/imu0/data.csv`: timestamp in ns, angular rates, specific forces; the unit is that of `sensor.yaml`
+there (T_BS, densities of the noise), of TUM-VI that of `dso/imu_config.yaml`, which is the body itself. Odometry is
+`mav0/odom0/data.csv`, see `asl_writer`.
 
 Frame k is row k of `cam0/data.csv`. The images are rectified on reading, so the camera of the sequence is not the one
 in the file. The truth is that of the turned left camera; frames outside the time that it covers are left out.
@@ -25,9 +26,8 @@ from scipy.spatial.transform import Rotation, Slerp
 from filters import BodyVelocity, InertialSamples, InertialUnit, Pose
 from filters.geometry.arrays import FloatArray, IntArray
 from stereo_slam_env.datasets.layouts import reference_for
-from stereo_slam_env.datasets.restated import as_they_are, sample_of_files
+from stereo_slam_env.datasets.restated import TrueMotion, as_they_are, rates_between, sample_of_files
 from stereo_slam_env.datasets.sequence import Choice, ImageFiles, RecordedSequence, known_poses
-from stereo_slam_env.datasets.written_frame import STATES
 from stereo_slam_env.files.opening import is_plain_name
 from stereo_slam_env.files.readers import finite_rows, read_text
 from stereo_slam_env.recording.inertial import samples_of_steps
@@ -46,10 +46,12 @@ FILES = (
 )
 _INERTIAL, _UNIT, _ODOMETRY = "imu0", "dso/imu_config.yaml", "odom0"
 _LOWER = np.tril_indices(6)
-_POSE_ONLY = 7
-"""Commas in a row of poses alone."""
+_WITH_STATES = 16
+"""Numbers of a row of truth with velocity and biases."""
 TRUTHS = ("state_groundtruth_estimate0", "mocap0")
 STATED = "The poses of {}, interpolated and carried over to the rectified left camera."
+_NORM = 1e-2
+"""Largest difference to 1 of the norm of a quaternion."""
 LARGEST_TRUTH_GAP_NS = 100_000_000
 """Truth is interpolated between rows that are no further apart (it comes at 200 Hz)."""
 _LATEST_NS = np.iinfo(np.int64).max
@@ -89,8 +91,9 @@ def open_sequence(path: Path, choice: Choice, *, use_truth: bool = True) -> Reco
     tables = [root / name / "data.csv" for name in TRUTHS]
     truth, truth_from, table = None, NO_REFERENCE, next((path for path in tables if path.exists()), tables[0])
     if use_truth and table.exists():
-        rows_ns, rows = _read_truth(table)
-        truth, (first, last) = _camera_poses(table, rows_ns, rows, ns, T_bc, rectify.R_left)
+        rows_ns, rows, states = _read_truth(table)
+        T_sc = _camera_in_truth(table, T_bc, rectify.R_left)
+        truth, (first, last) = _camera_poses(table, rows_ns, rows, ns, T_sc)
         truth_from = reference_for(rows[:, :3], STATED.format(table.parent.name))
         last = last if choice.last is None else min(last, choice.last)
         choice = Choice(max(choice.first or 0, first), last, choice.on_broken)
@@ -112,13 +115,18 @@ def open_sequence(path: Path, choice: Choice, *, use_truth: bool = True) -> Reco
     origin = None if truth is None else truth[sequence.frame_numbers[0]]
     if origin is not None:  # its world has z up
         sequence.gravity = tuple((origin.R_wc.T @ [0.0, 0.0, -GRAVITY]).tolist())
-        sequence.not_read = frozenset({STATES}) if _has_states(table) else frozenset()
+        if states.any():  # zeros throughout fill a place
+            motion = _motion(1e-9 * (rows_ns - ns[0]), rows[:, 3:], states)
+            sequence.motion = motion, T_sc
     return sequence
 
 
-def _has_states(table: Path) -> bool:
-    """Whether a table of truth has velocities and biases, too."""
-    return next((line.count(",") > _POSE_ONLY for _, line in _rows(table)), False)
+def _motion(times: FloatArray, orientations: FloatArray, states: FloatArray) -> TrueMotion:
+    """The motion of rows (K, 9): velocity, biases; the angular velocity is that of the attitudes."""
+    sound = np.abs(np.linalg.norm(orientations, axis=1) - 1.0) < _NORM
+    rates = rates_between(times, np.where(sound[:, None], orientations, [0.0, 0.0, 0.0, 1.0]))
+    biases = states[:, 3:] if states[:, 3:].any() else None
+    return TrueMotion(times, np.where(sound[:, None], states[:, :3], np.nan), rates, biases)
 
 
 def _odometry(path: Path, ns: IntArray, turned: FloatArray) -> list[BodyVelocity | None]:
@@ -169,15 +177,21 @@ def _existing(folder: Path, names: dict[int, str]) -> dict[int, Path]:
     return {k: path for k, path in paths.items() if path.is_file()}
 
 
+def _camera_in_truth(table: Path, T_bc: FloatArray, turned: FloatArray) -> Pose:
+    """Pose of the turned left camera in the body of the true poses, which is that of the rig, or one on it."""
+    sensor = table.with_name("sensor.yaml")
+    T_bs: FloatArray = body_of_camera(sensor) if sensor.exists() else np.eye(4)
+    T_sc: FloatArray = np.linalg.solve(T_bs, T_bc).astype(np.float64)
+    return Pose(T_sc[:3, 3], Rotation.from_matrix(T_sc[:3, :3] @ turned.T).as_quat())
+
+
 def _camera_poses(
-    path: Path, rows_ns: IntArray, rows: FloatArray, stamps: IntArray, T_bc: FloatArray, turned: FloatArray
+    path: Path, rows_ns: IntArray, rows: FloatArray, stamps: IntArray, T_sc: Pose
 ) -> tuple[list[Pose | None], tuple[int, int]]:
     """Poses of the turned left camera at the stamps, and the first and last frame that the rows of truth cover.
 
     A pose is None where the rows around it hold NaN or are too far apart.
     """
-    sensor = path.with_name("sensor.yaml")
-    T_bs_truth = body_of_camera(sensor) if sensor.exists() else np.eye(4)
     inside = (stamps >= rows_ns[0]) & (stamps <= rows_ns[-1])
     covered = np.flatnonzero(inside)
     if covered.size == 0:
@@ -185,7 +199,7 @@ def _camera_poses(
     after = np.clip(np.searchsorted(rows_ns, stamps), 1, len(rows_ns) - 1)
     exact = rows_ns[after] == stamps
     before = np.where(exact, after, after - 1)
-    finite = finite_rows(rows) & (np.abs(np.linalg.norm(rows[:, 3:], axis=1) - 1.0) < 1e-2)
+    finite = finite_rows(rows) & (np.abs(np.linalg.norm(rows[:, 3:], axis=1) - 1.0) < _NORM)
     near = exact | (rows_ns[after] - rows_ns[before] <= LARGEST_TRUTH_GAP_NS)
     good = inside & near & finite[after] & finite[before]
     usable = np.where(finite[:, None], rows, [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
@@ -193,9 +207,7 @@ def _camera_poses(
     seconds_asked = np.clip(1e-9 * (stamps - rows_ns[0]), seconds[0], seconds[-1])
     positions = np.column_stack([np.interp(seconds_asked, seconds, usable[:, i]) for i in range(3)])
     R_ws = Slerp(seconds, Rotation.from_quat(usable[:, 3:]))(seconds_asked)
-    T_sc = np.linalg.solve(T_bs_truth, T_bc)
-    orientations = R_ws * Rotation.from_matrix(T_sc[:3, :3] @ turned.T)
-    poses = known_poses(positions + R_ws.apply(T_sc[:3, 3]), orientations, good)
+    poses = known_poses(positions + R_ws.apply(T_sc.position), R_ws * Rotation.from_quat(T_sc.orientation), good)
     return poses, (int(covered[0]), int(covered[-1]))
 
 
@@ -218,10 +230,11 @@ def _samples(
     return samples_of_steps(table, 1e-9 * (rows_ns - stamps[0]), rows, 1e-9 * (stamps - stamps[0]) + shift, unit)
 
 
-def _read_truth(path: Path) -> tuple[IntArray, FloatArray]:
-    """Timestamps (K,) ns, increasing, and rows (K, 7): position and quaternion xyzw."""
-    stamps, rows = _read_stamped(path, 7)
-    return stamps, rows[:, [0, 1, 2, 4, 5, 6, 3]]
+def _read_truth(path: Path) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Timestamps (K,) ns, increasing, rows (K, 7), position and quaternion xyzw, and (K, 9) or (K, 0), states."""
+    has_states = next((line.count(",") >= _WITH_STATES for _, line in _rows(path)), False)
+    stamps, rows = _read_stamped(path, _WITH_STATES if has_states else 7)
+    return stamps, rows[:, [0, 1, 2, 4, 5, 6, 3]], rows[:, 7:]
 
 
 def _read_stamped(path: Path, count: int) -> tuple[IntArray, FloatArray]:

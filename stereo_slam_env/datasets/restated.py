@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 from typing import Any, TypeVar
@@ -16,14 +16,16 @@ from typing import Any, TypeVar
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
-from filters import Pose, Start, StereoCamera
+from filters import InertialSamples, Pose, Start, StereoCamera
+from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray
 from stereo_slam_env.datasets.image_files import BrokenPair, read_grey
 from stereo_slam_env.datasets.layouts import reference_for
 from stereo_slam_env.frontend.rectification_errors import FEWEST, RowOffsets, row_offsets
-from stereo_slam_env.recording.recording import GreyImage, ImageSequence, Reference, StereoPair
+from stereo_slam_env.recording.recording import GreyImage, ImageSequence, Reference, StereoPair, Velocity
 from stereo_slam_env.recording.trajectory import Trajectory
 from stereo_slam_env.recording.trajectory_files import load_trajectory
+from stereo_slam_env.sensing.imu import GRAVITY
 from stereo_slam_env.sensing.lenses import Rectification
 from stereo_slam_env.sensing.rig_files import Calibration
 
@@ -68,8 +70,24 @@ class Recalibrated:
                 yield pair
                 continue
             left, right = self._rectify(pair.left, pair.right)
-            turn = self._rectify.R_left
-            yield replace(pair, left=left, right=right, truth=turned(pair.truth, turn), odometry=None)
+            R, velocity = self._rectify.R_left, pair.velocity
+            yield replace(
+                pair,
+                left=left,
+                right=right,
+                truth=turned(pair.truth, R),
+                odometry=None,
+                inertial=_of_turned_camera(pair.inertial, R),
+                velocity=velocity and Velocity(R @ velocity.linear, R @ velocity.angular),
+            )
+
+
+def _of_turned_camera(samples: InertialSamples | None, R_left: FloatArray) -> InertialSamples | None:
+    """The samples, with the place of their unit in the frame of the rectified left camera."""
+    if samples is None:
+        return None
+    T_ci = Pose(np.zeros(3), rotations.from_matrix(R_left)) @ Pose(samples.unit.position, samples.unit.orientation)
+    return replace(samples, unit=replace(samples.unit, position=T_ci.position, orientation=T_ci.orientation))
 
 
 def turned(pose: Pose | None, R_left: FloatArray) -> Pose | None:
@@ -88,15 +106,26 @@ class WithTruth:
     """
 
     start = Start()
+    gravity: FloatArray | None = None
+    """Acceleration of a body that falls, in W, m/s^2, where the motion says it; known once pairs are read."""
 
-    def __init__(self, sequence: ImageSequence, path: str, body: Pose | None = None) -> None:
-        trajectory = load_trajectory(path)
+    def __init__(
+        self,
+        sequence: ImageSequence,
+        path: str,
+        body: Pose | None = None,
+        stated: tuple[Trajectory, TrueMotion] | None = None,
+    ) -> None:
+        """`stated` is what is at `path`, where that was read, in a world with z up."""
+        self._motion: TrueMotion | None = None if stated is None else stated[1]
+        trajectory = load_trajectory(path) if stated is None else stated[0]
         if trajectory.timestamps is None:
             raise ValueError(f"{path} has no times, so that no pose belongs to an image: give a TUM file")
         turn = Pose(np.zeros(3), Rotation.from_matrix(getattr(sequence, "R_left", np.eye(3)).T).as_quat())
         self._sequence, self._truth, self._body = sequence, trajectory, turn if body is None else body @ turn
         self._epoch = float(sequence.source.get("epoch_s", 0.0))
         self.name, self.camera = sequence.name, sequence.camera
+        self.not_read: Mapping[str, str] = getattr(sequence, "not_read", {})
         self.source: Mapping[str, Any] = {**sequence.source, "truth": path}
         where = "of the left camera" if body is None else "carried over to the left camera"
         self.truth_from: Reference = reference_for(trajectory.positions, f"The poses {where} in {Path(path).name}.")
@@ -116,16 +145,22 @@ class WithTruth:
         """The pairs in time order; may be called again. A `ValueError` where no pair has a true pose."""
         origin, outside = None, 0
         for pair in self._sequence.pairs():
-            pose = pose_at(self._truth, pair.timestamp + self._epoch, self._body)
+            time, velocity, biases = pair.timestamp + self._epoch, None, None
+            pose = pose_at(self._truth, time, self._body)
             if origin is None and pose is None:
                 outside += 1
                 continue
             first = origin is None
             origin = origin or pose
             truth = None if pose is None or origin is None else origin.inverse() @ pose
+            if self._motion is not None and origin is not None:
+                self.gravity = origin.R_wc.T @ [0.0, 0.0, -GRAVITY]
+                velocity, biases = self._motion.of_camera(time, pose, self._body, origin)
             yield replace(
                 pair,
                 truth=truth,
+                velocity=velocity,
+                biases=biases,
                 odometry=None if first else pair.odometry,
                 inertial=None if first else pair.inertial,
             )
@@ -143,18 +178,69 @@ def pose_at(trajectory: Trajectory, time: float, T_bc: Pose | None = None) -> Po
     """The pose of the body, or of a frame C fixed to it, at a time, s; None outside, or in a gap."""
     times = trajectory.timestamps
     assert times is not None
-    after = int(np.searchsorted(times, time))
-    if after < len(times) and abs(times[after] - time) < _SAME_TIME:
-        pose = trajectory.pose(after)
-    elif not 0 < after < len(times) or times[after] - times[after - 1] > LARGEST_GAP + _SAME_TIME:
+    if (row := _row_at(times, time)) is None:
         return None
+    before, share = row
+    if share == 0.0:
+        pose = trajectory.pose(before)
     else:
-        both = slice(after - 1, after + 1)
-        share = (time - times[after - 1]) / (times[after] - times[after - 1])
-        position = (1 - share) * trajectory.positions[after - 1] + share * trajectory.positions[after]
-        between = Slerp([0.0, 1.0], Rotation.from_quat(trajectory.orientations[both]))
-        pose = Pose(position, between(share).as_quat())
+        both = slice(before, before + 2)
+        position = _between(trajectory.positions, before, share)
+        turn = Slerp([0.0, 1.0], Rotation.from_quat(trajectory.orientations[both]))
+        pose = Pose(position, turn(share).as_quat())
     return pose if T_bc is None else pose @ T_bc
+
+
+def _row_at(times: FloatArray, time: float) -> tuple[int, float] | None:
+    """The row at a time, or before it, and its share of the way to the next; None outside, or in a gap."""
+    after = int(np.searchsorted(times, time - _SAME_TIME))
+    if after < len(times) and abs(times[after] - time) < _SAME_TIME:
+        return after, 0.0
+    if not 0 < after < len(times) or times[after] - times[after - 1] > LARGEST_GAP + _SAME_TIME:
+        return None
+    return after - 1, (time - times[after - 1]) / (times[after] - times[after - 1])
+
+
+def _between(rows: FloatArray, before: int, share: float) -> FloatArray:
+    """A row, or what lies between it and the next."""
+    return np.asarray(rows[before] if share == 0.0 else (1.0 - share) * rows[before] + share * rows[before + 1])
+
+
+@dataclass(frozen=True, eq=False)
+class TrueMotion:
+    """True velocities of a body, and the biases of the inertial unit that it is."""
+
+    times: FloatArray
+    """(K,), increasing, s."""
+    linear: FloatArray
+    """(K, 3), in the world U of the true poses, m/s; NaN where it is not known."""
+    angular: FloatArray
+    """(K, 3), about the axes of the body, rad/s."""
+    biases: FloatArray | None = None
+    """(K, 6): of gyros, rad/s, and accelerometers, m/s^2."""
+
+    def of_camera(
+        self, time: float, T_uc: Pose | None, T_bc: Pose, origin: Pose
+    ) -> tuple[Velocity | None, FloatArray | None]:
+        """Velocity of a camera at `T_bc` in the body, told in W as the camera at `origin`, and the biases, at a time.
+
+        None where they are not known.
+        """
+        if T_uc is None or (row := _row_at(self.times, time)) is None:
+            return None, None
+        R_cb = T_bc.R_wc.T
+        linear, angular_c = _between(self.linear, *row), R_cb @ _between(self.angular, *row)
+        linear = linear + T_uc.R_wc @ np.cross(angular_c, R_cb @ T_bc.position)
+        velocity = Velocity(origin.R_wc.T @ linear, angular_c) if np.isfinite(linear).all() else None
+        return velocity, None if self.biases is None else _between(self.biases, *row)
+
+
+def rates_between(times: FloatArray, orientations: FloatArray) -> FloatArray:
+    """Angular velocities (K, 3), rad/s, about the body's axes, by the attitudes (K, 4) before and after each time."""
+    last = len(times) - 1
+    before, after = (np.clip(np.arange(len(times)) + step, 0, last) for step in (-1, 1))
+    R = Rotation.from_quat(orientations)
+    return np.asarray((R[before].inv() * R[after]).as_rotvec() / (times[after] - times[before])[:, None])
 
 
 Images = Sequence[tuple[GreyImage, GreyImage]]

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from filters import BodyVelocity, InertialSamples, Pose, Start, StereoCamera
+from filters import BodyVelocity, InertialSamples, Start, StereoCamera
 from filters.contract.extras import require_module
 from filters.contract.validation import plain
 from filters.geometry.arrays import FloatArray, IntArray
@@ -29,7 +29,7 @@ from stereo_slam_env.datasets.bag_images import (
     shift_of_messages,
     size_of_message,
 )
-from stereo_slam_env.datasets.bag_motion import TRUTH, BagMotion, Clock, motion_of_bag, truth_of_bag
+from stereo_slam_env.datasets.bag_motion import BagMotion, Clock, StatedTruth, motion_of_bag, truth_of_bag
 from stereo_slam_env.datasets.image_files import BrokenPair
 from stereo_slam_env.datasets.restated import as_they_are, sample_of_pairs
 from stereo_slam_env.datasets.sequence import Choice, Faults
@@ -115,8 +115,7 @@ def open_sequence(
         clock = Clock(origin, 1e-9 * (times[selected] - origin).astype(np.float64) + shift_s)
         sequence.motion = motion_of_bag(reader, path, eyes[0], clock, sequence.R_left, imu, odometry)
         sequence.source = {**sequence.source, **sequence.motion.source}
-        if (T_bc := truth_of_bag(reader, path, eyes[0])) is not None:
-            sequence.stated_truth = f"{path}:{TRUTH}", T_bc
+        sequence.stated_truth = truth_of_bag(reader, path, eyes[0])
     return sequence
 
 
@@ -124,9 +123,9 @@ class BagSequence:
     """An `ImageSequence` of two topics of a bag; images are read pair by pair."""
 
     start, truth_from = Start(), NO_REFERENCE
-    motion = BagMotion([], None, np.zeros((0, 6, 6)), {})
-    stated_truth: tuple[str, Pose] | None = None
-    """Trajectory of true poses, and the left camera as mounted in its body."""
+    motion = BagMotion([], None, np.zeros((0, 6, 6)), {}, {})
+    stated_truth: StatedTruth | None = None
+    """True poses and velocities that the bag has beside its images."""
 
     def __init__(
         self,
@@ -173,6 +172,11 @@ class BagSequence:
     def R_left(self) -> FloatArray:
         """(3, 3): from the left camera as it is mounted to the rectified one."""
         return np.eye(3) if self._rectify is None else self._rectify.R_left
+
+    @property
+    def not_read(self) -> Mapping[str, str]:
+        """Topics of inertial units and odometries that the pairs do not have, and their kinds."""
+        return self.motion.not_read
 
     def __len__(self) -> int:
         """Number of pairs; where broken ones are skipped, those are still counted."""

@@ -17,6 +17,7 @@ from filters import BodyVelocity, InertialSamples, Pose, Start, StereoCamera
 from filters.geometry import rotations
 from filters.geometry.arrays import BoolArray, FloatArray
 from stereo_slam_env.datasets.image_files import BrokenPair, image_size, read_grey, shift_of_files
+from stereo_slam_env.datasets.restated import TrueMotion
 from stereo_slam_env.recording.inertial import joined
 from stereo_slam_env.recording.recording import Reference, StereoPair
 from stereo_slam_env.recording.trajectory_layouts import require_rate
@@ -218,8 +219,8 @@ class RecordedSequence:
 
     gravity: tuple[float, float, float] | None = None
     """Acceleration of a body that falls, in W, m/s^2, where the recording says it."""
-    not_read: frozenset[str] = frozenset()
-    """What the recording has beside, and is not in the pairs."""
+    motion: tuple[TrueMotion, Pose] | None = None
+    """Velocities of a body in the world of the truth, and the pose of the left camera in it, where they are known."""
 
     def __init__(
         self,
@@ -281,11 +282,14 @@ class RecordedSequence:
             if before is None:
                 origin = frame.truth
             truth = _seen_from(origin, frame.truth)
-            odometry = inertial = None
+            odometry = inertial = velocity = biases = None
             if before is not None:
                 odometry = _mean_velocity(before, [*left_out, frame])
                 inertial = _samples_since(before, [*left_out, frame])
-            yield StereoPair(frame.timestamp, left, right, truth, odometry, inertial)
+            if self.motion is not None and origin is not None:
+                motion, T_bc = self.motion
+                velocity, biases = motion.of_camera(frame.timestamp, frame.truth, T_bc, origin)
+            yield StereoPair(frame.timestamp, left, right, truth, odometry, inertial, velocity, biases)
             before, left_out = frame, []
         self._skipped = dict(faults.counts)
 

@@ -8,6 +8,7 @@ of, which readers that take them for instants, or join them by straight lines, r
 from __future__ import annotations
 
 import json
+import logging
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -18,10 +19,10 @@ from typing import Any, Protocol
 import numpy as np
 
 from filters import StereoCamera
-from filters.contract.validation import require_known
+from filters.contract.validation import plain, require_known
 from stereo_slam_env.datasets.asl_writer import AslWriter
-from stereo_slam_env.datasets.bag_motion import TRUTH
-from stereo_slam_env.datasets.bag_writer import BIAS, IMU, LEFT_IMAGES, ODOMETRY, RIGHT_IMAGES, BagWriter
+from stereo_slam_env.datasets.bag_motion import BIAS, TRUTH
+from stereo_slam_env.datasets.bag_writer import IMU, LEFT_IMAGES, ODOMETRY, RIGHT_IMAGES, BagWriter
 from stereo_slam_env.datasets.kitti_odometry import KittiWriter, poses_file
 from stereo_slam_env.datasets.settings_files import Topics, readme, settings_files
 from stereo_slam_env.datasets.written_frame import (
@@ -44,6 +45,7 @@ EPOCH_NS = 1_700_000_000 * 10**9
 PARTIAL = ".partial"
 """Ending of a folder or file that is not yet complete."""
 _SOURCE = "source.json"
+log = logging.getLogger(__name__)
 _FILES = (".mcap", ".bag")
 """Endings of drives that are one file."""
 TOPICS = Topics(
@@ -176,10 +178,8 @@ def write_recording(
     if not ahead:
         raise ValueError(f"sequence {sequence.name!r} has no pairs: nothing was written")
     writable = form.keeps | set(may_lose)
-    if unread := set(getattr(sequence, "not_read", ())) - set(may_lose):
-        what = " and ".join(sorted(unread))
-        raise ValueError(f"the {what} of the recording are not read, so they would be lost: leave them out (--lossy)")
     _require_kept(ahead, writable, format_name)
+    _require_read(getattr(sequence, "not_read", {}), may_lose)
     suite = _suite(sequence, ahead, time_offset)
     with claimed_folder(unfinished):
         write_text(unfinished / _SOURCE, json_text(source))
@@ -187,7 +187,9 @@ def write_recording(
         options = {"compressed": True} if compressed else {}
         writer = form.writer(unfinished if file is None else unfinished / file, suite, **options)
         truths = None if place.suffix in _FILES else TrueTrajectories(unfinished)
+        lost = set[str]()
         for frame in frames_of(chain(ahead, every), suite, epoch):
+            lost |= _data_of(frame.pair) - form.keeps
             _require_kept([frame.pair], writable, format_name)
             writer.write(frame)
             if truths is not None:
@@ -203,6 +205,8 @@ def write_recording(
                 texts["README.md"] = readme(suite, sequence.name, {"Format": form.line, **about}, states)
             for one, text in texts.items():
                 write_text(unfinished / one, text)
+    if lost:
+        log.warning("%s: left out, as the format %s has no place for them: %s", place, format_name, _listed(lost))
     (unfinished / CLAIM).unlink(missing_ok=True)
     return _completed(place, unfinished)
 
@@ -255,12 +259,25 @@ def _data_of(pair: StereoPair) -> set[str]:
     return {kind for kind, value in data.items() if value is not None}
 
 
+def _listed(kinds: Collection[str]) -> str:
+    return " and ".join(sorted(kinds))
+
+
+def _require_read(not_read: Mapping[str, str], may_lose: Collection[str]) -> None:
+    """Refuse a bag with topics of a unit or an odometry that were not asked for."""
+    if topics := [topic for topic, kind in not_read.items() if kind not in may_lose]:
+        raise ValueError(
+            f"the recording has {' and '.join(map(plain, topics))}, which would be lost, since it is not read unasked: "
+            "name it (--odometry-topic, --imu-topic), or leave it out (convert --lossy)"
+        )
+
+
 def _require_kept(pairs: Sequence[StereoPair], writable: Collection[str], format_name: str) -> None:
     lost = set().union(*map(_data_of, pairs)) - set(writable)
     if lost:
         formats = ", ".join(name for name, form in FORMATS.items() if lost <= form.keeps)
         raise ValueError(
-            f"the format {format_name} has no place for {' and '.join(sorted(lost))}, which the recording has: choose "
+            f"the format {format_name} has no place for {_listed(lost)}, which the recording has: choose "
             f"{formats}, or leave them out (convert --lossy)"
         )
 

@@ -60,6 +60,7 @@ def write_trajectory_report(
     out = Path(out)
     clean_figures(out)
     names = f"{runs.total} runs" if runs is not None else " and ".join(labels_of(scores))
+    subtitle = _extent(scores)
     reference = scores[0].reference
     contents: list[Content] = [
         *([part("paragraph", runs.words, "headline")] if runs is not None else []),
@@ -72,9 +73,18 @@ def write_trajectory_report(
         scores = scores[:DRAWN]
     contents += [_path(scores), *_consistency(scores), *_windows(scores)]
     contents += [Section("Figures", [score_table(scores)]), data_section(out)]
-    first = scores[0]
-    subtitle = f"{first.frames} scored poses over {readable(first.path_m)} m · aligned: {alignment_text(first)}"
     return write_page(out / "report.html", title=f"{names} against {reference}", subtitle=subtitle, contents=contents)
+
+
+def _extent(scores: Sequence[TrajectoryScore]) -> str:
+    """Poses, ways and alignments of all estimates, where they differ from the least to the most."""
+    frames, ways = [score.frames for score in scores], [score.path_m for score in scores]
+    poses = " to ".join(dict.fromkeys(f"{one}" for one in (min(frames), max(frames))))
+    way = " to ".join(dict.fromkeys(readable(one) for one in (min(ways), max(ways))))
+    each = " each" if len(scores) > 1 else ""
+    return (
+        f"{poses} scored poses over {way} m{each} · aligned: {' or '.join(dict.fromkeys(map(alignment_text, scores)))}"
+    )
 
 
 def _together(runs: RunsScore) -> Section:

@@ -15,6 +15,7 @@ import numpy as np
 
 from filters import StereoCamera
 from filters.contract.validation import plain
+from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray
 from stereo_slam_env.files.opening import is_there, open_regular
 from stereo_slam_env.sensing.calibration_entries import (
@@ -232,8 +233,10 @@ def _kalibr(path: Path, table: dict[str, Any], size: Size | None) -> Calibration
         T_by_unit = np.linalg.inv(_of_kalibr(path, table, "cam1")) @ _of_kalibr(path, table, "cam0")
         if T_rl is not None and not np.allclose(T_rl, T_by_unit, atol=_SAME_POSE):
             apart = np.linalg.norm((T_rl - T_by_unit)[:3, 3])
+            turned = np.degrees(np.linalg.norm(rotations.log(T_rl[:3, :3] @ T_by_unit[:3, :3].T)))
             message = (
-                f"T_cn_cnm1 and the poses of the cameras to the inertial unit contradict each other, by {apart:.3g} m"
+                "T_cn_cnm1 and the poses of the cameras to the inertial unit contradict each other, "
+                f"by {apart:.3g} m and {turned:.3g} degrees"
             )
             raise ValueError(f"{path}: {message}: one of them is inverted or of another calibration, so correct it")
         T_rl = T_by_unit if T_rl is None else T_rl

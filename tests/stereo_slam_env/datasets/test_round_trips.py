@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+import yaml
 
 from filters import BodyVelocity, InertialSamples, InertialUnit, Pose
 from filters.geometry import rotations
@@ -90,6 +91,19 @@ def test_what_is_written_is_read_the_same(tmp_path, format_name):
             np.testing.assert_allclose(pair.odometry.covariance, original.odometry.covariance, atol=1e-9)
         if original.inertial is not None and "inertial samples" in keeps:
             assert_same_samples(pair.inertial, original.inertial)
+        if STATES in keeps:
+            np.testing.assert_allclose(velocity_of_body(pair), velocity_of_body(original), atol=1e-9)
+            np.testing.assert_allclose(pair.biases, original.biases, atol=1e-12)
+            if format_name != "euroc":  # whose table has no angular velocity
+                np.testing.assert_allclose(pair.velocity.angular, original.velocity.angular, atol=1e-12)
+        else:
+            assert pair.velocity is None
+            assert pair.biases is None
+
+
+def velocity_of_body(pair, place=UNIT.position):
+    """Of the unit, in W, at its place in the camera's frame."""
+    return pair.velocity.linear + pair.truth.R_wc @ np.cross(pair.velocity.angular, place)
 
 
 @pytest.mark.parametrize("first", [0, 2])
@@ -103,7 +117,7 @@ def test_a_recording_that_was_read_can_be_written_again(tmp_path, format_name, f
     moved = [[str(int(row[0]) + int(rng.uniform(-4e5, 4e5))), *row[1:]] for row in rows]
     table.write_text("\n".join([header, *(",".join(row) for row in moved)]) + "\n")
     once = open_image_sequence(place, first=first)
-    written = write_recording(once, tmp_path / "again", format_name, may_lose={STATES})
+    written = write_recording(once, tmp_path / "again", format_name, may_lose=KINDS - FORMATS[format_name].keeps)
     again, before = list(read_again(written, format_name).pairs()), list(once.pairs())
     assert [pair.inertial is None for pair in again] == [True] + [False] * (FRAMES - first - 1)
     for pair, other in zip(again, before, strict=True):
@@ -112,6 +126,9 @@ def test_a_recording_that_was_read_can_be_written_again(tmp_path, format_name, f
         assert (pair.inertial is None) == (other.inertial is None)
         if pair.inertial is not None:
             assert_same_samples(pair.inertial, other.inertial)
+        if STATES in FORMATS[format_name].keeps:
+            np.testing.assert_allclose(velocity_of_body(pair), velocity_of_body(other), atol=1e-9)
+            np.testing.assert_allclose(pair.biases, other.biases, atol=1e-12)
 
 
 @pytest.mark.parametrize("format_name", ["euroc", "tum-vi", "mcap"])
@@ -176,10 +193,55 @@ def test_what_a_format_has_no_place_for_is_named_before_anything_is_written(tmp_
     assert list(tmp_path.iterdir()) == []
 
 
-def test_velocities_of_a_truth_that_is_read_are_not_lost_unsaid(tmp_path):
+def test_what_was_left_out_is_said_afterwards(tmp_path, caplog):
+    write_recording(full_drive(), tmp_path / "out", "tum-vi", may_lose=KINDS)
+    assert "left out, as the format tum-vi has no place for them: true velocities and biases" in caplog.text
+
+
+@pytest.mark.parametrize(("format_name", "kind"), [("mcap", "odometry"), ("bag", "odometry")])
+def test_an_odometry_of_a_bag_that_was_not_asked_for_is_not_lost_unsaid(tmp_path, format_name, kind):
+    bag = place_of(tmp_path, format_name, full_drive()) / FORMATS[format_name].file
+    with pytest.raises(ValueError, match=r"has /wheel/odometry, which would be lost.* name it \(--odometry-topic"):
+        write_recording(open_image_sequence(bag), tmp_path / "out", "euroc")
+    assert not (tmp_path / "out.partial").exists()
+    out = write_recording(open_image_sequence(bag), tmp_path / "out", "euroc", may_lose={kind})
+    assert all(pair.odometry is None for pair in open_image_sequence(out).pairs())
+
+
+@pytest.mark.parametrize("format_name", ["euroc", "mcap", "bag"])
+def test_a_camera_that_is_not_level_is_so_after_any_format(tmp_path, format_name):
+    tilted = full_drive()
+    tilted.gravity = rotations.exp(np.array([0.3, 0.1, -0.2])) @ [0.0, 9.81, 0.0]
+    once = read_again(place_of(tmp_path, format_name, tilted), format_name)
+    write_recording(once, tmp_path / "again", "euroc")
+    np.testing.assert_allclose(once.gravity, tilted.gravity, atol=1e-9)
+    one, other = (load_trajectory(tmp_path / name / "truth_body.tum") for name in ("drive", "again"))
+    np.testing.assert_allclose(one.positions - one.positions[0], other.positions - other.positions[0], atol=1e-9)
+    up_of_each = [each.pose(0).R_wc.T[:, 2] for each in (one, other)]
+    np.testing.assert_allclose(*up_of_each, atol=1e-9)
+
+
+def test_another_calibration_turns_all_that_the_left_camera_carries(tmp_path):
     place = place_of(tmp_path, "euroc", full_drive())
-    with pytest.raises(ValueError, match="true velocities and biases of the recording are not read"):
-        write_recording(open_image_sequence(place), tmp_path / "out", "mcap")
+    chain = yaml.safe_load((place / "settings" / "kalibr" / "camchain.yaml").read_text())
+    T_rl = np.array(chain["cam1"]["T_cn_cnm1"])
+    T_rl[:3, :3] = rotations.exp(np.array([0.0, 0.03, 0.0]))
+    chain["cam1"]["T_cn_cnm1"] = T_rl.tolist()
+    del chain["cam1"]["T_cam_imu"]
+    (tmp_path / "rig.yaml").write_text(yaml.safe_dump(chain))
+    sequence = open_image_sequence(place, rig=str(tmp_path / "rig.yaml"))
+    R = sequence.R_left
+    assert np.linalg.norm(rotations.log(R)) > 0.01
+    for pair, original in zip(sequence.pairs(), full_drive().pairs(), strict=True):
+        if original.inertial is not None:
+            np.testing.assert_allclose(pair.inertial.unit.position, R @ UNIT.position, atol=1e-9)
+            np.testing.assert_allclose(
+                Pose(np.zeros(3), pair.inertial.unit.orientation).R_wc,
+                R @ Pose(np.zeros(3), UNIT.orientation).R_wc,
+                atol=1e-9,
+            )
+        np.testing.assert_allclose(pair.truth.position, R @ original.truth.position, atol=1e-9)
+        np.testing.assert_allclose(velocity_of_body(pair, R @ UNIT.position), R @ velocity_of_body(original), atol=1e-9)
 
 
 def test_what_was_stopped_goes_on_and_ends_with_the_same_bytes(tmp_path):
