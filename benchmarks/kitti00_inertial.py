@@ -16,10 +16,10 @@ OPEN = {"name": "strapdown", "sigma_mounting": 0.02}
 FILTERS = {
     "right-invariant": ("right-invariant", {}),
     "inertial": ("inertial", {}),
+    "inertial, errors taken for white": ("inertial", {"drift": None, "gauge_walk": 0.0, "measurement": "joint"}),
     "inertial, open mounting": ("inertial", {"motion": OPEN}),
     "msckf, open mounting": ("msckf", {"motion": OPEN}),
     "coloured-noise": ("coloured-noise", {}),
-    "coloured-noise, strapdown, open mounting": ("coloured-noise", {"motion": OPEN}),
 }
 FROM, SECONDS = (None, 30, 50, 60, 70, 80), 3.0
 NOTHING = StereoObservation(np.zeros(0, dtype=np.int64), np.zeros((0, 3)))

@@ -40,7 +40,6 @@ FILTERS: dict[str, tuple[str, dict[str, Any]]] = {
     "inertial, white noise of 1 px": ("inertial", {}),
     "inertial, images": ("inertial", {}),
     "msckf with strapdown, images": ("msckf", {"motion": "strapdown"}),
-    "coloured-noise with strapdown, images": ("coloured-noise", {"motion": "strapdown"}),
 }
 
 

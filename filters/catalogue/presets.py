@@ -75,17 +75,6 @@ RightInvariantEKF = _named(
     landmark="shared-anchor",
     error="right-invariant",
 )
-InertialEKF = _named(
-    "InertialEKF",
-    """Stereo-inertial EKF: strapdown motion, shared-anchor inverse depth, right-invariant errors.
-
-    Needs samples of an inertial unit in every step. `motion={"name": "strapdown", "sigma_gravity": 10.0}` starts
-    without a vertical; see `Strapdown` for what else may be unknown.
-    """,
-    landmark="shared-anchor",
-    motion="strapdown",
-    error="right-invariant",
-)
 UnscentedStereoFilter = _named(
     "UnscentedStereoFilter",
     """Shared-anchor inverse-depth stereo filter with unscented updates on the measured sub-state.
@@ -143,7 +132,7 @@ class ColouredNoiseEKF(StereoEKF):
     @property
     def does_as_the_engine(self) -> bool:
         """Whether there is no doubt to add, so that it may run in a batch."""
-        return type(self) is ColouredNoiseEKF and not self._unseen.any()
+        return type(self) in (ColouredNoiseEKF, InertialEKF) and not self._unseen.any()
 
     @property
     def pose(self) -> PoseBelief:
@@ -185,6 +174,20 @@ class ColouredNoiseEKF(StereoEKF):
         by_unseen[:3, 1:] = start.R_wc @ rotations.skew(moved.position)
         by_unseen[3:, 1:] = np.eye(3) - moved.R_wc.T
         return PoseBelief(pose.position, pose.orientation, pose.covariance + (by_unseen * self._unseen) @ by_unseen.T)
+
+
+class InertialEKF(ColouredNoiseEKF):
+    """Stereo-inertial EKF: strapdown motion, shared-anchor inverse depth, right-invariant errors.
+
+    Needs samples of an inertial unit in every step. `motion={"name": "strapdown", "sigma_gravity": 10.0}` starts
+    without a vertical; see `Strapdown` for what else may be unknown. Like `coloured-noise` it takes from a
+    `ColouredNoise` how errors of tracks last, without which its covariance on images is far too small.
+    """
+
+    open_options = StereoEKF.open_options - {"landmark", "motion", "error"}
+
+    def __init__(self, camera: StereoCamera, noise: StereoNoise, **options: Any) -> None:
+        super().__init__(camera, noise, **{"motion": "strapdown", "consensus": False, **options})
 
 
 class MovingBodiesEKF(StereoEKF):

@@ -43,6 +43,20 @@ def test_what_the_noise_states_is_what_the_engine_is_told(drive: Recording) -> N
         np.testing.assert_array_equal(mine, theirs)
 
 
+def test_the_inertial_filter_knows_what_the_noise_states_too() -> None:
+    drive = sse.record("StereoSlam/Drive-v0", seed=0, frames=8, vehicle="smooth", imu="bmi088", rig="qvga")
+    noises = drive.noise, ColouredNoise(drive.noise.R, 0.1 * drive.noise.R, DRIFT, 0.004, 0.0, 0.05, 0.002, scale=0.01)
+    for noise in noises:
+        own = estimates(drive, "inertial", noise)
+        told = estimates(drive, "coloured-noise", noise, motion="strapdown", consensus=False)
+        for mine, theirs in zip(own, told, strict=True):
+            np.testing.assert_array_equal(mine, theirs)
+    assert [goes_in_a_batch(make_filter("inertial", camera=drive.camera, noise=noise)) for noise in noises] == [
+        True,
+        False,
+    ]
+
+
 @pytest.mark.parametrize(
     ("doubt", "in_a_batch"), [({}, True), ({"scale": 0.01}, False), ({"misalignment": 0.01}, False)]
 )
