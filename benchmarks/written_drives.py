@@ -75,9 +75,7 @@ def judged(
     else:
         simulated = RenderedDrive({**options, "route": drive}, seed)
     folder = write_recording(simulated, out / f"{seed:03d}", "euroc", keep_same=True, about={})
-    opened, settings = open_for_front_end(folder)
-    read: Any = opened
-    read.truth_from = SIMULATION  # which a folder cannot say
+    read, settings = open_for_front_end(folder)
 
     def by_images(sequence: ImageSequence) -> Recording:
         return set_up_for_tracks(record_tracks(sequence, settings))

@@ -194,7 +194,8 @@ def euroc() -> Files:
         )
         files |= {f"mav0/cam{n}/data/{k}.png": image(".png") for k in range(FRAMES)}
         files |= {f"mav0/cam{n}/data.csv": listing.encode(), f"mav0/cam{n}/sensor.yaml": sensor.encode()}
-    truth = "".join(f"{_STAMP + k * 10**8 // 2},{0.3 * k},0,0,1,0,0,0\n" for k in range(2 * FRAMES))
+    truth = "".join(f"{_STAMP + k * 10**8 // 2},{0.3 * k},0,0,1,0,0,0,6{',0' * 8}\n" for k in range(2 * FRAMES))
+    files["source.json"] = b'{"format": "euroc", "truth_from": {"kind": "simulation", "description": "Exact."}}'
     return {**files, "mav0/state_groundtruth_estimate0/data.csv": f"#timestamp\n{truth}".encode()}
 
 

@@ -26,7 +26,7 @@ from stereo_slam_env.datasets.layouts import (
 from stereo_slam_env.datasets.restated import Recalibrated, WithTruth
 from stereo_slam_env.datasets.sequence import Choice, OnBroken
 from stereo_slam_env.datasets.single_data_sets import read_gtsam
-from stereo_slam_env.datasets.writing import FORMATS, write_recording
+from stereo_slam_env.datasets.writing import FORMATS, reference_beside, write_recording
 from stereo_slam_env.evaluation.body_frames import read_body
 from stereo_slam_env.files.opening import is_there, require_inside, require_links_inside
 from stereo_slam_env.frontend.camera_motion import set_up_for_tracks, with_moving_start
@@ -211,6 +211,9 @@ def open_image_sequence(
         sequence = WithTruth(sequence, str(truth), None if body is None else read_body(Path(body)))
     elif (stated := getattr(sequence, "stated_truth", None)) is not None:
         sequence = WithTruth(sequence, f"{folder}:{TRUTH}", stated.T_bc, (stated.trajectory, stated.motion))
+    if truth is None and sequence.truth_from.kind != "none" and (reference := reference_beside(folder)) is not None:
+        restated: Any = sequence
+        restated.truth_from = reference
     return sequence
 
 

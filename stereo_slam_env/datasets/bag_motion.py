@@ -119,9 +119,10 @@ def motion_of_bag(
         if topic is not None and kinds.get(topic) != kind:
             offered = ", ".join(plain(name) for name, one in sorted(kinds.items()) if one == kind) or "none"
             raise ValueError(f"{path} has no {kind} on {topic!r}: {option} must be one of its topics ({offered})")
-    known = {IMU: INERTIAL, ODOMETRY: STEPS}
-    left = {
-        topic: known[kind] for topic, kind in kinds.items() if kind in known and topic not in (imu, odometry, TRUTH)
+    unread = {
+        topic: INERTIAL if kind == IMU else STEPS
+        for topic, kind in kinds.items()
+        if kind in (IMU, ODOMETRY) and topic not in (imu, odometry, TRUTH)
     }
     units = [topic for topic, kind in kinds.items() if kind == IMU] if imu is None else [imu]
     mounting = _Mounting(reader, path, images, R_left) if units or odometry is not None else None
@@ -129,11 +130,11 @@ def motion_of_bag(
     if mounting is not None and (imu is not None or len(units) == 1):
         inertial, source = _inertial(reader, mounting, units[0], clock, asked=imu is not None)
         if inertial:
-            left.pop(units[0], None)
+            unread.pop(units[0], None)
     if mounting is None or odometry is None:
-        return BagMotion(inertial, None, np.zeros((0, 6, 6)), source, left)
+        return BagMotion(inertial, None, np.zeros((0, 6, 6)), source, unread)
     poses, twists = _odometry(reader, mounting, odometry, clock.origin)
-    return BagMotion(inertial, poses, twists, {**source, "odometry": odometry}, left)
+    return BagMotion(inertial, poses, twists, {**source, "odometry": odometry}, unread)
 
 
 @dataclass(frozen=True, eq=False)

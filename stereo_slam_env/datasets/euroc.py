@@ -21,17 +21,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation, Slerp
+from scipy.spatial.transform import Rotation
 
 from filters import BodyVelocity, InertialSamples, InertialUnit, Pose
 from filters.geometry.arrays import FloatArray, IntArray
 from stereo_slam_env.datasets.layouts import reference_for
 from stereo_slam_env.datasets.restated import TrueMotion, as_they_are, rates_between, sample_of_files
-from stereo_slam_env.datasets.sequence import Choice, ImageFiles, RecordedSequence, known_poses
+from stereo_slam_env.datasets.sequence import Choice, ImageFiles, RecordedSequence, poses_at
 from stereo_slam_env.files.opening import is_plain_name
 from stereo_slam_env.files.readers import finite_rows, read_text
 from stereo_slam_env.recording.inertial import samples_of_steps
 from stereo_slam_env.recording.recording import NO_REFERENCE
+from stereo_slam_env.recording.trajectory import Trajectory
 from stereo_slam_env.sensing.imu import GRAVITY
 from stereo_slam_env.sensing.lenses import Rectification
 from stereo_slam_env.sensing.rig_files import body_of_camera, imu_shift, noise_of_unit, read_calibration
@@ -52,8 +53,6 @@ TRUTHS = ("state_groundtruth_estimate0", "mocap0")
 STATED = "The poses of {}, interpolated and carried over to the rectified left camera."
 _NORM = 1e-2
 """Largest difference to 1 of the norm of a quaternion."""
-LARGEST_TRUTH_GAP_NS = 100_000_000
-"""Truth is interpolated between rows that are no further apart (it comes at 200 Hz)."""
 _LATEST_NS = np.iinfo(np.int64).max
 
 
@@ -85,6 +84,7 @@ def open_sequence(path: Path, choice: Choice, *, use_truth: bool = True) -> Reco
         )
     rectify, notes = as_they_are(stated, lambda: sample_of_files((left, right), stated.lenses[0].size), str(root))
     ns = np.array(stamps, dtype=np.int64)
+    seconds = 1e-9 * (ns - ns[0])
     T_bc, inertial = body_of_camera(calibration), []
     if (root / _INERTIAL / "data.csv").exists():
         inertial = _samples(root / _INERTIAL, ns, T_bc, rectify.R_left, imu_shift(calibration))
@@ -93,13 +93,14 @@ def open_sequence(path: Path, choice: Choice, *, use_truth: bool = True) -> Reco
     if use_truth and table.exists():
         rows_ns, rows, states = _read_truth(table)
         T_sc = _camera_in_truth(table, T_bc, rectify.R_left)
-        truth, (first, last) = _camera_poses(table, rows_ns, rows, ns, T_sc)
+        sound = finite_rows(rows) & (np.abs(np.linalg.norm(rows[:, 3:], axis=1) - 1.0) < _NORM)
+        seconds_of_rows = 1e-9 * (rows_ns - ns[0])
+        poses = Trajectory(rows[sound, :3], rows[sound, 3:], seconds_of_rows[sound], gauge=None)
+        truth, choice = poses_at(poses, seconds, T_sc, table, choice)
         truth_from = reference_for(rows[:, :3], STATED.format(table.parent.name))
-        last = last if choice.last is None else min(last, choice.last)
-        choice = Choice(max(choice.first or 0, first), last, choice.on_broken)
     folders = cameras[0] / "data", cameras[1] / "data"
     odometry = _odometry(root / _ODOMETRY / "data.csv", ns, rectify.R_left)
-    seconds, listing = 1e-9 * (ns - ns[0]), cameras[0] / "data.csv"
+    listing = cameras[0] / "data.csv"
     files = ImageFiles(folders, (left, right), seconds, listing, truth, table, odometry, inertial)
     name = root.parent.name if root.name == "mav0" else root.name
     source: dict[str, Any] = {
@@ -116,17 +117,10 @@ def open_sequence(path: Path, choice: Choice, *, use_truth: bool = True) -> Reco
     if origin is not None:  # its world has z up
         sequence.gravity = tuple((origin.R_wc.T @ [0.0, 0.0, -GRAVITY]).tolist())
         if states.any():  # zeros throughout fill a place
-            motion = _motion(1e-9 * (rows_ns - ns[0]), rows[:, 3:], states)
-            sequence.motion = motion, T_sc
+            rates = rates_between(seconds_of_rows[sound], rows[sound, 3:])
+            biases = states[sound, 3:] if states[:, 3:].any() else None
+            sequence.motion = TrueMotion(seconds_of_rows[sound], states[sound, :3], rates, biases), T_sc
     return sequence
-
-
-def _motion(times: FloatArray, orientations: FloatArray, states: FloatArray) -> TrueMotion:
-    """The motion of rows (K, 9): velocity, biases; the angular velocity is that of the attitudes."""
-    sound = np.abs(np.linalg.norm(orientations, axis=1) - 1.0) < _NORM
-    rates = rates_between(times, np.where(sound[:, None], orientations, [0.0, 0.0, 0.0, 1.0]))
-    biases = states[:, 3:] if states[:, 3:].any() else None
-    return TrueMotion(times, np.where(sound[:, None], states[:, :3], np.nan), rates, biases)
 
 
 def _odometry(path: Path, ns: IntArray, turned: FloatArray) -> list[BodyVelocity | None]:
@@ -183,32 +177,6 @@ def _camera_in_truth(table: Path, T_bc: FloatArray, turned: FloatArray) -> Pose:
     T_bs: FloatArray = body_of_camera(sensor) if sensor.exists() else np.eye(4)
     T_sc: FloatArray = np.linalg.solve(T_bs, T_bc).astype(np.float64)
     return Pose(T_sc[:3, 3], Rotation.from_matrix(T_sc[:3, :3] @ turned.T).as_quat())
-
-
-def _camera_poses(
-    path: Path, rows_ns: IntArray, rows: FloatArray, stamps: IntArray, T_sc: Pose
-) -> tuple[list[Pose | None], tuple[int, int]]:
-    """Poses of the turned left camera at the stamps, and the first and last frame that the rows of truth cover.
-
-    A pose is None where the rows around it hold NaN or are too far apart.
-    """
-    inside = (stamps >= rows_ns[0]) & (stamps <= rows_ns[-1])
-    covered = np.flatnonzero(inside)
-    if covered.size == 0:
-        raise ValueError(f"{path} covers none of the images: it is of another recording, or use_truth=False")
-    after = np.clip(np.searchsorted(rows_ns, stamps), 1, len(rows_ns) - 1)
-    exact = rows_ns[after] == stamps
-    before = np.where(exact, after, after - 1)
-    finite = finite_rows(rows) & (np.abs(np.linalg.norm(rows[:, 3:], axis=1) - 1.0) < _NORM)
-    near = exact | (rows_ns[after] - rows_ns[before] <= LARGEST_TRUTH_GAP_NS)
-    good = inside & near & finite[after] & finite[before]
-    usable = np.where(finite[:, None], rows, [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
-    seconds = 1e-9 * (rows_ns - rows_ns[0])
-    seconds_asked = np.clip(1e-9 * (stamps - rows_ns[0]), seconds[0], seconds[-1])
-    positions = np.column_stack([np.interp(seconds_asked, seconds, usable[:, i]) for i in range(3)])
-    R_ws = Slerp(seconds, Rotation.from_quat(usable[:, 3:]))(seconds_asked)
-    poses = known_poses(positions + R_ws.apply(T_sc.position), R_ws * Rotation.from_quat(T_sc.orientation), good)
-    return poses, (int(covered[0]), int(covered[-1]))
 
 
 def _samples(

@@ -17,9 +17,10 @@ from filters import BodyVelocity, InertialSamples, Pose, Start, StereoCamera
 from filters.geometry import rotations
 from filters.geometry.arrays import BoolArray, FloatArray
 from stereo_slam_env.datasets.image_files import BrokenPair, image_size, read_grey, shift_of_files
-from stereo_slam_env.datasets.restated import TrueMotion
+from stereo_slam_env.datasets.restated import TrueMotion, pose_at
 from stereo_slam_env.recording.inertial import joined
 from stereo_slam_env.recording.recording import Reference, StereoPair
+from stereo_slam_env.recording.trajectory import Trajectory
 from stereo_slam_env.recording.trajectory_layouts import require_rate
 from stereo_slam_env.sensing.lenses import Rectification, Rectify
 from stereo_slam_env.sensing.projections import camera_position, rectified_rig, require_principal_point
@@ -206,6 +207,18 @@ def known_poses(positions: FloatArray, orientations: Rotation, known: BoolArray)
     """K poses of positions (K, 3), m, and K rotations; None where they are not `known` (K,)."""
     quaternions = orientations.as_quat().reshape(-1, 4)
     return [Pose(r.copy(), q) if ok else None for r, q, ok in zip(positions, quaternions, known, strict=True)]
+
+
+def poses_at(
+    trajectory: Trajectory, times: FloatArray, T_bc: Pose, table: Path, choice: Choice
+) -> tuple[list[Pose | None], Choice]:
+    """True poses of the left camera at the times of the frames, s, and the choice without frames before and after."""
+    poses = [pose_at(trajectory, time, T_bc) for time in times.tolist()]
+    covered = [k for k, pose in enumerate(poses) if pose is not None]
+    if not covered:
+        raise ValueError(f"{table} covers none of the images: it is of another recording, or use_truth=False")
+    last = covered[-1] if choice.last is None else min(choice.last, covered[-1])
+    return poses, Choice(max(choice.first or 0, covered[0]), last, choice.on_broken)
 
 
 class RecordedSequence:

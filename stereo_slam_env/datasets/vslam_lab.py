@@ -17,8 +17,8 @@ from filters import Pose
 from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray
 from stereo_slam_env.datasets.layouts import reference_for
-from stereo_slam_env.datasets.restated import as_they_are, pose_at, sample_of_files
-from stereo_slam_env.datasets.sequence import Choice, ImageFiles, RecordedSequence
+from stereo_slam_env.datasets.restated import as_they_are, sample_of_files
+from stereo_slam_env.datasets.sequence import Choice, ImageFiles, RecordedSequence, poses_at
 from stereo_slam_env.files.opening import require_inside
 from stereo_slam_env.files.readers import parse_table, read_text
 from stereo_slam_env.recording.recording import NO_REFERENCE
@@ -72,12 +72,7 @@ def open_sequence(
         T_bc = _of_matrix(body_of_camera(sheet))
         if rectify is not None:
             T_bc = T_bc @ Pose(np.zeros(3), rotations.from_matrix(rectify.R_left.T))
-        truth = [pose_at(trajectory, time, T_bc) for time in seconds]
-        known_frames = [k for k, pose in enumerate(truth) if pose is not None]
-        if not known_frames:
-            raise ValueError(f"{table} covers none of the images: it is of another recording, or use_truth=False")
-        last = known_frames[-1] if choice.last is None else min(choice.last, known_frames[-1])
-        choice = Choice(max(choice.first or 0, known_frames[0]), last, choice.on_broken)
+        truth, choice = poses_at(trajectory, seconds, T_bc, table, choice)
         truth_from = reference_for(rows[:, 1:4], STATED)
     files = ImageFiles((path, path), images, seconds, listing, truth, table)
     source: dict[str, Any] = {"reader": NAME, "path": str(path), "epoch_s": 1e-9 * int(stamps[0])}

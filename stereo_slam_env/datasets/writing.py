@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import logging
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from itertools import chain, islice
 from pathlib import Path
@@ -37,7 +37,8 @@ from stereo_slam_env.datasets.written_frame import (
 )
 from stereo_slam_env.files.folders import CLAIM, claimed_folder, json_text, write_text
 from stereo_slam_env.files.readers import read_json
-from stereo_slam_env.recording.recording import ImageSequence, StereoPair
+from stereo_slam_env.recording.archive import reference_of
+from stereo_slam_env.recording.recording import ImageSequence, Reference, StereoPair
 from stereo_slam_env.sensing.sensor_suite import SensorSuite
 
 EPOCH_NS = 1_700_000_000 * 10**9
@@ -162,6 +163,7 @@ def write_recording(
     place = _place(out, format_name, name)
     source = {"name": sequence.name, "format": format_name, "time_offset": time_offset, "compressed": compressed}
     source |= sequence.source
+    source["truth_from"] = asdict(replace(sequence.truth_from, settled_at=None))  # what is written has settled
     if keep_same and _is_of(place, source):
         return place
     unfinished = place.with_name(place.name + PARTIAL)
@@ -209,6 +211,25 @@ def write_recording(
         log.warning("%s: left out, as the format %s has no place for them: %s", place, format_name, _listed(lost))
     (unfinished / CLAIM).unlink(missing_ok=True)
     return _completed(place, unfinished)
+
+
+def reference_beside(place: Path) -> Reference | None:
+    """The reference of a drive, in the folder or file `place`, that was written here and says so; None of others."""
+    for folder in (place, place.parent):
+        if not (file := folder / _SOURCE).is_file():
+            continue
+        try:
+            source = read_json(file)
+        except ValueError as error:  # of somebody else, perhaps
+            log.warning("not read: %s", error)
+            continue
+        form = FORMATS.get(str(source.get("format"))) if isinstance(source, dict) else None
+        if form is not None and "truth_from" in source and (folder == place or place.name in (form.file, "mav0")):
+            try:
+                return reference_of(source)
+            except (TypeError, ValueError, KeyError) as error:
+                raise ValueError(f"{file}: truth_from is no reference ({error}): remove the file") from error
+    return None
 
 
 def _place(out: Path, format_name: str, name: str) -> Path:

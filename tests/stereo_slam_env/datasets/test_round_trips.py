@@ -14,7 +14,7 @@ from filters import BodyVelocity, InertialSamples, InertialUnit, Pose
 from filters.geometry import rotations
 from stereo_slam_env.datasets import FORMATS, open_image_sequence, write_recording
 from stereo_slam_env.datasets.written_frame import KINDS
-from stereo_slam_env.recording.recording import Velocity
+from stereo_slam_env.recording.recording import SIMULATION, Velocity
 from stereo_slam_env.recording.trajectory_files import load_trajectory
 from stereo_slam_env.sensing.rig_files import read_calibration
 
@@ -404,3 +404,24 @@ def test_rows_of_an_odometry_that_belong_to_no_image_give_no_step(tmp_path):
     table.write_text("\n".join([header, "1" + lines[0][1:].replace(",", "1,", 1)[1:], *lines[1:]]) + "\n")
     steps = [pair.odometry for pair in open_image_sequence(place).pairs()]
     assert [step is None for step in steps] == [True, True] + [False] * (FRAMES - 2)
+
+
+@pytest.mark.parametrize("format_name", FORMATS)
+def test_the_folder_says_that_the_truth_is_of_a_simulation(tmp_path, format_name):
+    """Also of a recording that was read and written again; its rig is then exact, and no clock began late."""
+    once = read_again(place_of(tmp_path, format_name, full_drive()), format_name)
+    assert once.truth_from == SIMULATION
+    again = write_recording(once, tmp_path / "again", "euroc")
+    assert open_image_sequence(again / "mav0").truth_from == SIMULATION
+    given = open_image_sequence(again, truth=again / "truth_left_camera.tum")
+    assert given.truth_from.kind == "unknown"
+
+
+def test_a_file_of_that_name_that_says_nothing_or_nonsense(tmp_path):
+    place = place_of(tmp_path, "euroc", full_drive())
+    for text in ("", "\0", "[1, 2]", "{}", '{"format": "euroc"}', '{"truth_from": {"kind": "simulation"}}'):
+        (place / "source.json").write_text(text)
+        assert open_image_sequence(place).truth_from.kind == "unknown"
+    (place / "source.json").write_text('{"format": "euroc", "truth_from": {"kind": "divine", "description": ""}}')
+    with pytest.raises(ValueError, match=r"source\.json: truth_from is no reference \(kind of a reference must be"):
+        open_image_sequence(place)

@@ -19,6 +19,7 @@ MOST_SECONDS = 3.0
 NOT_READ = {
     "2011_09_26/2011_09_26_drive_0005_sync/image_01/timestamps.txt",  # both cameras are triggered at once
     "called.toml",  # it is refused as it is
+    "source.json",  # where it cannot be read it is somebody else's, and passed over
 }
 
 
