@@ -325,7 +325,7 @@ def replay(
     from stereo_slam_env.benchmark import Scenario, Study
     from stereo_slam_env.benchmark.campaign import check_study
     from stereo_slam_env.benchmark.recordings.sources import DatasetSource
-    from stereo_slam_env.benchmark.scenarios.scenario import REAL_DRIVE_FILTERS
+    from stereo_slam_env.benchmark.scenarios.scenario import REAL_DRIVE_FILTERS, filter_choice
     from stereo_slam_env.benchmark.scenarios.streams import make_recording
     from stereo_slam_env.report.console import progress_bar, show_recording
 
@@ -341,6 +341,8 @@ def replay(
         with progress_bar(console(stderr=True), "pairs") as progress:
             recording = make_recording(scenario, None, progress)
         show_recording(console(), recording)
+        if options.filters is None and all(frame.inertial is not None for frame in recording.frames[1:]):
+            scenario = scenario.replaced(filters=(filter_choice("inertial"), *scenario.filters))
         arguments: dict[str, Any] = {"use_odometry": options.odometry}
         named = {key.partition(".")[0] for key in options.changes}
         arguments |= {key: value for key, value in scenario.filter_setup.as_dict().items() if key in named}

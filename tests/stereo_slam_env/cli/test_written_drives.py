@@ -113,6 +113,14 @@ def test_convert_keeps_what_was_measured_or_refuses(tmp_path, capsys):
         np.testing.assert_allclose(pair.velocity.linear, other.velocity.linear, atol=1e-4)  # as far as rates agree
 
 
+def test_replay_of_a_drive_with_samples_runs_the_inertial_filter_and_knows_the_truth_to_be_exact(tmp_path, capsys):
+    assert record(tmp_path / "d", "--format", "euroc", "--imu", "bmi088", "--frames", 6) == 0
+    assert app.main(["replay", str(tmp_path / "d"), "--out", str(tmp_path / "runs")]) == 0
+    said = capsys.readouterr().out
+    assert "independent truth (simulation). Exact poses of the simulation." in said
+    assert "inertial, coloured-noise, inverse-depth, dual-bearing, euclidean" in " ".join(said.split())
+
+
 def test_who_interrupts_it_is_told_how_to_go_on(tmp_path, capsys, monkeypatch):
     def interrupted(*_, **__):
         raise KeyboardInterrupt
