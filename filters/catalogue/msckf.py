@@ -18,7 +18,9 @@ from scipy.special import chdtri
 
 from filters import (
     BodyVelocity,
+    ColouredNoise,
     InertialSamples,
+    LandmarkDrift,
     LeftOnly,
     RangeBearing,
     Start,
@@ -54,6 +56,7 @@ def _constrain(
     counts: NDArray[np.int64],
     tracks: Array,
     limits: Array,
+    apart: Array,
     H: Array,
     nu: Array,
 ) -> Array:
@@ -61,6 +64,7 @@ def _constrain(
 
     `clones` (N, 7) have the covariance P; `rig` is fx, fy and f b. `tracks` (sum of counts, 4, 3) has what whitens a
     measurement, then (u, v, d) less the centre: of the last `counts` clones, track by track. `size` numbers are used.
+    `apart` (3, N, N) makes errors of u, v, d that walk in the course of a track independent; (3, 0, 0): they are.
     The distance is negative where it is above the limit, and NaN where no believable landmark was found.
     """
     (fx, fy, fb), top, end, distances = rig, 0, 0, np.full(len(counts), np.nan)
@@ -95,6 +99,9 @@ def _constrain(
                     E[:3, :3] = -h[3] * Rs[a + k].T
                     E[1, 3], E[0, 4], E[2, 3], E[0, 5], E[2, 4], E[1, 5] = h[2], -h[2], -h[1], h[1], h[0], -h[0]
                     A[row : row + size, 4 + 6 * k : 10 + 6 * k] = J @ E
+            if apart.shape[1] > 0:
+                for c in range(size):
+                    A[c::size] = apart[c, :K, :K].copy() @ A[c::size].copy()
             if settled or np.isnan(fell):
                 break
             C = A[:, :4].copy()
@@ -145,13 +152,23 @@ def _compressed(H: Array, nu: Array) -> tuple[Array, Array]:
     return R[:rank, np.argsort(order)], rotated[:rank]
 
 
+def _walking_apart(drift: LandmarkDrift | None, noise: StereoNoise, window: int) -> Array:
+    """Matrices (3, N, N) that make whitened u, v, d of a track independent whose point walks since its first frame."""
+    if drift is None:
+        return np.zeros((3, 0, 0))
+    steps = drift.share**2 + np.square(drift.pixels) / np.diag(noise.R)
+    frames = np.arange(window)
+    walked = np.minimum.outer(frames, frames).astype(np.float64)
+    return np.linalg.inv(np.linalg.cholesky(np.eye(window) + steps[:, None, None] * walked))
+
+
 class MultiStateConstraintEKF(StereoEKF):
     """Stereo MSCKF: clones of the last poses are corrected by whole tracks, the pose by some landmarks in a map.
 
     Parameters
     ----------
     camera, noise : StereoCamera, StereoNoise
-        The rig.
+        The rig. Of a `ColouredNoise` the drift of landmarks and the gauge walk are used.
     window : int
         Clones of the pose that are kept.
     map_landmarks : int
@@ -171,11 +188,16 @@ class MultiStateConstraintEKF(StereoEKF):
     def __init__(
         self, camera: StereoCamera, noise: StereoNoise, *, window: int = 11, map_landmarks: int = 30, **options: Any
     ) -> None:
+        stated: dict[str, Any] = {}
+        if isinstance(noise, ColouredNoise):
+            stated = {"drift": noise.drift, "gauge_walk": noise.gauge_walk}
+            noise = StereoNoise(noise.R if noise.white is None else noise.white)
         for name, value, least in (("window", window, _LEAST), ("map_landmarks", map_landmarks, 0)):
             if type(value) is not int or value < least:
                 raise ValueError(f"{name} must be an integer >= {least}, got {value!r}")
         self.window, self.map_landmarks = window, map_landmarks
-        super().__init__(camera, noise, **{"landmark": "shared-anchor", "error": "right-invariant", **options})
+        usual = {"landmark": "shared-anchor", "error": "right-invariant"}
+        super().__init__(camera, noise, **{**usual, **stated, **options})
         sensor, error, gate = self.options.measurement, self.options.error, self.options.gate
         if type(sensor) not in (RangeBearing, LeftOnly):
             raise ValueError(f"measurement must be 'joint' or 'left' with a window, got {type(sensor).__name__}")
@@ -188,6 +210,7 @@ class MultiStateConstraintEKF(StereoEKF):
         self._size = 2 if type(sensor) is LeftOnly else 3
         dof = np.maximum(self._size * np.arange(window + 1) - 3, 1)
         self._limits = chdtri(dof, 0.0 if gate is None else 1.0 - gate)
+        self._apart = _walking_apart(self.options.drift, self.noise, window)
 
     def reset(self, start: Start = Start()) -> None:  # noqa: B008  frozen
         """Start again, without clones, tracks and landmarks."""
@@ -266,7 +289,7 @@ class MultiStateConstraintEKF(StereoEKF):
         rows = self._size * counts - 3
         H, nu = np.zeros((rows.sum(), 6 * len(names))), np.zeros(rows.sum())
         measured = np.array([numbers for track in tracks.values() for numbers in track])
-        arguments = belief.value.reshape(-1, 7), belief.covariance, counts, measured, self._limits
+        arguments = belief.value.reshape(-1, 7), belief.covariance, counts, measured, self._limits, self._apart
         rig = camera.fx, camera.fy, camera.disparity_constant
         distances, nis, dof = _constrain(self._size, rig, *arguments, H, nu), 0.0, 0
         if top := rows[distances >= 0.0].sum():

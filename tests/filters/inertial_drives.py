@@ -75,9 +75,18 @@ class Journey:
 
     @classmethod
     def along(
-        cls, path: Path, seed: int, seconds: float, sigmas: np.ndarray = START_SIGMAS, tracked: int = VISIBLE
+        cls,
+        path: Path,
+        seed: int,
+        seconds: float,
+        sigmas: np.ndarray = START_SIGMAS,
+        tracked: int = VISIBLE,
+        walk: float = 0.0,
     ) -> Journey:
-        """Along a path past points that are drawn from the seed, `tracked` in a frame; the start is off by `sigmas`."""
+        """Along a path past points that are drawn from the seed, `tracked` in a frame; the start is off by `sigmas`.
+
+        While a point is tracked its image walks by `walk` standard deviations of a measurement a frame.
+        """
         rng = np.random.default_rng(seed)
         count = round(seconds / DT)
         h, times = DT / SAMPLES, DT * np.arange(count + 1)
@@ -101,6 +110,10 @@ class Journey:
             seen = np.sort(np.concatenate([kept, new]))
             noisy = uvd[seen] + rng.multivariate_normal(np.zeros(3), INDEPENDENT_PIXELS.R, len(seen))
             steps.append(Step(at[k], R[k].as_quat(), StereoObservation(seen, noisy), inertial, biases))
+            if walk:
+                moved = walk * rng.multivariate_normal(np.zeros(3), INDEPENDENT_PIXELS.R, len(seen))
+                p_seen = CAMERA.backproject(uvd[seen] + moved) - p_c[seen]
+                points[seen] += R[k].apply(p_seen)
         return cls(_told(path, sigmas, rng), tuple(steps))
 
     def run(self, slam: StereoEKF) -> np.ndarray:
