@@ -56,6 +56,12 @@ class Recalibrated:
         return np.eye(3) if self._rectify is None else self._rectify.R_left
 
     @property
+    def gravity(self) -> FloatArray | None:
+        """Acceleration of a body that falls, in W, m/s^2, where the sequence says it."""
+        gravity = getattr(self._sequence, "gravity", None)
+        return None if gravity is None else np.asarray(self.R_left @ gravity)
+
+    @property
     def skipped(self) -> Mapping[str, int]:
         """Pairs that the sequence left out."""
         return self._sequence.skipped

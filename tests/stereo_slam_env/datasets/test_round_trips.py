@@ -232,6 +232,7 @@ def test_another_calibration_turns_all_that_the_left_camera_carries(tmp_path):
     sequence = open_image_sequence(place, rig=str(tmp_path / "rig.yaml"))
     R = sequence.R_left
     assert np.linalg.norm(rotations.log(R)) > 0.01
+    np.testing.assert_allclose(sequence.gravity, R @ [0.0, 9.81, 0.0], atol=1e-9)
     for pair, original in zip(sequence.pairs(), full_drive().pairs(), strict=True):
         if original.inertial is not None:
             np.testing.assert_allclose(pair.inertial.unit.position, R @ UNIT.position, atol=1e-9)
