@@ -59,21 +59,25 @@ def write_trajectory_report(
         raise ValueError("scores must not be empty: there is nothing to report")
     out = Path(out)
     clean_figures(out)
-    names = f"{runs.total} runs" if runs is not None else " and ".join(labels_of(scores))
-    subtitle = _extent(scores)
-    reference = scores[0].reference
+    title, subtitle = f"{' and '.join(labels_of(scores))} against {scores[0].reference}", _extent(scores)
+    each = part("items", [headline(score) for score in scores], "headline" if runs is None else "")
+    if runs is not None:
+        title = f"{runs.total} runs, judged together"
     contents: list[Content] = [
-        *([part("paragraph", runs.words, "headline")] if runs is not None else []),
-        part("items", [headline(score) for score in scores], "headline" if runs is None else ""),
+        each if runs is None else part("paragraph", runs.words, "headline"),
         *([part("paragraph", verdict.words, "headline")] if verdict is not None else []),
         part("items", notes_of(scores) if runs is None else notes_of_runs(scores), "failures fair"),
     ]
     if runs is not None:
         contents.append(_together(runs))
-        scores = scores[:DRAWN]
-    contents += [_path(scores), *_consistency(scores), *_windows(scores)]
+    some = f"The first {DRAWN} of {len(scores)} runs, here and below." if runs and len(scores) > DRAWN else ""
+    scores = scores[:DRAWN] if runs else scores
+    contents += [_path(scores, some), *_consistency(scores), *_windows(scores)]
+    contents += (
+        [] if runs is None else [Section("Each run", [each], "One run is one draw: only together they say much.")]
+    )
     contents += [Section("Figures", [score_table(scores)]), data_section(out)]
-    return write_page(out / "report.html", title=f"{names} against {reference}", subtitle=subtitle, contents=contents)
+    return write_page(out / "report.html", title=title, subtitle=subtitle, contents=contents)
 
 
 def _extent(scores: Sequence[TrajectoryScore]) -> str:
@@ -97,7 +101,7 @@ def _together(runs: RunsScore) -> Section:
     return Section("All runs together", [*claims, runs_errors_table(runs)], guide)
 
 
-def _path(scores: Sequence[TrajectoryScore]) -> Section:
+def _path(scores: Sequence[TrajectoryScore], guide: str) -> Section:
     chart, factor = trajectories.plot_paths(scores)
     caption = "Reference and estimates."
     if _claiming(scores):
@@ -106,7 +110,7 @@ def _path(scores: Sequence[TrajectoryScore]) -> Section:
         )
     if factor != 1.0:
         caption += f" Errors{' and tubes' if _claiming(scores) else ''} are drawn {factor:g} times as large."
-    return Section("Path", [Drawing("path", caption, chart)])
+    return Section("Path", [Drawing("path", caption, chart)], guide)
 
 
 def _consistency(scores: Sequence[TrajectoryScore]) -> list[Section]:

@@ -94,7 +94,10 @@ def test_runs_are_judged_together_before_one_by_one(tmp_path):
     scores = [score(name=f"run {k}", seed=k) for k in range(6)]
     runs = score_runs(scores)
     text = text_of(write_trajectory_report(tmp_path, scores, runs=runs))
-    assert text.index("6 runs together: pose ANEES / 6") < text.index("<figure")
+    assert text.index("6 runs together: pose ANEES / 6") < text.index("<figure") < text.index("one run can tell")
+    assert "6 runs, judged together" in text
+    assert " m each · aligned: " in text
+    assert "The first 4 of 6 runs, here and below." in text
     assert (tmp_path / "figures" / "runs.svg").is_file()
     assert (tmp_path / "figures" / "errors_3.svg").is_file()
     assert not (tmp_path / "figures" / "errors_4.svg").exists()
