@@ -119,7 +119,7 @@ def record_scene(
     frames: FramesOption = None,
     imu: Annotated[
         str | None,
-        typer.Option("--imu", help="Inertial unit, 200 Hz: 'adis16448', 'bmi088', 'car'.", show_default="none"),
+        typer.Option("--imu", help="Inertial unit, about 200 Hz: 'adis16448', 'bmi088', 'car'.", show_default="none"),
     ] = None,
     scale_errors: Annotated[
         bool, typer.Option("--scale-errors", help="The unit has errors of scale and alignment, too.")
@@ -167,7 +167,7 @@ def record_scene(
     for number in range(seed, seed + (seeds or 1)):
         drive: Any
         if is_flight:
-            drive = RenderedFlight(arguments, number, frames or 400, rate=rate or 20.0)
+            drive = RenderedFlight(arguments, number, frames or 400, rate=20.0 if rate is None else rate)
         else:
             drive = RenderedDrive(arguments, number, frames)
         place = out if seeds is None else out / f"{number:03d}"
@@ -186,7 +186,7 @@ def record_scene(
                     on_pair=progress,
                 )
         except KeyboardInterrupt:
-            typer.echo("interrupted: the same command goes on from here", err=True)
+            typer.echo("interrupted: the same command goes on from here, but for a bag, which begins anew", err=True)
             raise typer.Exit(130) from None
         typer.echo(str(folder.resolve()))
 

@@ -26,7 +26,7 @@ from stereo_slam_env.datasets.layouts import (
 from stereo_slam_env.datasets.restated import Recalibrated, WithTruth
 from stereo_slam_env.datasets.sequence import Choice, OnBroken
 from stereo_slam_env.datasets.single_data_sets import read_gtsam
-from stereo_slam_env.datasets.writing import FORMATS, reference_beside, write_recording
+from stereo_slam_env.datasets.writing import FORMATS, SOURCE, reference_beside, write_recording
 from stereo_slam_env.evaluation.body_frames import read_body
 from stereo_slam_env.files.opening import is_there, require_inside, require_links_inside
 from stereo_slam_env.frontend.camera_motion import set_up_for_tracks, with_moving_start
@@ -184,7 +184,7 @@ def open_image_sequence(
         No such folder, no known layout, an unknown option, something is missing or damaged, or a link leads out of the
         folder: one line that names it.
     """
-    place = Path(path)
+    place = _with_its_bag(Path(path))
     layout = _of_file(place)
     folder = place
     if layout is None:
@@ -207,11 +207,13 @@ def open_image_sequence(
     if rig is not None:
         sequence = Recalibrated(sequence, calibration_of(rig), str(rig))
     require_baseline(place, sequence.camera.baseline)
+    stated = getattr(sequence, "stated_truth", None)
     if truth is not None:
         sequence = WithTruth(sequence, str(truth), None if body is None else read_body(Path(body)))
-    elif (stated := getattr(sequence, "stated_truth", None)) is not None:
+    elif stated is not None:
         sequence = WithTruth(sequence, f"{folder}:{TRUTH}", stated.T_bc, (stated.trajectory, stated.motion))
-    if truth is None and sequence.truth_from.kind != "none" and (reference := reference_beside(folder)) is not None:
+    reference = stated.reference if stated is not None else reference_beside(folder)
+    if truth is None and sequence.truth_from.kind != "none" and reference is not None:
         restated: Any = sequence
         restated.truth_from = reference
     return sequence
@@ -219,10 +221,17 @@ def open_image_sequence(
 
 def holds_images(path: str | Path) -> bool:
     """Whether the folder or file is a recording of images, and not one of tracks or none at all."""
-    folder = Path(path)
+    folder = _with_its_bag(Path(path))
     if (layout := _of_file(folder)) is not None:
         return hasattr(layout, "open_sequence")
     return folder.is_dir() and _recognised(folder, track_layouts()) is None and bool(_image_recordings(folder))
+
+
+def _with_its_bag(path: Path) -> Path:
+    """The bag in the folder of a drive that `write_recording` made; anything else as it is."""
+    drives = [path / form.file for form in FORMATS.values() if form.file is not None]
+    bags = [bag for bag in drives if is_there(bag) and is_there(path / SOURCE)]
+    return bags[0] if len(bags) == 1 else path
 
 
 def _of_file(path: Path) -> Any | None:

@@ -92,7 +92,7 @@ class AslWriter:
         self._stack.close()
         suite = self._suite
         if self._of_tum_vi:
-            settings = settings_files(suite, self._folder.name, Topics())
+            settings = settings_files(suite, "drive", Topics())
             texts = {"dso/camchain.yaml": settings["kalibr/camchain.yaml"]}
             texts |= {"dso/imu_config.yaml": settings["kalibr/imu.yaml"]} if suite.unit is not None else {}
         else:

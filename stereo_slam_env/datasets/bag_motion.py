@@ -6,6 +6,7 @@ frames to that of the left images. Noise is what the messages state.
 
 from __future__ import annotations
 
+import json
 import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,13 +17,16 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from filters import BodyVelocity, InertialSamples, InertialUnit, Pose
-from filters.contract.validation import plain
+from filters.contract.validation import first_line, plain
 from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray
 from stereo_slam_env.datasets.restated import TrueMotion, pose_at
 from stereo_slam_env.datasets.written_frame import INERTIAL, STEPS
+from stereo_slam_env.recording.archive import reference_of
 from stereo_slam_env.recording.inertial import samples_of_steps
+from stereo_slam_env.recording.recording import Reference
 from stereo_slam_env.recording.trajectory import Trajectory
+from stereo_slam_env.recording.trajectory_bags import BIAS as BESIDE
 from stereo_slam_env.recording.trajectory_bags import transforms_of
 from stereo_slam_env.recording.trajectory_transforms import fixed_pose
 from stereo_slam_env.sensing.imu import DATA_SHEETS
@@ -41,10 +45,13 @@ _SAME_NOISE = 0.01
 _NUMBERS = "std_msgs/msg/Float64MultiArray"
 TRUTH = "/ground_truth"
 """Topic of an odometry of true poses."""
-BIAS, _BIAS_KIND = f"{TRUTH}/imu_bias", "geometry_msgs/msg/AccelStamped"
+BIAS, _BIAS_KIND = f"{TRUTH}/{BESIDE}", "geometry_msgs/msg/AccelStamped"
 """Topic of the true biases, gyros angular, accelerometers linear."""
 NOISE = "noise"
-"""Name of a topic beside that of a unit: densities of gyros and accelerometers, their walks."""
+"""Name of a topic beside that of a unit: densities of gyros and accelerometers, their walks, offset of its stamps."""
+REFERENCE = f"{TRUTH}/reference"
+"""Topic of a text in JSON: kind and origin of the true poses."""
+_TEXT = "std_msgs/msg/String"
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +62,8 @@ class Clock:
     """Stamp that times count from, ns."""
     seconds: FloatArray
     """(K,), s."""
+    imu_shift: float | None
+    """Stamps of the unit less those of the pairs, s; None: what is stated beside its samples, or 0."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,6 +154,8 @@ class StatedTruth:
     motion: TrueMotion
     T_bc: Pose
     """Left camera, as it is mounted, in the body."""
+    reference: Reference | None
+    """Kind and origin of the poses, where the bag says it."""
 
 
 def truth_of_bag(reader: Any, path: Path, images: str) -> StatedTruth | None:
@@ -162,7 +173,18 @@ def truth_of_bag(reader: Any, path: Path, images: str) -> StatedTruth | None:
         return None
     if not twists.any():  # zeros throughout fill a place
         linear = np.full_like(linear, np.nan)
-    return StatedTruth(trajectory, TrueMotion(table[:, 0], linear, twists[:, 3:], _biases(reader, table[:, 0])), T_bc)
+    motion = TrueMotion(table[:, 0], linear, twists[:, 3:], _biases(reader, table[:, 0]))
+    return StatedTruth(trajectory, motion, T_bc, _reference(reader, path))
+
+
+def _reference(reader: Any, path: Path) -> Reference | None:
+    for connection in (c for c in reader.connections if c.topic == REFERENCE and c.msgtype == _TEXT):
+        for _, _, raw in reader.messages([connection]):
+            try:
+                return reference_of({"truth_from": json.loads(reader.deserialize(raw, _TEXT).data)})
+            except (TypeError, ValueError, KeyError) as error:
+                raise ValueError(f"{path}: {REFERENCE} is no reference ({first_line(error)}): leave it out") from error
+    return None
 
 
 def _biases(reader: Any, times: FloatArray) -> FloatArray | None:
@@ -219,25 +241,27 @@ def _inertial(
     if has_variances:
         gyro, accelerometer = np.sqrt(variances * step).tolist()
     walks, assumed = (sheet.gyro_walk, sheet.accelerometer_walk), f"densities and walks of {ASSUMED}"
+    stated_shift = 0.0
     if has_variances:
         assumed = f"walks of the biases of {ASSUMED}"
         noise = _noise_beside(reader, topic)
-        if noise is not None and np.allclose(noise[:2], [gyro, accelerometer], rtol=_SAME_NOISE):
-            (gyro, accelerometer), walks, assumed = noise[:2], (noise[2], noise[3]), "nothing"
+        if noise and np.allclose(noise[:2], [gyro, accelerometer], rtol=_SAME_NOISE):
+            (gyro, accelerometer), walks, stated_shift, assumed = noise[:2], (noise[2], noise[3]), noise[4], "nothing"
     unit = InertialUnit(T_ci.position, T_ci.orientation, gyro, accelerometer, *walks)
-    samples = samples_of_steps(mounting.path, times, rows[order], clock.seconds, unit)
+    shift = stated_shift if clock.imu_shift is None else clock.imu_shift
+    samples = samples_of_steps(mounting.path, times, rows[order], clock.seconds + shift, unit)
     return samples, {"imu": topic, "imu_assumed": assumed}
 
 
-def _noise_beside(reader: Any, topic: str) -> list[float] | None:
-    """Densities and walks on the topic `noise` beside that of the samples, as `bag_writer` has it; None without."""
+def _noise_beside(reader: Any, topic: str) -> list[float]:
+    """Densities, walks and offset on the topic `noise` beside that of the samples, by `bag_writer`; empty without."""
     name = f"{topic.rpartition('/')[0]}/{NOISE}"
     for connection in (c for c in reader.connections if c.topic == name and c.msgtype == _NUMBERS):
         for _, _, raw in reader.messages([connection]):
             numbers = [float(number) for number in reader.deserialize(raw, _NUMBERS).data]
-            if len(numbers) == 4 and np.isfinite(numbers).all() and min(numbers) >= 0.0:
-                return numbers
-    return None
+            if len(numbers) in (4, 5) and np.isfinite(numbers).all() and min(numbers[:4]) >= 0.0:
+                return [*numbers, 0.0][:5]
+    return []
 
 
 def _odometry_rows(reader: Any, topic: str, origin: int = 0) -> tuple[str, FloatArray, FloatArray, FloatArray]:

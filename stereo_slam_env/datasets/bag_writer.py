@@ -9,7 +9,9 @@ are an acceleration: gyros angular, accelerometers linear.
 
 from __future__ import annotations
 
+import json
 import shutil
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +22,7 @@ from filters import Pose
 from filters.contract.extras import require_module
 from filters.geometry import rotations
 from filters.geometry.arrays import FloatArray
-from stereo_slam_env.datasets.bag_motion import BIAS, NOISE, TRUTH
+from stereo_slam_env.datasets.bag_motion import BIAS, NOISE, REFERENCE, TRUTH
 from stereo_slam_env.datasets.image_files import png_of
 from stereo_slam_env.datasets.written_frame import WrittenFrame, step_of
 from stereo_slam_env.recording.recording import GreyImage
@@ -36,13 +38,16 @@ _TRANSFORMS = "tf2_msgs/msg/TFMessage"
 class BagWriter:
     """Writer of one bag, a file or a folder."""
 
-    def __init__(self, path: Path, suite: SensorSuite, kind: str, *, compressed: bool = False) -> None:
+    def __init__(
+        self, path: Path, suite: SensorSuite, kind: str, *, truth_from: Mapping[str, Any], compressed: bool = False
+    ) -> None:
         require_module("rosbags", "bags")
         from rosbags.rosbag1 import Writer as Writer1
         from rosbags.rosbag2 import StoragePlugin, Writer
         from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
         self._path, self._suite, self._kind, self._compressed = path, suite, kind, compressed
+        self._truth_from = json.dumps(truth_from)
         self._of_ros1, self._connections = kind == "bag", dict[str, Any]()
         self._folder = path.with_name("unfinished") if kind == "mcap" else path
         _remove(path, self._folder)  # of a writing that was stopped
@@ -97,7 +102,7 @@ class BagWriter:
         self._writer.write(self._connections[topic], stamp, serialize(message, kind))
 
     def _connected(self, topic: str, kind: str) -> Any:
-        latched = topic in (STATIC, _beside(IMU))
+        latched = topic in (STATIC, _beside(IMU), REFERENCE)
         if self._of_ros1:
             return self._writer.add_connection(topic, kind, typestore=self._types, latching=int(latched))
         return self._writer.add_connection(topic, kind, typestore=self._types, offered_qos_profiles=_kept(latched))
@@ -110,8 +115,9 @@ class BagWriter:
         if unit is not None:
             links.append((BASE, UNIT, T_BASE_CAMERA @ Pose(unit.position, unit.orientation)))
             densities = unit.gyro_density, unit.accelerometer_density, unit.gyro_walk, unit.accelerometer_walk
+            numbers = np.array([*densities, self._suite.time_offset])
             layout = self._new("std_msgs/msg/MultiArrayLayout", dim=[], data_offset=0)
-            noise = self._new("std_msgs/msg/Float64MultiArray", layout=layout, data=np.array(densities))
+            noise = self._new("std_msgs/msg/Float64MultiArray", layout=layout, data=numbers)
             self._put(_beside(IMU), "std_msgs/msg/Float64MultiArray", stamp, noise)
         transforms = [self._transform(stamp, *link) for link in links]
         self._put(STATIC, _TRANSFORMS, stamp, self._new(_TRANSFORMS, transforms=transforms))
@@ -121,6 +127,9 @@ class BagWriter:
         pair, stamp, zeros = frame.pair, frame.stamp, np.zeros(36)
         if (pose := frame.T_ub) is None:
             return
+        if frame.number == 0:
+            text = self._new("std_msgs/msg/String", data=self._truth_from)
+            self._put(REFERENCE, "std_msgs/msg/String", stamp, text)
         linear = angular = np.zeros(3)
         if frame.velocity_u is not None and pair.velocity is not None:
             linear, angular = pose.R_wc.T @ frame.velocity_u, self._suite.T_bc.R_wc @ pair.velocity.angular

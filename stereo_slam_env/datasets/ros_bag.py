@@ -111,8 +111,8 @@ def open_sequence(
             log.warning("%s", note)
         sequence.take(calibration, [*notes, *more, *rows])
         origin = int(times[selected][0])
-        shift_s = 0.0 if rig is None else imu_shift_of(rig)
-        clock = Clock(origin, 1e-9 * (times[selected] - origin).astype(np.float64) + shift_s)
+        seconds = 1e-9 * (times[selected] - origin).astype(np.float64)
+        clock = Clock(origin, seconds, None if rig is None else imu_shift_of(rig))
         sequence.motion = motion_of_bag(reader, path, eyes[0], clock, sequence.R_left, imu, odometry)
         sequence.source = {**sequence.source, **sequence.motion.source}
         sequence.stated_truth = truth_of_bag(reader, path, eyes[0])

@@ -91,7 +91,7 @@ def _rendered(template: str, suite: SensorSuite, name: str, **values: Any) -> st
         unit=suite.unit,
         name=plain(" ".join(name.split())),
         root=float(np.sqrt(suite.imu_rate)),
-        gravity=float(np.linalg.norm(suite.gravity)),
+        gravity=round(float(np.linalg.norm(suite.gravity)), 9),
         T_bc=_matrix(suite.T_bc),
         T_br=_matrix(suite.T_br),
         T_rl=T_rl,

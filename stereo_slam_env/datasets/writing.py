@@ -45,7 +45,8 @@ EPOCH_NS = 1_700_000_000 * 10**9
 """Stamp of the first pair of a simulated drive: programs take stamps near zero for missing ones."""
 PARTIAL = ".partial"
 """Ending of a folder or file that is not yet complete."""
-_SOURCE = "source.json"
+SOURCE = "source.json"
+"""File in the folder of a drive that says what it is of."""
 log = logging.getLogger(__name__)
 _FILES = (".mcap", ".bag")
 """Endings of drives that are one file."""
@@ -159,7 +160,8 @@ def write_recording(
     if compressed and form.file is None:
         raise ValueError(f"compressed must be left out of the format {format_name}: its images are PNG")
     if out.suffix in _FILES and out.suffix != f".{format_name}":
-        raise ValueError(f"out must end in .{format_name}, or be a folder, for the format {format_name}, got {out}")
+        right = f"end in .{format_name}, or be a folder," if f".{format_name}" in _FILES else "be a folder"
+        raise ValueError(f"out must {right} for the format {format_name}, got {out}")
     place = _place(out, format_name, name)
     source = {"name": sequence.name, "format": format_name, "time_offset": time_offset, "compressed": compressed}
     source |= sequence.source
@@ -169,6 +171,7 @@ def write_recording(
     unfinished = place.with_name(place.name + PARTIAL)
     _require_free(place, unfinished, source)
     epoch = round(1e9 * float(sequence.source["epoch_s"])) if "epoch_s" in sequence.source else EPOCH_NS
+    epoch = 0 if format_name == "kitti" else epoch  # its times are those of the drive
     writer: FrameWriter | None = None
 
     def is_drawn(number: int, time: float) -> bool:
@@ -183,10 +186,15 @@ def write_recording(
     _require_kept(ahead, writable, format_name)
     _require_read(getattr(sequence, "not_read", {}), may_lose)
     suite = _suite(sequence, ahead, time_offset)
+    if INERTIAL not in form.keeps:  # settings are of what is there
+        suite = replace(suite, unit=None)
+    if STEPS not in form.keeps:
+        suite = replace(suite, odometry=None)
     with claimed_folder(unfinished):
-        write_text(unfinished / _SOURCE, json_text(source))
+        write_text(unfinished / SOURCE, json_text(source))
         file = place.name if place.suffix in _FILES else form.file
-        options = {"compressed": True} if compressed else {}
+        options: dict[str, Any] = {"compressed": True} if compressed else {}
+        options |= {"truth_from": source["truth_from"]} if file is not None else {}
         writer = form.writer(unfinished if file is None else unfinished / file, suite, **options)
         truths = None if place.suffix in _FILES else TrueTrajectories(unfinished)
         lost = set[str]()
@@ -214,9 +222,9 @@ def write_recording(
 
 
 def reference_beside(place: Path) -> Reference | None:
-    """The reference of a drive, in the folder or file `place`, that was written here and says so; None of others."""
+    """The reference of a drive in the folder `place` that was written here and says so; None of others."""
     for folder in (place, place.parent):
-        if not (file := folder / _SOURCE).is_file():
+        if not (file := folder / SOURCE).is_file():
             continue
         try:
             source = read_json(file)
@@ -224,7 +232,7 @@ def reference_beside(place: Path) -> Reference | None:
             log.warning("not read: %s", error)
             continue
         form = FORMATS.get(str(source.get("format"))) if isinstance(source, dict) else None
-        if form is not None and "truth_from" in source and (folder == place or place.name in (form.file, "mav0")):
+        if form is not None and "truth_from" in source and (folder == place or place.name == "mav0"):
             try:
                 return reference_of(source)
             except (TypeError, ValueError, KeyError) as error:
@@ -244,7 +252,7 @@ def _place(out: Path, format_name: str, name: str) -> Path:
 
 def _is_of(folder: Path, source: Mapping[str, Any]) -> bool:
     """Whether a folder says that it is of this writing."""
-    file = folder / _SOURCE
+    file = folder / SOURCE
     return file.is_file() and read_json(file) == json.loads(json_text(source))
 
 
@@ -263,7 +271,7 @@ def _completed(place: Path, unfinished: Path) -> Path:
     """Give what was written its name."""
     if place.suffix in _FILES:
         (unfinished / place.name).replace(place)
-        (unfinished / _SOURCE).unlink()
+        (unfinished / SOURCE).unlink()
         unfinished.rmdir()
         return place
     if (poses := unfinished / KittiWriter.POSES).exists():
@@ -299,7 +307,7 @@ def _require_kept(pairs: Sequence[StereoPair], writable: Collection[str], format
         formats = ", ".join(name for name, form in FORMATS.items() if lost <= form.keeps)
         raise ValueError(
             f"the format {format_name} has no place for {_listed(lost)}, which the recording has: choose "
-            f"{formats}, or leave them out (convert --lossy)"
+            f"{formats}, or leave them out (--lossy of convert)"
         )
 
 

@@ -100,7 +100,7 @@ class RunsScore:
 
     @property
     def judged(self) -> str:
-        """The claim that the verdict is on: "pose", or "position" where that is all there is."""
+        """The claim that the verdict is on: "pose", "position" where that is all there is, or the first state."""
         return next(iter(self.claims), "")
 
     @property
@@ -196,11 +196,12 @@ def score_runs(scores: Sequence[TrajectoryScore], failed: Mapping[str, str] | No
         Fewer than two runs can be judged.
     """
     names = labels_of(scores)
-    reasons = _doubts(scores, [score.claim for score in scores])
+    main = [score.claim or next(iter(score.claims.values()), None) for score in scores]
+    reasons = _doubts(scores, main)
     unfit = {name: why for name, why in zip(names, reasons, strict=True) if why}
     fit = {name: score for name, score in zip(names, scores, strict=True) if name not in unfit}
     judged = list(fit.values())
-    if len({(score.claim and score.claim.dof) for score in judged}) > 1:
+    if len({(score.claim and score.claim.dof) for score in judged}) > 1:  # None: of states alone
         raise ValueError(
             "runs must be of one estimator: some claim the whole pose, some its position or motion in a plane alone"
         )

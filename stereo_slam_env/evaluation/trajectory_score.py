@@ -358,6 +358,8 @@ def _other_clock(estimate: Trajectory, reference: Trajectory) -> str:
         offset = find_time_offset(estimate, reference)
     except ValueError:
         return ""
+    if abs(offset) < MAX_GAP:
+        return ""
     return f"; the paths fit with {offset:+.3f} s added to the times of the estimate: --time-offset auto does that"
 
 

@@ -7,28 +7,35 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from filters.contract.extras import require_module
 from filters.contract.validation import first_line, plain
+from filters.geometry import rotations
 from filters.geometry.arrays import IntArray
 from filters.motions.motion_model import POSE_SIZE
 from stereo_slam_env.files.bags import open_bag
 from stereo_slam_env.files.opening import require_regular
+from stereo_slam_env.recording.state_beliefs import StateBelief
 from stereo_slam_env.recording.trajectory import Trajectory
 from stereo_slam_env.recording.trajectory_layouts import message_times, require_rate
 from stereo_slam_env.recording.trajectory_transforms import Link, assembled, links_of, listed, poses_between
 
+BIAS = "imu_bias"
+"""Name of a topic beside that of an odometry: biases (AccelStamped), gyros angular, accelerometers linear."""
+_ODOMETRY = "nav_msgs/msg/Odometry"
 _ENDINGS = (".bag", ".db3", ".mcap")
 _Parts = tuple[Any, Any, Any]
 """Position, orientation or None, and 36 covariances or None, of a message."""
 _TYPES: Mapping[str, Callable[[Any], _Parts]] = {
     "geometry_msgs/msg/PoseStamped": lambda m: (m.pose.position, m.pose.orientation, None),
     "geometry_msgs/msg/PoseWithCovarianceStamped": lambda m: (m.pose.pose.position, *_turn_and_doubt(m.pose)),
-    "nav_msgs/msg/Odometry": lambda m: (m.pose.pose.position, *_turn_and_doubt(m.pose)),
+    _ODOMETRY: lambda m: (m.pose.pose.position, *_turn_and_doubt(m.pose)),
     "geometry_msgs/msg/TransformStamped": lambda m: (m.transform.translation, m.transform.rotation, None),
     "geometry_msgs/msg/PointStamped": lambda m: (m.point, None, None),
 }
@@ -89,7 +96,7 @@ def read_bag(path: Path, topic: str | None) -> Trajectory:
         parts = [_TYPES[types[matched_topic]](message) for message in messages]
     if not parts:
         raise ValueError(f"{path}, {plain(matched_topic)}: its last path is empty: ask for another topic")
-    stamps = np.array([m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in messages], dtype=np.int64)
+    stamps = np.array([_stamp(message) for message in messages], dtype=np.int64)
     times, kept_rows, notes = message_times(stamps, logged)
     order = np.flatnonzero(kept_rows)[np.argsort(times[kept_rows], kind="stable")]
     positions = np.array([[p.x, p.y, p.z] for p, _, _ in parts], dtype=np.float64)[order]
@@ -105,7 +112,7 @@ def read_bag(path: Path, topic: str | None) -> Trajectory:
     else:
         seconds = np.asarray(1e-9 * times[order], dtype=np.float64)
         require_rate(seconds, f"{path}, {plain(matched_topic)}")
-    return assembled(
+    trajectory = assembled(
         f"{path}, {plain(matched_topic)}",
         positions,
         orientations,
@@ -116,6 +123,37 @@ def read_bag(path: Path, topic: str | None) -> Trajectory:
         gauge=None,
         notes=notes,
     )
+    if types[matched_topic] != _ODOMETRY or len(trajectory) != len(order):
+        return trajectory
+    with opened_bag(path) as reader:
+        _, beside = _messages(reader, f"{matched_topic}/{BIAS}") if f"{matched_topic}/{BIAS}" in types else ((), [])
+    return replace(trajectory, states=_states_of(trajectory, [messages[k] for k in order], beside))
+
+
+def _states_of(trajectory: Trajectory, odometry: Sequence[Any], beside: Sequence[Any]) -> dict[str, StateBelief]:
+    """Velocities by the twists, which are along the axes of the body, and biases of the same stamps beside them."""
+    states = {}
+    twists = np.array([_vector(one.twist.twist.linear) for one in odometry])
+    if trajectory.is_oriented and np.nan_to_num(twists).any():  # zeros throughout fill a place
+        R = Rotation.from_quat(trajectory.orientations).as_matrix()
+        P = np.array([one.twist.covariance for one in odometry]).reshape(-1, POSE_SIZE, POSE_SIZE)[:, :3, :3]
+        claimed = np.isfinite(P).all() and bool((np.linalg.eigvalsh(P) > 0.0).all())
+        values = rotations.turned(R, twists)
+        states["velocity"] = StateBelief(values, R @ P @ R.swapaxes(1, 2) if claimed else None)
+    if beside:
+        by_stamp = {_stamp(one): (_vector(one.accel.angular), _vector(one.accel.linear)) for one in beside}
+        none = (3 * (np.nan,), 3 * (np.nan,))
+        biases = np.array([by_stamp.get(_stamp(one), none) for one in odometry])
+        states |= {name: StateBelief(biases[:, k]) for k, name in enumerate(("gyro-bias", "accelerometer-bias"))}
+    return states
+
+
+def _stamp(message: Any) -> int:
+    return int(message.header.stamp.sec * 10**9 + message.header.stamp.nanosec)
+
+
+def _vector(of: Any) -> tuple[float, float, float]:
+    return of.x, of.y, of.z
 
 
 def _offered(reader: Any, types: Mapping[str, str], with_poses: Sequence[str]) -> str:

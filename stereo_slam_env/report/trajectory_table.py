@@ -122,7 +122,8 @@ def headline(score: TrajectoryScore) -> str:
     claim = score.claim
     claim_words = f"its covariance is {score.verdict}"
     if claim is None:
-        claim_words = "it claims no covariance"
+        states = " and ".join(f"{name} is {one.verdict}" for name, one in score.claims.items())
+        claim_words = "it claims no covariance" + (f" of its pose; of the others {states}" if states else "")
     elif claim.obstacle:
         claim_words = f"its covariance is not judged ({claim.obstacle})"
     elif claim.of_a_pair:

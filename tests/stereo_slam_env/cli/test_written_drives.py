@@ -96,7 +96,7 @@ def test_convert_keeps_what_was_measured_or_refuses(tmp_path, capsys):
     drive, bag = str(tmp_path / "d"), str(tmp_path / "d.bag")
     assert record(drive, "--format", "euroc", "--imu", "bmi088", "--frames", 3) == 0
     assert app.main(["convert", drive, str(tmp_path / "k")]) == 2
-    assert "or leave them out (convert --lossy)" in capsys.readouterr().err
+    assert "or leave them out (--lossy of convert)" in capsys.readouterr().err
     assert app.main(["convert", drive, bag]) == 0
     back = ["convert", bag, str(tmp_path / "e"), "--format", "euroc"]
     assert app.main(back) == 2

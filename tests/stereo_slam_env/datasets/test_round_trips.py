@@ -17,6 +17,7 @@ from stereo_slam_env.datasets.written_frame import KINDS
 from stereo_slam_env.recording.recording import SIMULATION, Velocity
 from stereo_slam_env.recording.trajectory_files import load_trajectory
 from stereo_slam_env.sensing.rig_files import read_calibration
+from stereo_slam_env.sensing.sensor_suite import T_BASE_CAMERA
 
 from .small_image_folders import CAMERA, FRAMES, Drive, drive
 
@@ -131,10 +132,11 @@ def test_a_recording_that_was_read_can_be_written_again(tmp_path, format_name, f
             np.testing.assert_allclose(pair.biases, other.biases, atol=1e-12)
 
 
-@pytest.mark.parametrize("format_name", ["euroc", "tum-vi", "mcap"])
-def test_the_clock_of_the_unit_may_be_another_one(tmp_path, format_name):
+@pytest.mark.parametrize("format_name", ["euroc", "tum-vi", "mcap", "bag"])
+@pytest.mark.parametrize("by_settings", [False, True])
+def test_the_clock_of_the_unit_may_be_another_one(tmp_path, format_name, by_settings):
     place = place_of(tmp_path, format_name, full_drive(), time_offset=0.0123)
-    told = {} if format_name != "mcap" else {"rig": str(place / "settings" / "kalibr" / "camchain.yaml")}
+    told = {"rig": str(place / "settings" / "kalibr" / "camchain.yaml")} if by_settings else {}
     for pair, original in zip(read_again(place, format_name, **told).pairs(), full_drive().pairs(), strict=True):
         if original.inertial is not None:
             assert_same_samples(pair.inertial, original.inertial)
@@ -146,10 +148,11 @@ def test_the_truth_of_body_and_camera_is_in_a_world_with_z_up(tmp_path, format_n
     body, camera = (load_trajectory(place / f"truth_{name}.tum") for name in ("body", "left_camera"))
     T_cb = Pose(UNIT.position, UNIT.orientation)
     for k, pair in enumerate(full_drive().pairs()):
-        assert camera.timestamps[k] == pytest.approx(1_700_000_000 + pair.timestamp, abs=1e-6)
+        begin = 0 if format_name == "kitti" else 1_700_000_000
+        assert camera.timestamps[k] == pytest.approx(begin + pair.timestamp, abs=1e-6)
         x, y, z = pair.truth.position
         np.testing.assert_allclose(camera.positions[k], [z, -x, -y], atol=1e-12)  # z forward, y down
-        T_ub = camera.pose(k) @ T_cb
+        T_ub = camera.pose(k) @ (T_BASE_CAMERA.inverse() if format_name == "kitti" else T_cb)
         np.testing.assert_allclose(body.positions[k], T_ub.position, atol=1e-12)
         np.testing.assert_allclose(body.pose(k).R_wc, T_ub.R_wc, atol=1e-12)
 
@@ -376,7 +379,7 @@ def test_rosbags_reads_what_stands_on_the_topics(tmp_path, format_name):
     assert counts == {
         **{f"/stereo/{side}/{kind}": FRAMES for side in ("left", "right") for kind in ("camera_info", "image_rect")},
         **dict.fromkeys(("/ground_truth", "/ground_truth/imu_bias", "/wheel/odometry"), FRAMES),
-        **{"/imu/data": samples, "/imu/noise": 1, "/tf_static": 1},
+        **{"/imu/data": samples, "/imu/noise": 1, "/tf_static": 1, "/ground_truth/reference": 1},
     }
 
 
@@ -409,11 +412,14 @@ def test_rows_of_an_odometry_that_belong_to_no_image_give_no_step(tmp_path):
 
 @pytest.mark.parametrize("format_name", FORMATS)
 def test_the_folder_says_that_the_truth_is_of_a_simulation(tmp_path, format_name):
-    """Also of a recording that was read and written again; its rig is then exact, and no clock began late."""
+    """Also a single file, and a recording that was read and written again; its rig is then exact."""
     once = read_again(place_of(tmp_path, format_name, full_drive()), format_name)
     assert once.truth_from == SIMULATION
     again = write_recording(once, tmp_path / "again", "euroc")
     assert open_image_sequence(again / "mav0").truth_from == SIMULATION
+    if format_name in ("mcap", "bag"):
+        alone = (tmp_path / "drive" / FORMATS[format_name].file).rename(tmp_path / f"alone.{format_name}")
+        assert open_image_sequence(alone).truth_from == SIMULATION
     given = open_image_sequence(again, truth=again / "truth_left_camera.tum")
     assert given.truth_from.kind == "unknown"
 
@@ -426,3 +432,24 @@ def test_a_file_of_that_name_that_says_nothing_or_nonsense(tmp_path):
     (place / "source.json").write_text('{"format": "euroc", "truth_from": {"kind": "divine", "description": ""}}')
     with pytest.raises(ValueError, match=r"source\.json: truth_from is no reference \(kind of a reference must be"):
         open_image_sequence(place)
+
+
+@pytest.mark.parametrize("format_name", NEEDS_ROSBAGS)
+def test_the_folder_of_a_drive_that_is_a_bag_stands_for_it(tmp_path, format_name):
+    place = place_of(tmp_path, format_name, full_drive())
+    assert len(open_image_sequence(place)) == FRAMES
+    (place / "source.json").unlink()
+    if format_name != "db3":  # a folder by itself
+        with pytest.raises(ValueError, match="no known layout"):
+            open_image_sequence(place)
+
+
+@pytest.mark.parametrize("format_name", NEEDS_ROSBAGS)
+def test_true_velocities_and_biases_of_a_bag_are_a_truth_of_states(tmp_path, format_name):
+    bag = place_of(tmp_path, format_name, full_drive()) / FORMATS[format_name].file
+    table = place_of(tmp_path / "b", "euroc", full_drive()) / "mav0" / "state_groundtruth_estimate0" / "data.csv"
+    one, other = load_trajectory(f"{bag}:/ground_truth"), load_trajectory(table)
+    assert set(one.states) == set(other.states) == {"velocity", "gyro-bias", "accelerometer-bias"}
+    for name, belief in one.states.items():
+        np.testing.assert_allclose(belief.values, other.states[name].values, atol=1e-9)
+        assert belief.covariances is None

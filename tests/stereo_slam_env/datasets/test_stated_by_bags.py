@@ -54,7 +54,14 @@ def test_the_noise_beside_the_samples_is_theirs(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "numbers", [(0.1, 0.2, 0.3, 0.4), (2.4e-4, 1.8e-3), (2.4e-4, 1.8e-3, np.nan, 1e-3), (2.4e-4, 1.8e-3, -1e-5, 1e-3)]
+    "numbers",
+    [
+        (0.1, 0.2, 0.3, 0.4),
+        (0.1, 0.2, 0.3, 0.4, 0.5),
+        (2.4e-4, 1.8e-3),
+        (2.4e-4, 1.8e-3, np.nan, 1e-3),
+        (2.4e-4, 1.8e-3, -1e-5, 1e-3),
+    ],
 )
 def test_four_other_numbers_of_that_name_are_no_noise(tmp_path, numbers):
     unit, assumed = unit_of(altered(tmp_path, "/imu/noise", with_numbers(*numbers)))
@@ -79,8 +86,19 @@ def test_without_a_truth_there_is_none(tmp_path):
     assert sequence.truth_from.kind == "none"
 
 
-def test_a_truth_of_a_bag_is_of_unknown_origin(tmp_path):
-    assert open_image_sequence(altered(tmp_path, "/none", None)).truth_from.kind == "unknown"
+def test_a_truth_of_a_bag_that_does_not_say_is_of_unknown_origin(tmp_path):
+    bag = altered(tmp_path, "/ground_truth/reference", lambda message: None)
+    assert open_image_sequence(bag).truth_from.kind == "unknown"
+
+
+@pytest.mark.parametrize("text", ["", "[]", '{"kind": "divine", "description": ""}', '{"kind": "simulation"}'])
+def test_a_reference_that_is_none_is_named(tmp_path, text):
+    def change(message):
+        message.data = text
+        return message
+
+    with pytest.raises(ValueError, match="/ground_truth/reference is no reference"):
+        open_image_sequence(altered(tmp_path, "/ground_truth/reference", change))
 
 
 def test_steps_have_the_covariance_of_their_own_message(tmp_path):

@@ -10,6 +10,7 @@ import stereo_slam_env as sse
 from stereo_slam_env.evaluation.bands import mean_band
 from stereo_slam_env.evaluation.trajectory_runs import score_runs
 from stereo_slam_env.recording.state_beliefs import StateBelief
+from stereo_slam_env.report.trajectory_table import headline
 
 from .test_state_claims import NAMES, odometry
 
@@ -105,8 +106,18 @@ def test_what_would_explain_one_run_is_no_reason_to_leave_it_out_and_what_explai
 
 
 def test_runs_of_the_same_name_are_told_apart():
-    pairs = [(replace(estimate, name="est", covariances=None), truth) for estimate, truth in runs(2)]
+    pairs = [(replace(estimate, name="est", covariances=None, states={}), truth) for estimate, truth in runs(2)]
     assert set(score_runs(scored(pairs), {}).left_out) == {"est (1)", "est (2)"}
+
+
+def test_runs_that_claim_their_states_alone_are_judged_by_these():
+    pairs = [(replace(estimate, covariances=None), truth) for estimate, truth in runs(6)]
+    scores = scored(pairs)
+    found = score_runs(scores, {})
+    assert (found.judged, len(found.runs)) == ("velocity", 6)
+    assert "pose" not in found.claims
+    assert found.words.startswith("6 runs together: velocity ANEES / 3 is ")
+    assert "it claims no covariance of its pose; of the others velocity is " in headline(scores[0])
 
 
 def test_a_state_of_some_runs_is_judged_by_these():
