@@ -61,6 +61,8 @@ def convert(
         raise ValueError("convert needs a recording and where it goes: stereo-slam convert RECORDING OUT")
     require_writable(out.parent if out.suffix in (".mcap", ".bag", ".npz") else out)
     options: dict[str, Any] = {**images.given(), **({"on_broken": "skip"} if skip_broken else {})}
+    if out.suffix == ".npz" and out.exists():
+        raise ValueError(f"{out} is there already: choose another name, or remove it")
     with progress_bar(console(stderr=True), "pairs") as progress:
         if out.suffix == ".npz":
             save_recording(out, load(path, **options))

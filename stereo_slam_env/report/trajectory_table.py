@@ -12,7 +12,7 @@ from rich.markup import escape
 
 from filters.checks.consistency import chi_square_quantile
 from stereo_slam_env.evaluation.bands import mean_band
-from stereo_slam_env.evaluation.claims import COVERED, ClaimScore
+from stereo_slam_env.evaluation.claims import COVERED, ClaimScore, fit_of
 from stereo_slam_env.evaluation.figures import FIGURES, UNKNOWN, readable
 from stereo_slam_env.evaluation.trajectory_runs import RunsScore, labels_of
 from stereo_slam_env.evaluation.trajectory_score import TrajectoryScore
@@ -122,8 +122,10 @@ def headline(score: TrajectoryScore) -> str:
     claim = score.claim
     claim_words = f"its covariance is {score.verdict}"
     if claim is None:
-        states = " and ".join(f"{name} is {one.verdict}" for name, one in score.claims.items())
-        claim_words = "it claims no covariance" + (f" of its pose; of the others {states}" if states else "")
+        states = ", ".join(f"{name} is {fit_of(one.nees.mean, one.band)}" for name, one in score.claims.items())
+        claim_words = "it claims no covariance" + (
+            f" of its pose; as far as one run can tell {states}" if states else ""
+        )
     elif claim.obstacle:
         claim_words = f"its covariance is not judged ({claim.obstacle})"
     elif claim.of_a_pair:

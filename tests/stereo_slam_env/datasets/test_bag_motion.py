@@ -182,6 +182,8 @@ def test_a_part_of_the_bag_and_pairs_that_are_left_out_keep_whole_steps(tmp_path
 def test_replay_takes_the_topics(tmp_path, capsys):
     bag = robot(tmp_path)
     assert cli.main(["convert", str(bag), str(tmp_path / "t.npz"), "--odometry-topic", "/wheels"]) == 0
+    assert cli.main(["convert", str(bag), str(tmp_path / "t.npz")]) == 2
+    assert "t.npz is there already: choose another name, or remove it" in capsys.readouterr().err
     frames = load(tmp_path / "t.npz").frames
     assert all(frame.odometry is not None and frame.inertial is not None for frame in frames[1:])
     assert cli.main(["convert", str(bag), str(tmp_path / "u.npz"), "--odometry-topic", "/tf"]) == 2
