@@ -27,7 +27,7 @@ from stereo_slam_env.recording.inertial import samples_of_steps
 from stereo_slam_env.recording.recording import Reference
 from stereo_slam_env.recording.trajectory import Trajectory
 from stereo_slam_env.recording.trajectory_bags import BIAS as BESIDE
-from stereo_slam_env.recording.trajectory_bags import transforms_of
+from stereo_slam_env.recording.trajectory_bags import stamp_of, transforms_of, vector_of
 from stereo_slam_env.recording.trajectory_transforms import fixed_pose
 from stereo_slam_env.sensing.imu import DATA_SHEETS
 
@@ -194,7 +194,7 @@ def _biases(reader: Any, times: FloatArray) -> FloatArray | None:
     at, rows = {time: k for k, time in enumerate(times.tolist())}, np.full((len(times), 6), np.nan)
     for stamp, message in _messages(reader, BIAS):
         if (k := at.get(1e-9 * stamp)) is not None:
-            rows[k] = *_vector(message.accel.angular), *_vector(message.accel.linear)
+            rows[k] = *vector_of(message.accel.angular), *vector_of(message.accel.linear)
     return rows
 
 
@@ -229,7 +229,7 @@ def _inertial(
             raise
         return [], {"imu": None, "imu_unused": str(error)}
     times = 1e-9 * np.array([stamp - clock.origin for stamp, _ in messages], dtype=np.float64)
-    rows = np.array([[*_vector(m.angular_velocity), *_vector(m.linear_acceleration)] for _, m in messages])
+    rows = np.array([[*vector_of(m.angular_velocity), *vector_of(m.linear_acceleration)] for _, m in messages])
     times, order = np.unique(times, return_index=True)
     stated = np.array(
         [[m.angular_velocity_covariance[::4], m.linear_acceleration_covariance[::4]] for _, m in messages]
@@ -270,7 +270,7 @@ def _odometry_rows(reader: Any, topic: str, origin: int = 0) -> tuple[str, Float
     for stamp, message in _messages(reader, topic):
         p, q, twist = message.pose.pose.position, message.pose.pose.orientation, message.twist.twist
         rows.append([1e-9 * (stamp - origin), p.x, p.y, p.z, q.x, q.y, q.z, q.w])
-        twists.append([*_vector(twist.linear), *_vector(twist.angular)])
+        twists.append([*vector_of(twist.linear), *vector_of(twist.angular)])
         doubts.append(np.asarray(message.twist.covariance).reshape(6, 6))
         body = message.child_frame_id
     table = np.array(rows).reshape(-1, 8)
@@ -307,12 +307,8 @@ def _messages(reader: Any, topic: str) -> Any:
     """Stamps, ns, and messages of a topic."""
     for connection, _, raw in reader.messages([c for c in reader.connections if c.topic == topic]):
         message = reader.deserialize(raw, connection.msgtype)
-        yield message.header.stamp.sec * 10**9 + message.header.stamp.nanosec, message
+        yield stamp_of(message), message
 
 
 def _first(reader: Any, topic: str) -> Any:
     return next(message for _, message in _messages(reader, topic))
-
-
-def _vector(of: Any) -> tuple[float, float, float]:
-    return of.x, of.y, of.z

@@ -96,7 +96,7 @@ def read_bag(path: Path, topic: str | None) -> Trajectory:
         parts = [_TYPES[types[matched_topic]](message) for message in messages]
     if not parts:
         raise ValueError(f"{path}, {plain(matched_topic)}: its last path is empty: ask for another topic")
-    stamps = np.array([_stamp(message) for message in messages], dtype=np.int64)
+    stamps = np.array([stamp_of(message) for message in messages], dtype=np.int64)
     times, kept_rows, notes = message_times(stamps, logged)
     order = np.flatnonzero(kept_rows)[np.argsort(times[kept_rows], kind="stable")]
     positions = np.array([[p.x, p.y, p.z] for p, _, _ in parts], dtype=np.float64)[order]
@@ -133,7 +133,7 @@ def read_bag(path: Path, topic: str | None) -> Trajectory:
 def _states_of(trajectory: Trajectory, odometry: Sequence[Any], beside: Sequence[Any]) -> dict[str, StateBelief]:
     """Velocities by the twists, which are along the axes of the body, and biases of the same stamps beside them."""
     states = {}
-    twists = np.array([_vector(one.twist.twist.linear) for one in odometry])
+    twists = np.array([vector_of(one.twist.twist.linear) for one in odometry])
     if trajectory.is_oriented and np.nan_to_num(twists).any():  # zeros throughout fill a place
         R = Rotation.from_quat(trajectory.orientations).as_matrix()
         P = np.array([one.twist.covariance for one in odometry]).reshape(-1, POSE_SIZE, POSE_SIZE)[:, :3, :3]
@@ -141,18 +141,20 @@ def _states_of(trajectory: Trajectory, odometry: Sequence[Any], beside: Sequence
         values = rotations.turned(R, twists)
         states["velocity"] = StateBelief(values, R @ P @ R.swapaxes(1, 2) if claimed else None)
     if beside:
-        by_stamp = {_stamp(one): (_vector(one.accel.angular), _vector(one.accel.linear)) for one in beside}
+        by_stamp = {stamp_of(one): (vector_of(one.accel.angular), vector_of(one.accel.linear)) for one in beside}
         none = (3 * (np.nan,), 3 * (np.nan,))
-        biases = np.array([by_stamp.get(_stamp(one), none) for one in odometry])
+        biases = np.array([by_stamp.get(stamp_of(one), none) for one in odometry])
         states |= {name: StateBelief(biases[:, k]) for k, name in enumerate(("gyro-bias", "accelerometer-bias"))}
     return states
 
 
-def _stamp(message: Any) -> int:
+def stamp_of(message: Any) -> int:
+    """Time of the header of a message, ns."""
     return int(message.header.stamp.sec * 10**9 + message.header.stamp.nanosec)
 
 
-def _vector(of: Any) -> tuple[float, float, float]:
+def vector_of(of: Any) -> tuple[float, float, float]:
+    """Three numbers of a vector or a point."""
     return of.x, of.y, of.z
 
 
