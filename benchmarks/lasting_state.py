@@ -31,7 +31,7 @@ TIMES_WHITE, SECONDS = (1.0, 4.0), (0.5, 2.0, 8.0)
 def white(recording: Recording, noise: ColouredNoise) -> FloatArray:
     """What is white in (u, v, d), px^2: as stated, or the median of what the tracks bring."""
     if not bring_R(recording):
-        return noise.R if noise.white is None else noise.white
+        return noise.white_part.R
     seen = [frame.observation.covariances(noise) for frame in recording.frames]
     median: FloatArray = np.median(np.concatenate(seen), axis=0)
     return median

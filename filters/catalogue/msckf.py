@@ -191,13 +191,13 @@ class MultiStateConstraintEKF(StereoEKF):
         stated: dict[str, Any] = {}
         if isinstance(noise, ColouredNoise):
             stated = {"drift": noise.drift, "gauge_walk": noise.gauge_walk}
-            noise = StereoNoise(noise.R if noise.white is None else noise.white)
+            noise = noise.white_part
         for name, value, least in (("window", window, _LEAST), ("map_landmarks", map_landmarks, 0)):
             if type(value) is not int or value < least:
                 raise ValueError(f"{name} must be an integer >= {least}, got {value!r}")
         self.window, self.map_landmarks = window, map_landmarks
-        usual = {"landmark": "shared-anchor", "error": "right-invariant"}
-        super().__init__(camera, noise, **{**usual, **stated, **options})
+        stated |= {"landmark": "shared-anchor", "error": "right-invariant"}
+        super().__init__(camera, noise, **{**stated, **options})
         sensor, error, gate = self.options.measurement, self.options.error, self.options.gate
         if type(sensor) not in (RangeBearing, LeftOnly):
             raise ValueError(f"measurement must be 'joint' or 'left' with a window, got {type(sensor).__name__}")
@@ -210,7 +210,6 @@ class MultiStateConstraintEKF(StereoEKF):
         self._size = 2 if type(sensor) is LeftOnly else 3
         dof = np.maximum(self._size * np.arange(window + 1) - 3, 1)
         self._limits = chdtri(dof, 0.0 if gate is None else 1.0 - gate)
-        self._apart = _walking_apart(self.options.drift, self.noise, window)
 
     def reset(self, start: Start = Start()) -> None:  # noqa: B008  frozen
         """Start again, without clones, tracks and landmarks."""
@@ -289,7 +288,8 @@ class MultiStateConstraintEKF(StereoEKF):
         rows = self._size * counts - 3
         H, nu = np.zeros((rows.sum(), 6 * len(names))), np.zeros(rows.sum())
         measured = np.array([numbers for track in tracks.values() for numbers in track])
-        arguments = belief.value.reshape(-1, 7), belief.covariance, counts, measured, self._limits, self._apart
+        apart = _walking_apart(self.options.drift, self.noise, self.window)  # of now: `assume` may change both
+        arguments = belief.value.reshape(-1, 7), belief.covariance, counts, measured, self._limits, apart
         rig = camera.fx, camera.fy, camera.disparity_constant
         distances, nis, dof = _constrain(self._size, rig, *arguments, H, nu), 0.0, 0
         if top := rows[distances >= 0.0].sum():

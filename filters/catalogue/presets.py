@@ -124,7 +124,7 @@ class ColouredNoiseEKF(StereoEKF):
         if isinstance(noise, ColouredNoise):
             stated = coloured_options(noise, options)
             scale, misalignment = noise.scale, noise.misalignment
-            noise = StereoNoise(noise.R if noise.white is None else noise.white)
+            noise = noise.white_part
         usual = {"landmark": "shared-anchor", "error": "right-invariant", "consensus": gate is not None}
         super().__init__(camera, noise, gate=gate, **{**usual, **stated, **options})
         self._unseen = np.square([scale, *[misalignment] * 3])

@@ -212,6 +212,11 @@ class ColouredNoise(StereoNoise):
             object.__setattr__(self, name, positive(name, getattr(self, name), allow_zero=True))
 
     @property
+    def white_part(self) -> StereoNoise:
+        """Noise that is independent from frame to frame."""
+        return StereoNoise(self.R if self.white is None else self.white)
+
+    @property
     def lasting_covariance(self) -> FloatArray | None:
         """Covariance of the errors that last, px^2; None without `lasting_time`."""
         if self.lasting_time is None or self.lasting is not None:

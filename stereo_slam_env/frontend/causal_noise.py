@@ -73,7 +73,7 @@ class CausalNoiseEKF(ColouredNoiseEKF):
                 lasting_part = np.zeros((3, 3)) if lasting is None else lasting
                 assumed["landmark"] = LastingErrors(lasting_part, LASTING_TIME)
                 assumed["drift"] = noise.drift if lasting is None else None
-            self.assume(StereoNoise(noise.R if noise.white is None else noise.white), **assumed)
+            self.assume(noise.white_part, **assumed)
         used = observation
         if brings_R and observation.R is not None and self._raised != 1.0:
             used = dataclasses.replace(observation, R=self._raised * observation.R)

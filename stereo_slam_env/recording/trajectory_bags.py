@@ -86,6 +86,7 @@ def read_bag(path: Path, topic: str | None) -> Trajectory:
             raise ValueError(f"{path} has {said}: ask for one by {path}:TOPIC ({_offered(reader, types, with_poses)})")
         (matched_topic,) = alike
         logged, messages = _messages(reader, matched_topic)
+        _, beside = _messages(reader, biases) if (biases := f"{matched_topic}/{BIAS}") in types else ((), [])
     if not messages:
         raise ValueError(f"{path} has no message on {plain(matched_topic)}: ask for another topic")
     if types[matched_topic] == _PATH:
@@ -125,8 +126,6 @@ def read_bag(path: Path, topic: str | None) -> Trajectory:
     )
     if types[matched_topic] != _ODOMETRY or len(trajectory) != len(order):
         return trajectory
-    with opened_bag(path) as reader:
-        _, beside = _messages(reader, f"{matched_topic}/{BIAS}") if f"{matched_topic}/{BIAS}" in types else ((), [])
     return replace(trajectory, states=_states_of(trajectory, [messages[k] for k in order], beside))
 
 
